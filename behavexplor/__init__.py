@@ -1,0 +1,1 @@
+"""BehAVExplor: behaviour-diversity guided testing of autonomous driving systems, on highway-env."""

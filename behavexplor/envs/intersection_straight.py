@@ -1,0 +1,11 @@
+"""S1: the ego goes straight through a non-signalised crossing."""
+
+from behavexplor.envs.roads import crossing
+from behavexplor.logical import LogicalScenario
+
+LOGICAL = LogicalScenario(
+    name="intersection-straight",
+    roadmap=crossing("straight", ego_start=20.0, destination=60.0),
+    n_npcs=5,
+    waypoints_per_lane=2,
+)

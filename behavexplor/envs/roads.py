@@ -1,0 +1,144 @@
+"""The two places of the paper as road maps: a crossing of two roads, and a straight road of four lanes.
+
+Sizes follow the maps that the paper tested on: lanes of 3.5 m, a speed limit of 25 mph, stop lines about
+15 m from the crossing's centre, double yellow lines between the directions and curbs outside.
+"""
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.roadmap import CURB, DOUBLE_YELLOW, Lane, RoadMap, Route
+
+Floats = NDArray[np.float64]
+
+LANE_WIDTH = 3.5  # [m]
+SPEED_LIMIT = 11.176  # 25 mph [m/s]
+
+STOP_LINE = 15.0  # distance of the stop lines from the crossing's centre [m]
+EGO_APPROACH = 90.0  # length of the ego's approach lanes [m]
+APPROACH = 120.0  # length of the others [m]
+EXIT = 75.0  # length of the lanes that leave the crossing; the ego's destination lies 60 m into one [m]
+ONWARD = 80.0  # and of those behind, where NPCs park out of the ego's way [m]
+EGO_LEG = "south"
+
+LEGS = {"south": math.pi / 2, "west": math.pi, "north": -math.pi / 2, "east": 0.0}  # outward heading [rad]
+OFFSETS = {"inner": 0.5 * LANE_WIDTH, "outer": 1.5 * LANE_WIDTH}  # lane centre from the middle of the road [m]
+MOVEMENTS = {"inner": ("left", "straight"), "outer": ("straight", "right")}
+TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change of heading [rad]
+
+
+def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
+    """A non-signalised crossing of two four-lane roads, the ego coming from the south on the inner lane.
+
+    Args:
+        movement: "straight" or "left", what the ego does there.
+        ego_start: distance into its approach lane [m].
+        destination: distance into its exit lane [m].
+    """
+    lanes = {lane.name: lane for lane in _crossing_lanes()}
+    routes = [
+        Route(f"{leg}-{side}-{movement}", tuple(lanes[name] for name in _lane_names(leg, side, movement)))
+        for leg in LEGS
+        for side in OFFSETS
+        for movement in MOVEMENTS[side]
+    ]
+    ego_route = next(route for route in routes if route.name == f"{EGO_LEG}-inner-{movement}")
+    lines, kinds = _crossing_lines()
+    return RoadMap(
+        lanes=tuple(lanes.values()),
+        npc_routes=tuple(routes),
+        ego_route=ego_route,
+        ego_start=ego_start,
+        destination=float(ego_route.bounds[2]) + destination,
+        illegal_lines=lines,
+        line_kinds=kinds,
+        speed_limit=SPEED_LIMIT,
+    )
+
+
+def _lane_names(leg: str, side: str, movement: str) -> tuple[str, str, str, str]:
+    target = _leg_towards(LEGS[leg] + math.pi + TURNS[movement])
+    return f"{leg}-in-{side}", f"{leg}-{side}-{movement}", f"{target}-out-{side}", f"{target}-onward-{side}"
+
+
+def _leg_towards(heading: float) -> str:
+    """The leg whose outward heading is the given one."""
+    return min(LEGS, key=lambda leg: abs(math.remainder(LEGS[leg] - heading, 2 * math.pi)))
+
+
+def _crossing_lanes() -> Iterator[Lane]:
+    """The lanes leg by leg, those side by side from left to right."""
+    for leg, outward in LEGS.items():
+        inward = outward + math.pi
+        length = EGO_APPROACH if leg == EGO_LEG else APPROACH
+        for side, offset in OFFSETS.items():
+            x, y = _beside(outward, STOP_LINE + length, -offset)
+            yield Lane(f"{leg}-in-{side}", f"{leg}-far", f"{leg}-in", x, y, _wrap(inward), length, LANE_WIDTH)
+        for side, offset in OFFSETS.items():
+            for movement in MOVEMENTS[side]:
+                yield _connector(leg, side, offset, movement)
+        for name, start, length, origin, target in (
+            ("out", STOP_LINE, EXIT, "out", "onward"),
+            ("onward", STOP_LINE + EXIT, ONWARD, "onward", "end"),
+        ):
+            for side, offset in OFFSETS.items():
+                x, y = _beside(outward, start, offset)
+                yield Lane(
+                    f"{leg}-{name}-{side}", f"{leg}-{origin}", f"{leg}-{target}", x, y, outward, length, LANE_WIDTH
+                )
+
+
+def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:
+    heading = LEGS[leg] + math.pi
+    x, y = _beside(LEGS[leg], STOP_LINE, -offset)
+    target = _leg_towards(heading + TURNS[movement])
+    if movement == "straight":
+        length, curvature = 2 * STOP_LINE, 0.0
+    else:
+        radius = STOP_LINE + (offset if movement == "left" else -offset)
+        length, curvature = radius * math.pi / 2, math.copysign(1 / radius, TURNS[movement])
+    return Lane(
+        name=f"{leg}-{side}-{movement}",
+        origin=f"{leg}-in",
+        target=f"{target}-out",
+        x=x,
+        y=y,
+        heading=_wrap(heading),
+        length=length,
+        width=LANE_WIDTH,
+        curvature=curvature,
+        junction=True,
+    )
+
+
+def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
+    """Per leg the double yellow line and both curbs, then the curbs round the corners as chords."""
+    near, far = STOP_LINE, STOP_LINE + EXIT + ONWARD
+    edge = 2 * LANE_WIDTH
+    segments, kinds = [], []
+    for outward in LEGS.values():
+        for offset, kind in ((0.0, DOUBLE_YELLOW), (-edge, CURB), (edge, CURB)):
+            segments.append([_beside(outward, near, offset), _beside(outward, far, offset)])
+            kinds.append(kind)
+    for outward in LEGS.values():
+        angles = np.linspace(0, math.pi / 2, 7)
+        inset = near - (near - edge) * np.sin(angles), near - (near - edge) * np.cos(angles)
+        corner = [_beside(outward, float(along), float(across)) for along, across in zip(*inset, strict=True)]
+        segments += [[start, end] for start, end in pairwise(corner)]
+        kinds += [CURB] * 6
+    return np.array(segments), tuple(kinds)
+
+
+def _beside(heading: float, along: float, across: float) -> tuple[float, float]:
+    """The point `along` metres from the origin in a direction and `across` to the right of it."""
+    cos, sin = round(math.cos(heading)), round(math.sin(heading))  # legs run along the axes
+    return along * cos - across * sin, along * sin + across * cos
+
+
+def _wrap(angle: float) -> float:
+    """The same angle in [-pi, pi]."""
+    return math.remainder(angle, 2 * math.pi)

@@ -1,0 +1,16 @@
+"""The one exception that means "the input is wrong": a sentence for the user, never a traceback."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class InputError(ValueError):
+    """Something that the user gave cannot be used; the message says what is wrong and how to mend it."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
+    """The error for a name that is not among `known`: it names the nearest match, or else all of them."""
+    known = sorted(known)
+    close = get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}."
+    return InputError(f"Unknown {kind} {name!r}: {hint}")

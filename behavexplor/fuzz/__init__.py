@@ -1,0 +1,1 @@
+"""The fuzzer: specs, behaviour, search methods."""

@@ -1,0 +1,133 @@
+"""Oriented boxes and line segments in the plane: corners, overlap and exact distances.
+
+The world frame is highway-env's: x to the right, y down, headings turn from x towards y, so that a
+positive lateral offset lies to the right of the direction of travel. Lengths in metres, angles in radians.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+
+
+def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
+    """Corners of oriented boxes.
+
+    Args:
+        position: centres, shape (..., 2) [m].
+        heading: shape (...) [rad].
+        size: length and width, shape (..., 2) [m], broadcast against `position`.
+
+    Returns:
+        Corners in order round the box, shape (..., 4, 2).
+    """
+    local = _UNIT_BOX * np.asarray(size)[..., None, :]
+    cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
+    x = local[..., 0] * cos - local[..., 1] * sin
+    y = local[..., 0] * sin + local[..., 1] * cos
+    return np.stack([x, y], axis=-1) + np.asarray(position)[..., None, :]
+
+
+def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
+    """Whether boxes touch or overlap, by the separating axis theorem.
+
+    Args:
+        a: corners, shape (..., 4, 2).
+        b: corners, shape (..., 4, 2).
+
+    Returns:
+        Shape (...).
+    """
+    separated = np.zeros(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=bool)
+    for box in (a, b):
+        for edge in (box[..., 1, :] - box[..., 0, :], box[..., 2, :] - box[..., 1, :]):
+            along_a = np.einsum("...ij,...j->...i", a, edge)
+            along_b = np.einsum("...ij,...j->...i", b, edge)
+            separated |= along_a.max(-1) < along_b.min(-1)
+            separated |= along_b.max(-1) < along_a.min(-1)
+    return ~separated
+
+
+def point_segment_distance(point: Floats, start: Floats, end: Floats) -> Floats:
+    """Distance from points to segments; all of shape (..., 2), broadcast. Returns shape (...)."""
+    along = end - start
+    squared = np.einsum("...i,...i->...", along, along)
+    share = np.einsum("...i,...i->...", point - start, along) / np.where(squared > 0, squared, 1.0)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.asarray(np.hypot(point[..., 0] - nearest[..., 0], point[..., 1] - nearest[..., 1]))
+
+
+def box_distance(a: Floats, b: Floats) -> Floats:
+    """Shortest distance between boxes [m], 0 where they touch or overlap.
+
+    Args:
+        a: corners, shape (..., 4, 2).
+        b: corners, shape (..., 4, 2).
+
+    Returns:
+        Shape (...).
+    """
+    gaps = []
+    for corners, box in ((a, b), (b, a)):
+        start, end = box, np.roll(box, -1, axis=-2)
+        gap = point_segment_distance(corners[..., :, None, :], start[..., None, :, :], end[..., None, :, :])
+        gaps.append(gap.min((-1, -2)))
+    return np.where(boxes_overlap(a, b), 0.0, np.minimum(*gaps))
+
+
+def box_segment_distance(box: Floats, segment: Floats) -> Floats:
+    """Shortest distance between boxes and segments [m], 0 where a segment touches or enters the box.
+
+    Args:
+        box: corners, shape (..., 4, 2).
+        segment: ends, shape (..., 2, 2).
+
+    Returns:
+        Shape (...).
+    """
+    start, end = segment[..., 0, :], segment[..., 1, :]
+    to_segment = point_segment_distance(box, start[..., None, :], end[..., None, :]).min(-1)
+    to_box = point_segment_distance(
+        segment[..., :, None, :], box[..., None, :, :], np.roll(box, -1, axis=-2)[..., None, :, :]
+    ).min((-1, -2))
+    return np.where(_segment_meets_box(box, start, end), 0.0, np.minimum(to_segment, to_box))
+
+
+def _segment_meets_box(box: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
+    """Separating axes of a box and a segment: the box's two sides and the segment's normal."""
+    along = end - start
+    normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    ends = np.stack(np.broadcast_arrays(start, end), axis=-2)
+    separated = np.zeros(np.broadcast_shapes(box.shape[:-2], start.shape[:-1]), dtype=bool)
+    for axis in (box[..., 1, :] - box[..., 0, :], box[..., 2, :] - box[..., 1, :], normal):
+        along_box = np.einsum("...ij,...j->...i", box, axis)
+        along_ends = np.einsum("...ij,...j->...i", ends, axis)
+        separated |= along_box.max(-1) < along_ends.min(-1)
+        separated |= along_ends.max(-1) < along_box.min(-1)
+    return ~separated
+
+
+def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Floats]:
+    """Stations and headings of the nearest places of a polyline.
+
+    Args:
+        points: shape (T, 2) [m].
+        polyline: shape (P, 2) [m], P >= 2.
+
+    Returns:
+        Station of each point's nearest place [m], shape (T,), and the polyline's heading there [rad],
+        shape (T,), interpolated between the headings at the middles of its pieces.
+    """
+    start, along = polyline[:-1], np.diff(polyline, axis=0)
+    length = np.hypot(along[:, 0], along[:, 1])
+    share = np.einsum("tpi,pi->tp", points[:, None] - start, along) / length**2
+    share = np.clip(share, 0.0, 1.0)
+    nearest = start + share[..., None] * along
+    gap = ((points[:, None] - nearest) ** 2).sum(-1)
+    piece = gap.argmin(1)
+    ends = np.concatenate([[0.0], np.cumsum(length)])
+    station = ends[piece] + share[np.arange(len(points)), piece] * length[piece]
+    heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    return station, np.interp(station, (ends[:-1] + ends[1:]) / 2, heading)

@@ -1,0 +1,19 @@
+"""The `Scene` observation: what a planner is told about the vehicles around it, without any noise.
+
+As in the paper (section V-E, threats), perception is bypassed: positions and motions are the true ones.
+Environments fill the scene, planners read it; this is the one place that says what stands where.
+"""
+
+from typing import Final
+
+PRESENT: Final = 0  # 1 for a vehicle, 0 for an empty row
+X: Final = 1  # centre [m]
+Y: Final = 2  # centre [m]
+HEADING: Final = 3  # [rad]
+SPEED: Final = 4  # along the heading [m/s]
+ACCELERATION: Final = 5  # along the heading [m/s2]
+LENGTH: Final = 6  # [m]
+WIDTH: Final = 7  # [m]
+
+N_COLUMNS: Final = 8
+EGO: Final = 0  # the ego's row; NPCs follow in the order of the scenario
