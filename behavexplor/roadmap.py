@@ -110,7 +110,7 @@ class Route:
         return self.pose(np.linspace(start, end, count))[:, :2]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RoadMap:
     """Everything fixed about the place of a functional scenario.
 

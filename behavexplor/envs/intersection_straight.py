@@ -1,5 +1,6 @@
 """S1: the ego goes straight through a non-signalised crossing."""
 
+from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import crossing
 from behavexplor.logical import LogicalScenario
 
@@ -9,3 +10,9 @@ LOGICAL = LogicalScenario(
     n_npcs=5,
     waypoints_per_lane=2,
 )
+
+
+class IntersectionStraightEnv(DrivingEnv):
+    """The ego goes straight through a non-signalised crossing; see `behavexplor.envs.driving.DrivingEnv`."""
+
+    logical = LOGICAL

@@ -1,0 +1,212 @@
+"""The environment that all functional scenarios share: an ego among NPCs that play back a concrete scenario."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import action_factory
+from highway_env.envs.common.observation import observation_factory
+from highway_env.road.road import Road
+from numpy.typing import NDArray
+
+from behavexplor.envs.network import road_network
+from behavexplor.envs.npc import motion_table
+from behavexplor.envs.recorder import Recorder
+from behavexplor.envs.scene_observation import SceneObservation
+from behavexplor.envs.vehicles import ScriptedVehicle, place_ego
+from behavexplor.envs.viewer import MapViewer
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.logical import VEHICLE_SIZES, LogicalScenario
+from behavexplor.scenario import Scenario
+
+ARRIVAL_DISTANCE = 1.0  # of the ego's centre from the destination [m]
+PASSED_DISTANCE = 5.0  # beyond the destination, along its lane [m]
+STANDSTILL_SPEED = 0.3  # [m/s]
+STANDSTILL_TIME = 30.0  # [s]
+
+TERMINAL = ("collision", "arrived", "passed")  # what ends the task itself; the other ends cut it off
+REWARDS = {"collision": -20.0, "arrived": 10.0, "passed": -4.0, "standstill": -4.0, "timeout": -4.0}
+
+
+class DrivingEnv(AbstractEnv):  # type: ignore[misc]
+    """Drive to a destination among scripted vehicles; a functional scenario is a subclass with a `logical`.
+
+    `reset(options={"scenario": scenario})` runs that concrete scenario; without it one is sampled from the
+    logical scenario with the environment's own generator, so that the same environment trains a policy. At
+    the end of an episode `info["trace"]` holds its `behavexplor.trace.Trace`.
+
+    The episode ends when the ego collides, arrives (its centre within 1 m of the destination) or has passed
+    the destination by 5 m (terminated), and when it stood for 30 s or at the time limit (truncated).
+
+    Args:
+        config: highway-env's configuration, changed where given; `observation` and `action` take highway-env's
+            types, and the observation type "Scene" besides. `simulation_frequency` [Hz] must be a multiple of
+            `policy_frequency` [Hz]; `duration` is the time limit [s].
+        render_mode: None, "human" or "rgb_array".
+
+    Raises:
+        InputError: for an unknown key of the config, or frequencies that do not divide.
+    """
+
+    logical: ClassVar[LogicalScenario]
+    scenario: Scenario
+    viewer: MapViewer | None
+    _recorder: Recorder
+    _end: str | None = None
+
+    def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
+        self.metadata = {"render_modes": ["human", "rgb_array"]}
+        super().__init__(dict(config or {}), render_mode)
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        """highway-env's configuration with the frequencies, time limit and view of these environments."""
+        config: dict[str, Any] = super().default_config()
+        config |= {
+            "observation": {"type": "Kinematics", "vehicles_count": 1 + cls.logical.n_npcs},
+            "action": {"type": "ContinuousAction"},
+            "simulation_frequency": 20,
+            "policy_frequency": 10,
+            "duration": 200.0,
+            "screen_width": 800,
+            "screen_height": 800,
+            "centering_position": [0.5, 0.6],
+            "scaling": 5.5,
+        }
+        del config["other_vehicles_type"]
+        return config
+
+    def configure(self, config: dict[str, Any]) -> None:
+        """Change the configuration; see the class."""
+        for key in config:
+            if key not in self.config:
+                raise unknown_name("key of the environment's config", str(key), self.config)
+        super().configure(config)
+        if self.config["simulation_frequency"] % self.config["policy_frequency"]:
+            raise InputError(
+                f"simulation_frequency {self.config['simulation_frequency']} must be a multiple of "
+                f"policy_frequency {self.config['policy_frequency']}, or time would run wrong"
+            )
+
+    def define_spaces(self) -> None:
+        """The observation and action spaces of the configuration."""
+        observation = self.config["observation"]
+        is_scene = observation.get("type") == "Scene"
+        self.observation_type = SceneObservation(self) if is_scene else observation_factory(self, observation)
+        self.action_type = action_factory(self, self.config["action"])
+        self.observation_space = self.observation_type.space()
+        self.action_space = self.action_type.space()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: of the generator that samples scenarios.
+            options: `scenario`, the concrete scenario to run; one is sampled where there is none.
+
+        Raises:
+            InputError: if the scenario cannot be run here, or an option is unknown.
+        """
+        gymnasium.Env.reset(self, seed=seed)
+        options = options or {}
+        for key in options:
+            if key != "scenario":
+                raise unknown_name("reset option", str(key), ["scenario"])
+        scenario = options.get("scenario") or self.logical.sample(self.np_random)
+        if not isinstance(scenario, Scenario):
+            raise InputError(f"options['scenario'] must be a behavexplor.scenario.Scenario, got {scenario!r:.80}")
+        self.logical.check(scenario)
+        self.update_metadata()
+        self.time = self.steps = 0
+        self.done = False
+        self._end = None
+        self.scenario = scenario
+        self._place(scenario)
+        self.define_spaces()
+        observation = self.observation_type.observe()
+        if self.render_mode == "human":
+            self.render()
+        return observation, {"scenario": scenario}
+
+    def _place(self, scenario: Scenario) -> None:
+        """Put the ego and the NPCs of a scenario on the road."""
+        roadmap = self.logical.roadmap
+        network = road_network(roadmap)
+        self.road = Road(network, np_random=self.np_random)
+        vehicle_class = self.action_type.vehicle_class
+        ego = place_ego(vehicle_class, self.road, roadmap.start_pose, network.indexes(roadmap.ego_route))
+        n_frames = int(self.config["duration"] * self.config["simulation_frequency"]) + 1
+        time = np.arange(n_frames + 1) / self.config["simulation_frequency"]
+        motion = motion_table(scenario, roadmap, time)
+        npcs = [
+            ScriptedVehicle(
+                self.road, VEHICLE_SIZES[npc.type], motion[:, i], network.indexes(roadmap.routes[npc.route])
+            )
+            for i, npc in enumerate(scenario.npcs)
+        ]
+        self.controlled_vehicles = [ego]
+        self.road.vehicles = [ego, *npcs]
+        self._recorder = Recorder(roadmap, time, motion, [(v.LENGTH, v.WIDTH) for v in self.road.vehicles])
+        self._recorder.frame(ego)
+
+    def _simulate(self, action: Any = None) -> None:
+        """Simulate until the next decision, or until the episode ends."""
+        self._recorder.action(action)
+        self.action_type.act(action)
+        substeps = self.config["simulation_frequency"] // self.config["policy_frequency"]
+        for substep in range(substeps):
+            self.road.act()
+            self.road.step(1 / self.config["simulation_frequency"])
+            self.steps += 1
+            self._recorder.frame(self.vehicle)
+            self._end = self._find_end()
+            if self._end is not None:
+                break
+            if substep < substeps - 1:
+                self._automatic_rendering()
+        self.enable_auto_render = False
+
+    def _find_end(self) -> str | None:
+        roadmap = self.logical.roadmap
+        if self._recorder.collided():
+            return "collision"
+        gap = self.vehicle.position - roadmap.destination_point
+        if np.hypot(*gap) <= ARRIVAL_DISTANCE:
+            return "arrived"
+        heading = roadmap.ego_route.pose(roadmap.destination)[2]
+        if gap @ (np.cos(heading), np.sin(heading)) > PASSED_DISTANCE:
+            return "passed"
+        if self._recorder.standing_frames(STANDSTILL_SPEED) >= STANDSTILL_TIME * self.config["simulation_frequency"]:
+            return "standstill"
+        if self.steps >= self.config["duration"] * self.config["simulation_frequency"]:
+            return "timeout"
+        return None
+
+    def _rewards(self, action: Any) -> dict[str, float]:  # noqa: ARG002 - highway-env's signature
+        return {"progress": self._recorder.progress() / 10, "end": REWARDS.get(self._end or "", 0.0)}
+
+    def _reward(self, action: Any) -> float:
+        """Tenths of metres nearer to the destination, and what the end of the episode is worth (`REWARDS`)."""
+        return sum(self._rewards(action).values())
+
+    def _is_terminated(self) -> bool:
+        return self._end in TERMINAL
+
+    def _is_truncated(self) -> bool:
+        return self._end is not None and self._end not in TERMINAL
+
+    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002 - highway-env's signature
+        info = {"speed": self.vehicle.speed, "rewards": self._rewards(action)}
+        if self._end is not None:
+            info |= {"end": self._end, "trace": self._recorder.trace(self._end)}
+        return info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The scene seen from above: double yellow lines, curbs, routes, and every vehicle in its size."""
+        if self.render_mode is not None and self.viewer is None:
+            self.viewer = MapViewer(self)
+        return super().render()  # type: ignore[no-any-return]

@@ -1,0 +1,40 @@
+"""The `Scene` observation type: all vehicles in world coordinates, for planners. See `behavexplor.scene`."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+from highway_env.envs.common.observation import ObservationType
+from numpy.typing import NDArray
+
+from behavexplor import scene
+
+if TYPE_CHECKING:
+    from behavexplor.envs.driving import DrivingEnv
+
+
+class SceneObservation(ObservationType):  # type: ignore[misc]
+    """Array of shape (1 + n_npcs, 8), float64; its columns are those of `behavexplor.scene`."""
+
+    def __init__(self, env: "DrivingEnv", **_: Any) -> None:
+        super().__init__(env)
+        self._shape = (1 + env.logical.n_npcs, scene.N_COLUMNS)
+
+    def space(self) -> spaces.Box:
+        """The observation space."""
+        return spaces.Box(-np.inf, np.inf, shape=self._shape, dtype=np.float64)
+
+    def observe(self) -> NDArray[np.float64]:
+        """The scene as it is now."""
+        rows = np.zeros(self._shape)
+        for row, vehicle in zip(rows, self.env.road.vehicles if self.env.road else [], strict=False):
+            row[:] = (
+                1.0,
+                *vehicle.position,
+                vehicle.heading,
+                vehicle.speed,
+                vehicle.action["acceleration"],
+                vehicle.LENGTH,
+                vehicle.WIDTH,
+            )
+        return rows

@@ -1,0 +1,78 @@
+"""The vehicles on the road: the ego is highway-env's own, NPCs play back their motion tables."""
+
+import numpy as np
+from highway_env.road.road import LaneIndex, Road
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
+from behavexplor.logical import EGO_SIZE
+
+Floats = NDArray[np.float64]
+
+
+def set_size(vehicle: Vehicle, size: tuple[float, float]) -> None:
+    """Give one vehicle its own length and width [m]; highway-env has them per class."""
+    vehicle.LENGTH, vehicle.WIDTH = size
+    vehicle.diagonal = float(np.hypot(*size))
+
+
+def place_ego(vehicle_class: type[Vehicle], road: Road, pose: Floats, route: list[LaneIndex]) -> Vehicle:
+    """The vehicle under test, standing at the start of its route.
+
+    highway-env's own collision response is switched off: it flags collisions too early or without contact,
+    and pushes vehicles apart. Contact is computed by the environment.
+    """
+    ego = vehicle_class(road, pose[:2], heading=float(pose[2]), speed=0.0)
+    set_size(ego, EGO_SIZE)
+    ego.route = route
+    ego.check_collisions = ego.collidable = False
+    return ego
+
+
+class ScriptedVehicle(Vehicle):  # type: ignore[misc]
+    """An NPC that plays back its motion table, one row for each step of the simulation.
+
+    Args:
+        road: the road it drives on.
+        size: length and width [m].
+        motion: its columns of `behavexplor.envs.npc.motion_table`, shape (T, 5).
+        route: highway-env's indexes of the lanes it follows.
+    """
+
+    def __init__(self, road: Road, size: tuple[float, float], motion: Floats, route: list[LaneIndex]) -> None:
+        self._motion = motion
+        self._frame = 0
+        super().__init__(road, motion[0, [X, Y]], heading=float(motion[0, HEADING]), speed=float(motion[0, SPEED]))
+        set_size(self, size)
+        self.route = route
+        self.target_speed = float(motion[:, SPEED].max())
+        self.action["acceleration"] = float(motion[0, ACCELERATION])
+        self.check_collisions = self.collidable = False
+
+    @property
+    def lane_index(self) -> LaneIndex:
+        """The closest lane, looked for only when somebody asks."""
+        return self.road.network.get_closest_lane_index(self.position, self.heading)
+
+    @lane_index.setter
+    def lane_index(self, _: LaneIndex) -> None:
+        """highway-env sets the lane at the start and in every step; here it follows from the position."""
+
+    @property
+    def lane(self) -> object:
+        """The closest lane, looked for only when somebody asks."""
+        return self.road.network.get_lane(self.lane_index)
+
+    @lane.setter
+    def lane(self, _: object) -> None:
+        """See `lane_index`."""
+
+    def step(self, dt: float) -> None:  # noqa: ARG002 - the table's rows are steps of the simulation
+        """Play the next row."""
+        self._frame += 1
+        row = self._motion[self._frame]
+        self.position = row[[X, Y]]
+        self.heading = float(row[HEADING])
+        self.speed = float(row[SPEED])
+        self.action = {"steering": 0.0, "acceleration": float(row[ACCELERATION])}
