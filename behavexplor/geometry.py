@@ -110,7 +110,9 @@ def _segment_meets_box(box: Floats, start: Floats, end: Floats) -> NDArray[np.bo
 
 
 def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Floats]:
-    """Stations and headings of the nearest places of a polyline.
+    """Stations and headings of the nearest places of a polyline whose pieces are about equally long.
+
+    Only pieces around a point's nearest vertex are looked at.
 
     Args:
         points: shape (T, 2) [m].
@@ -120,14 +122,15 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
         Station of each point's nearest place [m], shape (T,), and the polyline's heading there [rad],
         shape (T,), interpolated between the headings at the middles of its pieces.
     """
-    start, along = polyline[:-1], np.diff(polyline, axis=0)
+    along = np.diff(polyline, axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
-    share = np.einsum("tpi,pi->tp", points[:, None] - start, along) / length**2
-    share = np.clip(share, 0.0, 1.0)
-    nearest = start + share[..., None] * along
-    gap = ((points[:, None] - nearest) ** 2).sum(-1)
-    piece = gap.argmin(1)
+    vertex = ((polyline**2).sum(1) - 2 * (points @ polyline.T)).argmin(1)
+    near = np.clip(vertex[:, None] + np.arange(-2, 2), 0, len(along) - 1)  # pieces, shape (T, 4)
+    dx, dy = np.moveaxis((along / length[:, None])[near], -1, 0)
+    x, y = np.moveaxis(points[:, None] - polyline[near], -1, 0)
+    ahead = np.clip(x * dx + y * dy, 0.0, length[near])  # of each piece's start
+    best = np.arange(len(points)), ((x - ahead * dx) ** 2 + (y - ahead * dy) ** 2).argmin(1)
     ends = np.concatenate([[0.0], np.cumsum(length)])
-    station = ends[piece] + share[np.arange(len(points)), piece] * length[piece]
+    station = ends[near[best]] + ahead[best]
     heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
     return station, np.interp(station, (ends[:-1] + ends[1:]) / 2, heading)

@@ -1,8 +1,9 @@
 """The logical scenario: which concrete scenarios are possible on a map, checked and sampled.
 
-Source: paper section II-B and the spawn rules in docs/method notes; ranges in SI units.
+Source: paper section II-B for what is searched: the NPCs' routes and waypoints.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -113,27 +114,25 @@ class LogicalScenario:
             npc: with a valid type, route and first position.
             others: vehicles that have their places already.
         """
-        start = self._start_pose(npc)
-        corners = box_corners(start[:2], start[2], np.array(VEHICLE_SIZES[npc.type]))
+        start, size = self._start_pose(npc), VEHICLE_SIZES[npc.type]
         ego = self.roadmap.start_pose
-        ego_gap = float(np.hypot(*(start[:2] - ego[:2])))
+        ego_gap = math.dist(start[:2], ego[:2])
         if ego_gap < self.ego_gap:
             return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
-        if boxes_overlap(corners, box_corners(ego[:2], ego[2], np.array(EGO_SIZE))):
+        if _overlap(start, size, ego, EGO_SIZE):
             return "where the ego stands"
         lane = self.roadmap.routes[npc.route].lanes[0]
         for i, other in enumerate(others):
             pose = self._start_pose(other)
-            gap = float(np.hypot(*(start[:2] - pose[:2])))
+            gap = math.dist(start[:2], pose[:2])
             if lane is self.roadmap.routes[other.route].lanes[0] and gap < self.npc_gap:
                 return f"{gap:.2f} m from NPC {i} in the same lane, closer than {self.npc_gap:g} m"
-            box = box_corners(pose[:2], pose[2], np.array(VEHICLE_SIZES[other.type]))
-            if boxes_overlap(corners, box):
+            if _overlap(start, size, pose, VEHICLE_SIZES[other.type]):
                 return f"where NPC {i} stands"
         return None
 
     def _start_pose(self, npc: NPC) -> Floats:
-        return self.roadmap.routes[npc.route].pose(npc.waypoints[0].position)
+        return self.roadmap.routes[npc.route].lanes[0].pose(npc.waypoints[0].position)
 
     def sample(self, rng: np.random.Generator) -> Scenario:
         """A scenario with every parameter uniform in its range.
@@ -171,3 +170,12 @@ class LogicalScenario:
         raise InputError(
             f"{self.name}: none of {attempts} draws could be placed beside {len(others)} NPCs; use fewer NPCs"
         )
+
+
+def _overlap(pose: Floats, size: tuple[float, float], other_pose: Floats, other_size: tuple[float, float]) -> bool:
+    """Whether two boxes touch; poses of shape (3,)."""
+    if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
+        return False  # their circles are apart: most vehicles are
+    corners = box_corners(pose[:2], pose[2], np.array(size))
+    other_corners = box_corners(other_pose[:2], other_pose[2], np.array(other_size))
+    return bool(boxes_overlap(corners, other_corners))

@@ -1,0 +1,8 @@
+"""`python -m behavexplor`: all commands."""
+
+import sys
+
+from behavexplor.commands import main
+
+if __name__ == "__main__":
+    sys.exit(main())

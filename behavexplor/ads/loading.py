@@ -1,0 +1,60 @@
+"""Systems under test by name."""
+
+from collections.abc import Callable
+from importlib import import_module
+from inspect import signature
+from types import MappingProxyType
+from typing import Any
+
+from behavexplor.ads.interface import ADS
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.roadmap import RoadMap
+
+SYSTEMS = MappingProxyType({"rule": "behavexplor.ads.rule:RulePlanner"})
+
+
+def load_ads(name: str, roadmap: RoadMap) -> ADS:
+    """The system under test of a name.
+
+    Args:
+        name: one of `SYSTEMS`, or any "package.module:attribute": an object with a `predict` method (see
+            `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it takes
+            an argument.
+        roadmap: the map that the system may drive by.
+
+    Raises:
+        InputError: if there is none of that name, or what is found cannot predict.
+    """
+    target = SYSTEMS.get(name, name)
+    module_name, separator, attribute = target.partition(":")
+    if not separator:
+        raise unknown_name("ADS", name, SYSTEMS)
+    try:
+        found = getattr(import_module(module_name), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"The ADS {name!r} cannot be imported: {error}") from error
+    return _made(name, found, roadmap)
+
+
+def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:
+    is_factory = isinstance(found, type) or not hasattr(found, "predict")
+    if is_factory and not callable(found):
+        raise InputError(f"{name!r} is no ADS: it has no predict method and cannot make an object that has one")
+    ads = _call(name, found, roadmap) if is_factory else found
+    if not callable(getattr(ads, "predict", None)):
+        raise InputError(f"{name!r} is no ADS: what it makes, {ads!r:.80}, has no predict method")
+    result: ADS = ads
+    return result
+
+
+def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap) -> Any:
+    """What a class or function makes, given the road map if it takes an argument."""
+    try:
+        signature(factory).bind(roadmap)
+        arguments = [roadmap]
+    except (TypeError, ValueError):
+        arguments = []
+    try:
+        return factory(*arguments)
+    except Exception as error:
+        raise InputError(f"The ADS {name!r} cannot be made: {type(error).__name__}: {error}") from error

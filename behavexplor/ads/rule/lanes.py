@@ -1,0 +1,58 @@
+"""Lanes as plain arrays: where a station lies, and where on a lane a point lies."""
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.compiled import kernel
+from behavexplor.roadmap import Lane
+
+Floats = NDArray[np.float64]
+
+X: Final = 0  # start of the centre line [m]
+Y: Final = 1
+HEADING: Final = 2  # direction there [rad]
+LENGTH: Final = 3  # [m]
+CURVATURE: Final = 4  # [1/m], positive to the right
+
+
+COS: Final = 5  # of the heading
+SIN: Final = 6
+
+N_COLUMNS: Final = 7
+
+
+def lane_array(lanes: Iterable[Lane]) -> Floats:
+    """Shape (lanes, 7), columns as above."""
+    rows = [(lane.x, lane.y, lane.heading, lane.length, lane.curvature) for lane in lanes]
+    return np.array([(*row, math.cos(row[HEADING]), math.sin(row[HEADING])) for row in rows])
+
+
+@kernel
+def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float]:
+    """Position and heading at a station of a lane, also beyond its ends."""
+    x, y, start, curvature = lanes[lane, X], lanes[lane, Y], lanes[lane, HEADING], lanes[lane, CURVATURE]
+    if curvature == 0.0:
+        return x + station * lanes[lane, COS], y + station * lanes[lane, SIN], start
+    heading = start + curvature * station
+    x += (math.sin(heading) - lanes[lane, SIN]) / curvature
+    y -= (math.cos(heading) - lanes[lane, COS]) / curvature
+    return x, y, heading
+
+
+@kernel
+def project_on_lane(lanes: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
+    """Station and offset (positive to the right) of a point [m]."""
+    cos, sin = lanes[lane, COS], lanes[lane, SIN]
+    dx, dy = x - lanes[lane, X], y - lanes[lane, Y]
+    ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
+    if lanes[lane, CURVATURE] == 0.0:
+        return ahead, aside
+    radius = 1 / lanes[lane, CURVATURE]
+    right = radius - aside  # of the point is the centre of the arc
+    side = math.copysign(1.0, radius)
+    station = math.atan2(side * ahead, side * right) * radius
+    return station, radius - side * math.hypot(right, ahead)

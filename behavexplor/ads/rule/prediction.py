@@ -1,0 +1,131 @@
+"""Prediction: which ways an NPC may go, and how far it may be along them at a later time."""
+
+import math
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.compiled import kernel
+from behavexplor.ads.rule.lanes import (
+    COS,
+    CURVATURE,
+    HEADING,
+    LENGTH,
+    N_COLUMNS,
+    SIN,
+    X,
+    Y,
+    lane_array,
+    project_on_lane,
+)
+from behavexplor.roadmap import Lane, Route
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+TWO_PI = 2 * math.pi
+NEAR: Final = 7.0  # half the diagonal of the longest vehicle and half the ego's width, with some room [m]
+
+
+class LaneGraph(NamedTuple):
+    """All that a vehicle on the map may do next.
+
+    The last lane and the last tail are spare: straight on, for a vehicle that is on no lane.
+
+    Attributes:
+        lanes: shape (lanes + 1, 7), see `behavexplor.ads.rule.lanes`.
+        tails: the different sequences of lanes that routes end with, shape (tails + 1, depth), -1 behind the last.
+        near: whether a vehicle on the lane can be in the ego's way, shape (lanes + 1,).
+    """
+
+    lanes: Floats
+    tails: Ints
+    near: Bools
+
+
+def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
+    """The lanes of the routes, the ego's among them, and every different rest of a route."""
+    routes = (*routes, ego_route)
+    lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
+    index = {lane.name: i for i, lane in enumerate(lanes)}
+    sequences = [tuple(index[lane.name] for lane in route.lanes) for route in routes]
+    tails = [*sorted({sequence[i:] for sequence in sequences for i in range(len(sequence))}), (len(lanes),)]
+    depth = max(map(len, tails))
+    padded = [tail + (-1,) * (depth - len(tail)) for tail in tails]
+    way = ego_route.polyline(0.0, ego_route.length)
+    return LaneGraph(
+        lanes=np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)]),
+        tails=np.array(padded, dtype=np.int64),
+        near=np.array([*(_distance(lane, way) <= NEAR for lane in lanes), True]),
+    )
+
+
+def _distance(lane: Lane, way: Floats) -> float:
+    """Least distance of a lane's centre line from a polyline [m]."""
+    points = lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2]
+    gaps = points[:, None] - way
+    return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
+
+
+@kernel
+def find_tails(
+    graph: LaneGraph, x: float, y: float, heading: float, offset: float, turn: float, tails: Ints, stations: Floats
+) -> int:
+    """Every way on that a vehicle has, at a junction all branches; on no lane, straight on.
+
+    Args:
+        graph: the map; its spare lane is overwritten.
+        x: the vehicle's centre [m].
+        y: the vehicle's centre [m].
+        heading: [rad].
+        offset: how far its centre may be from a lane's centre line [m].
+        turn: how far its heading may differ from the lane's [rad].
+        tails: filled with indices of tails, shape (most,).
+        stations: filled with the vehicle's stations along them [m], shape (most,).
+
+    Returns:
+        How many were found, at least 1.
+    """
+    lanes, spare = graph.lanes, len(graph.tails) - 1
+    count = 0
+    lane, station, fits = -1, 0.0, False
+    for tail in range(spare):
+        if graph.tails[tail, 0] != lane:
+            lane = graph.tails[tail, 0]
+            station, aside = project_on_lane(lanes, lane, x, y)
+            along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
+            turned = abs((heading - along + math.pi) % TWO_PI - math.pi)
+            fits = abs(aside) <= offset and 0.0 <= station <= lanes[lane, LENGTH] and turned <= turn
+        if fits and count < len(tails):
+            tails[count], stations[count] = tail, station
+            count += 1
+    if count == 0:
+        lanes[-1, X], lanes[-1, Y], lanes[-1, HEADING] = x, y, heading
+        lanes[-1, COS], lanes[-1, SIN] = math.cos(heading), math.sin(heading)
+        tails[0], stations[0], count = spare, 0.0, 1
+    return count
+
+
+@kernel
+def travelled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
+    """Distance [m] driven in a time if the acceleration goes on for a duration, between standstill and the limit."""
+    if acceleration > 0.0:
+        duration = min(duration, max(limit - speed, 0.0) / acceleration)
+    elif acceleration < 0.0:
+        duration = min(duration, speed / -acceleration)
+    first = min(time, duration)
+    after = speed + acceleration * duration
+    return speed * first + 0.5 * acceleration * first * first + after * (time - first)
+
+
+@kernel
+def reach(
+    speed: float, acceleration: float, duration: float, limit: float, since: float, until: float
+) -> tuple[float, float]:
+    """Least and greatest distance driven [m] between two times, whether the NPC keeps speed or acceleration."""
+    near = min(speed * since, travelled(speed, acceleration, duration, limit, since))
+    far = max(speed * until, travelled(speed, acceleration, duration, limit, until))
+    return near, far

@@ -1,0 +1,260 @@
+"""Speed: dynamic programming over the station-time graph, and what to do when nothing is free of contact."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.compiled import kernel
+from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.ads.rule.path import Path, limit_at
+from behavexplor.ads.rule.station_time import (
+    COST,
+    HARD_HIGH,
+    HARD_LOW,
+    INTERVAL,
+    N_INTERVALS,
+    SOFT_HIGH,
+    SOFT_LOW,
+    StationTime,
+)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STAGES: Final = (2, 2, 4, 4, 4, 4, 6, 6)  # intervals in each stage of constant acceleration
+ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # that are tried [m/s2]
+HARDEST: Final = (0, 0, 1, 1, 2, 2, 2, 2)  # index of the hardest braking in each stage
+STRONGEST: Final = (8, 8, 8, 8, 7, 7, 7, 7)  # index of the strongest acceleration in each stage
+
+FINENESS: Final = 2.5  # nodes of a stage are merged if bins of the roots of distance and speed agree: fine near 0
+N_STATION_BINS: Final = 42
+N_SPEED_BINS: Final = 16
+
+S, V, LAST, FIRST, TOTAL, RISK, INSIDE = range(7)  # columns of a node
+
+
+class SpeedPlan(NamedTuple):
+    """The best motion along the path.
+
+    Attributes:
+        acceleration: at once [m/s2].
+        survived: number of intervals without contact.
+        station: at the end [m].
+        speed: at the end [m/s].
+        risk: cost of coming too close to others.
+        inside: time of stopping inside the junction [s].
+        free: whether it is the motion on a free road.
+    """
+
+    acceleration: float
+    survived: int
+    station: float
+    speed: float
+    risk: float
+    inside: float
+    free: bool
+
+
+class Situation(NamedTuple):
+    """What the speed depends on, but for the ego's own motion.
+
+    Attributes:
+        path: the ego's.
+        graph: what others take up.
+        half_length: of the ego [m].
+        wall: station that is not to be passed [m], infinite for none.
+        caution: share of the cost of coming too close to others that counts.
+        p: the parameters.
+    """
+
+    path: Path
+    graph: StationTime
+    half_length: float
+    wall: float
+    caution: float
+    p: Numbers
+
+
+class Nodes(NamedTuple):
+    """Room for the search.
+
+    Attributes:
+        stages: nodes of the present and of the next stage, shape (2, most, 7).
+        places: index of the node in each bin, shape (station bins, speed bins), -1 for none.
+    """
+
+    stages: Floats
+    places: Ints
+
+
+@kernel
+def empty_nodes() -> Nodes:
+    """Room for one search at a time."""
+    most = N_STATION_BINS * N_SPEED_BINS
+    return Nodes(np.empty((2, most, 7)), np.empty((N_STATION_BINS, N_SPEED_BINS), np.int64))
+
+
+@kernel
+def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
+    """The best speed along the path, from the free one to an emergency.
+
+    Args:
+        situation: the ego's.
+        station: the ego's [m].
+        speed: the ego's [m/s].
+        acceleration: the last one commanded [m/s2].
+        nodes: room for the search.
+    """
+    plan = _drive_freely(situation, station, speed)
+    if plan.survived == N_INTERVALS and plan.risk == 0.0 and plan.inside == 0.0:
+        return plan
+    plan = _search(situation, station, speed, acceleration, nodes)
+    if plan.survived > 0:
+        return plan
+    return _escape(situation, station, speed)
+
+
+@kernel
+def free_acceleration(speed: float, limit: float, p: Numbers) -> float:
+    """Towards the limit, comfortably."""
+    return min(max(limit - speed, -p.approach_braking), p.comfortable_acceleration)
+
+
+@kernel
+def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPlan:
+    path, p = situation.path, situation.p
+    first = free_acceleration(speed, limit_at(path, station), p)
+    s, v, risk, inside = station, speed, 0.0, 0.0
+    for k in range(N_INTERVALS):
+        a = free_acceleration(v, limit_at(path, s), p)
+        ok, s, v, _, more_risk, more_inside = _advance(situation, s, v, a, k, 1)
+        if not ok:
+            return SpeedPlan(first, k, s, v, risk, inside, True)
+        risk += more_risk
+        inside += more_inside
+    return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True)
+
+
+@kernel
+def _search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
+    """Stage by stage the cheapest way to each (station, speed); at the end the cheapest of the latest stage."""
+    now, following, count = nodes.stages[0], nodes.stages[1], 1
+    now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
+    now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
+    survived = 0
+    for stage in range(len(STAGES)):
+        found = _expand(situation, station, now, count, following, survived, stage, nodes.places)
+        if found == 0:
+            break
+        survived += STAGES[stage]
+        now, following, count = following, now, found
+    best = 0
+    for i in range(count):
+        if now[i, TOTAL] < now[best, TOTAL]:
+            best = i
+    node = now[best]
+    return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False)
+
+
+@kernel
+def _expand(
+    situation: Situation,
+    station: float,
+    now: Floats,
+    count: int,
+    following: Floats,
+    interval: int,
+    stage: int,
+    places: Ints,
+) -> int:
+    """Try every acceleration from every node of a stage; returns how many nodes the next stage has."""
+    places[:] = -1
+    found = 0
+    for i in range(count):
+        for option in range(HARDEST[stage], STRONGEST[stage] + 1):
+            a = ACCELERATIONS[option]
+            if now[i, V] == 0.0 and a < 0.0:
+                continue
+            ok, s, v, cost, risk, inside = _advance(situation, now[i, S], now[i, V], a, interval, STAGES[stage])
+            if not ok:
+                continue
+            change = a - now[i, LAST]
+            total = now[i, TOTAL] + cost + situation.p.jerk_cost * change * change
+            row = min(int(FINENESS * math.sqrt(s - station)), N_STATION_BINS - 1)
+            column = min(math.ceil(FINENESS * math.sqrt(v)), N_SPEED_BINS - 1)
+            place = places[row, column]
+            if place < 0:
+                place = found
+                places[row, column] = place
+                found += 1
+            elif total >= following[place, TOTAL]:
+                continue
+            node = following[place]
+            node[S], node[V], node[LAST], node[TOTAL] = s, v, a, total
+            node[FIRST] = a if interval == 0 else now[i, FIRST]
+            node[RISK], node[INSIDE] = now[i, RISK] + risk, now[i, INSIDE] + inside
+    return found
+
+
+@kernel
+def _advance(
+    situation: Situation, s: float, v: float, a: float, interval: int, count: int
+) -> tuple[bool, float, float, float, float, float]:
+    """Drive on with one acceleration: whether without contact, then station, speed, cost, risk and time inside."""
+    path, graph, p = situation.path, situation.graph, situation.p
+    spans = graph.spans
+    inside_from, inside_until = path.junction_start - situation.half_length, path.junction_end + situation.half_length
+    cost, risk, inside = 0.0, 0.0, 0.0
+    for k in range(interval, interval + count):
+        limit = limit_at(path, s)
+        after = max(v + a * INTERVAL, 0.0)
+        if a > 0.0:
+            after = min(after, max(limit, v))
+        ahead = s + 0.5 * (v + after) * INTERVAL
+        if ahead > situation.wall:
+            return False, s, v, cost, risk, inside
+        for i in range(graph.counts[k]):
+            if ahead > spans[k, i, HARD_LOW] and s < spans[k, i, HARD_HIGH]:
+                return False, s, v, cost, risk, inside
+            if ahead > spans[k, i, SOFT_LOW] and s < spans[k, i, SOFT_HIGH]:
+                cost += situation.caution * spans[k, i, COST] * INTERVAL
+                risk += spans[k, i, COST] * INTERVAL
+        achieved = (after - v) / INTERVAL
+        effort = p.acceleration_cost if achieved > 0.0 else p.braking_cost
+        cost += (p.delay_cost * (limit - after) + effort * achieved * achieved) * INTERVAL
+        if after > limit:
+            cost += p.overspeed_cost * (after - limit) * INTERVAL
+        s, v = ahead, after
+        halting = achieved <= 0.0 and v < p.slow_speed
+        if halting and inside_from < s < inside_until:
+            cost += p.keep_clear_cost * INTERVAL
+            inside += INTERVAL
+    return True, s, v, cost, risk, inside
+
+
+@kernel
+def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
+    """Contact cannot be ruled out: the acceleration with the latest contact, of equal ones the hardest braking."""
+    best, latest = ACCELERATIONS[0], -1
+    for a in ACCELERATIONS:
+        contact = _first_contact(situation, station, speed, a)
+        if contact > latest:
+            best, latest = a, contact
+    return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False)
+
+
+@kernel
+def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
+    """The first interval in which boxes touch on the path."""
+    graph, gap = situation.graph, situation.p.bumper_gap
+    for k in range(N_INTERVALS):
+        after = min(max(v + a * INTERVAL, 0.0), max(v, situation.path.speed_limit))
+        ahead = s + 0.5 * (v + after) * INTERVAL
+        for i in range(graph.counts[k]):
+            low, high = graph.spans[k, i, HARD_LOW], graph.spans[k, i, HARD_HIGH]
+            if ahead > low + gap and s < high - gap:
+                return k
+        s, v = ahead, after
+    return N_INTERVALS

@@ -1,0 +1,52 @@
+"""The commands. Only here are arguments parsed and is anything printed.
+
+Exit codes: 0 the budget was used (violations are the product), 1 a check failed, 2 the input is wrong, 3 the ADS or
+its environment failed, 130 interrupted.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from behavexplor.errors import InputError
+
+OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERRUPTED = 0, 1, 2, 3, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command: `behavexplor fuzz`, `behavexplor replay` or `behavexplor records`.
+
+    Args:
+        arguments: without the program's name; those of this process by default.
+
+    Returns:
+        The exit code.
+    """
+    import tyro  # noqa: PLC0415 - a library user of this package never needs it
+
+    from behavexplor.commands.fuzz import fuzz  # noqa: PLC0415
+    from behavexplor.commands.records import records  # noqa: PLC0415
+    from behavexplor.commands.replay import replay  # noqa: PLC0415
+
+    commands: dict[str, Callable[..., Any]] = {"fuzz": fuzz, "replay": replay, "records": records}
+    try:
+        code: int = tyro.extras.subcommand_cli_from_dict(
+            commands, prog=program(), args=arguments, description="Find out how a driving policy fails."
+        )
+    except InputError as error:
+        print(f"{program()}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+    return code
+
+
+def program() -> str:
+    """How the user calls this program."""
+    called = os.environ.get("BEHAVEXPLOR_PROGRAM") or Path(sys.argv[0]).name
+    return called if not called.endswith(".py") else "python -m behavexplor"

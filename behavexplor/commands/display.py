@@ -1,0 +1,167 @@
+"""What a running campaign shows: a live screen on a terminal, plain lines elsewhere, and the summary."""
+
+import shlex
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Timer
+from types import TracebackType
+from typing import Self, TextIO
+
+from rich.console import Console
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+
+from behavexplor.campaign import Progress
+from behavexplor.config import Budget
+from behavexplor.store import Store
+
+LINE_SECONDS = 10.0  # between two plain lines [s]
+_LISTED_FAILURES = 3  # of each spec in the summary
+
+
+class Display:
+    """Shows the progress of a campaign.
+
+    Args:
+        stream: where to; a terminal gets a live screen, anything else a line now and then.
+        budget: of the campaign.
+        quiet: show nothing.
+    """
+
+    def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
+        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False)
+        self._budget = budget
+        self._live = (
+            Live(console=self._console, auto_refresh=False) if self._console.is_terminal and not quiet else None
+        )
+        self._last_line = time.monotonic()
+        self._start: Progress | None = None
+
+    def say(self, sentence: str) -> None:
+        """Print a line."""
+        self._console.print(sentence, soft_wrap=True)
+
+    @contextmanager
+    def patience(self, sentence: str, after: float = 2.0) -> Iterator[None]:
+        """Print a line if what happens inside takes longer than `after` seconds."""
+        timer = Timer(after, self.say, [sentence])
+        timer.start()
+        try:
+            yield
+        finally:
+            timer.cancel()
+
+    def __enter__(self) -> Self:
+        """Open the live screen, if there is one."""
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the last state of the live screen on the terminal."""
+        if self._live is not None:
+            self._live.__exit__(kind, error, trace)
+
+    def show(self, progress: Progress) -> None:
+        """Show how far the campaign has come."""
+        if self._start is None:
+            self._start = progress
+        if self._live is not None:
+            self._live.update(self._screen(progress), refresh=True)
+        elif time.monotonic() - self._last_line >= LINE_SECONDS:
+            self._last_line = time.monotonic()
+            self.say(self._line(progress))
+
+    def _line(self, progress: Progress) -> str:
+        violations = ", ".join(f"{name} {count}" for name, count in progress.violations.items())
+        return (
+            f"{clock(progress.elapsed)}  {self._done(progress)}, {rate(progress):.1f}/s, "
+            f"{progress.failed} failed ({violations}), {share(progress.novel, progress)} novel, "
+            f"{self._left(progress)} left"
+        )
+
+    def _screen(self, progress: Progress) -> Panel:
+        table = Table.grid(padding=(0, 2))
+        for style in ("dim", "", "dim", ""):
+            table.add_column(style=style, no_wrap=True)
+        left = [
+            ("running", clock(progress.elapsed)),
+            ("time left", self._left(progress)),
+            ("executions", self._done(progress)),
+            ("speed", f"{rate(progress):.1f} per second"),
+            ("executing", f"{progress.executing / max(progress.elapsed, 1e-9):.0%} of the time"),
+            ("novelty rate", f"{share(progress.novel, progress)}{_ago(progress, 'novel')}"),
+        ]
+        right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
+        right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
+        right += [(name.replace("_", " "), f"{value:.4g}") for name, value in progress.method.items()]
+        blank = ("", "")
+        for i in range(max(len(left), len(right))):
+            table.add_row(*(left[i] if i < len(left) else blank), *(right[i] if i < len(right) else blank))
+        return Panel(table, title="behavexplor", title_align="left", expand=False)
+
+    def _done(self, progress: Progress) -> str:
+        if self._budget.executions is None:
+            return f"{progress.executions} executions"
+        return f"{progress.executions} of {self._budget.executions} executions"
+
+    def _left(self, progress: Progress) -> str:
+        if self._budget.seconds is not None:
+            return clock(max(self._budget.seconds - progress.elapsed, 0.0))
+        fresh = progress.executions - progress.resumed
+        if self._budget.executions is None or not fresh or not rate(progress):
+            return "?"
+        return clock((self._budget.executions - progress.executions) / rate(progress))
+
+
+def summary(progress: Progress, store: Store, program: str) -> str:
+    """What a campaign found, where it lies, and how to look at it."""
+    lines = [
+        f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
+        f"{share(progress.novel, progress)} of them with new behaviour",
+        f"{progress.failed} failed ({share(progress.failed, progress)}):" if progress.failed else "None failed.",
+    ]
+    failures: dict[str, list[int]] = {name: [] for name in progress.violations}
+    for execution in store.executions() if progress.failed else ():
+        for name in execution.record["violated"][:1]:
+            failures[name].append(execution.id)
+    for name, numbers in failures.items():
+        if numbers:
+            more = ", ..." if len(numbers) > _LISTED_FAILURES else ""
+            listed = ", ".join(map(str, numbers[:_LISTED_FAILURES]))
+            lines.append(f"  {name:12} {len(numbers):5}   executions {listed}{more}")
+    lines.append(
+        f"Everything is kept in {store.folder}" + (", the failures in its folder failures" if progress.failed else "")
+    )
+    if progress.failed:
+        number = min(numbers[0] for numbers in failures.values() if numbers)
+        lines.append(f"Look at the first failure: {program} replay {shlex.quote(str(store.folder))} {number}")
+    return "\n".join(lines)
+
+
+def clock(seconds: float) -> str:
+    """A time span as 1:02:03 or 2:03."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def rate(progress: Progress) -> float:
+    """Executions per second of running time."""
+    return progress.executions / progress.elapsed if progress.elapsed else 0.0
+
+
+def share(count: int, progress: Progress) -> str:
+    """A count of executions in percent of all."""
+    return f"{count / max(progress.executions, 1):.1%}"
+
+
+def _ago(progress: Progress, mark: str) -> str:
+    """How many executions ago something happened last."""
+    if mark not in progress.last:
+        return ""
+    return f", last {progress.executions - 1 - progress.last[mark]} executions ago"

@@ -1,0 +1,151 @@
+"""`behavexplor fuzz`: run a campaign."""
+
+import signal
+import sqlite3
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+import yaml
+
+from behavexplor.campaign import Campaign, ExecutionError, run_folder, search_method
+from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.display import Display, summary
+from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config
+from behavexplor.errors import InputError
+from behavexplor.executor import available_cores, begin, make_executor
+from behavexplor.simulation import trial
+from behavexplor.store import Store
+
+_DEFAULTS = CampaignConfig()
+_MAX_WORKERS = 64
+
+
+def _flag(metavar: str, default: object) -> Any:
+    """A flag that may be left to the configuration."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+def fuzz(  # noqa: PLR0913 - one argument for each flag
+    *,
+    env: Annotated[str | None, _flag("NAME", _DEFAULTS.env)] = None,
+    ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads)] = None,
+    method: Annotated[str | None, _flag("NAME", _DEFAULTS.method)] = None,
+    config: Annotated[str | None, _flag("FILE", "none")] = None,
+    budget: Annotated[str | None, _flag("N|TIME", _DEFAULTS.budget)] = None,
+    seed: Annotated[int | None, _flag("N", _DEFAULTS.seed)] = None,
+    batch: Annotated[int | None, _flag("N", _DEFAULTS.batch)] = None,
+    workers: Annotated[int | None, _flag("N", "the available cores")] = None,
+    out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
+    resume: Annotated[Path | None, _flag("RUN", "none")] = None,
+    quiet: bool = False,
+    fail_on_violation: bool = False,
+) -> int:
+    """Search for scenarios in which a driving system fails, and keep all that happened in a run folder.
+
+    Args:
+        env: Environment: a functional scenario, or a gymnasium id.
+        ads: System under test: "rule", or "package.module:attribute" of anything with a predict method.
+        method: Search method: "behavexplor", "uniform", or "package.module:attribute".
+        config: Campaign as a YAML file, or the name of a preset such as "paper"; flags override it.
+        budget: Executions (750), or a time (90s, 30m, 1h30m).
+        seed: The same seed gives the same records.
+        batch: Candidates in flight: each is chosen without the results of that many before it.
+        workers: Processes that execute scenarios; the records do not depend on it.
+        out: Run folder, new or empty.
+        resume: Go on with the campaign in this run folder; a larger --budget extends it.
+        quiet: Only the summary.
+        fail_on_violation: Exit with code 1 if any spec was violated, as a check in CI wants it.
+    """
+    flags = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
+    given = {name: value for name, value in flags.items() if value is not None}
+    workers = _checked_workers(workers)
+    chosen = _resumed_config(resume, given, config) if resume else _new_config(given, config)
+    display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
+    display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
+    simulation = begin(chosen.env, chosen.ads)
+    with display.patience("The ADS is being compiled, once after each installation; this may take a minute ..."):
+        trial(simulation)
+    search = search_method(chosen, simulation.logical)
+    folder = resume or out or run_folder(chosen, Path("runs"))
+    store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
+    executor = make_executor(workers, chosen.env, chosen.ads)
+    try:
+        campaign = Campaign(chosen, search, store, executor)
+        return _run(campaign, store, display, fail_on_violation=fail_on_violation)
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        store.close()
+
+
+def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violation: bool) -> int:
+    code, failure = OK, None
+    with _stopped_by_signals(campaign), display:
+        try:
+            ended = campaign.run(display.show)
+        except ExecutionError as error:
+            code, failure = EXECUTION_FAILED, str(error)
+        except (sqlite3.Error, OSError) as error:
+            code, failure = EXECUTION_FAILED, f"The run folder cannot be written any more: {error}"
+        else:
+            failure = ended
+    print(summary(campaign.progress, store, program()))
+    if failure:
+        print(f"{program()}: {failure}", file=sys.stderr)
+    if campaign.stopping:
+        print(f"Interrupted; go on with: {program()} fuzz --resume {store.folder}", file=sys.stderr)
+        return INTERRUPTED
+    if code == OK and fail_on_violation and campaign.progress.failed:
+        return CHECK_FAILED
+    return code
+
+
+def _checked_workers(workers: int | None) -> int:
+    if workers is None:
+        return min(available_cores(), _MAX_WORKERS)
+    if not 1 <= workers <= _MAX_WORKERS:
+        raise InputError(f"--workers {workers} must lie between 1 and {_MAX_WORKERS}")
+    return workers
+
+
+def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
+    return campaign_config({**(read_config(file) if file else {}), **given})
+
+
+def _resumed_config(run: Path, given: dict[str, Any], file: str | None) -> CampaignConfig:
+    """The configuration in a run folder; only its budget may be changed."""
+    if file is not None:
+        raise InputError("--config cannot be given with --resume: the run folder has its configuration")
+    store = Store.read(run)
+    stored = campaign_config(yaml.safe_load(store.config()))
+    store.close()
+    for name, value in given.items():
+        if name != "budget" and value != getattr(stored, name):
+            raise InputError(f"--{name} cannot be changed on --resume: the run has {getattr(stored, name)!r}")
+    return replace(stored, budget=given.get("budget", stored.budget))
+
+
+def _reopened(run: Path, config: CampaignConfig) -> Store:
+    store = Store.reopen(run)
+    store.write_config(config.to_yaml())
+    return store
+
+
+@contextmanager
+def _stopped_by_signals(campaign: Campaign) -> Iterator[None]:
+    """The first Ctrl-C (or SIGTERM) ends the campaign cleanly, the second at once."""
+
+    def stop(number: int, _frame: object) -> None:
+        campaign.stop()
+        signal.signal(number, signal.SIG_DFL)
+
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

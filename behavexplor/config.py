@@ -1,0 +1,155 @@
+"""What a campaign is: read from a file and from flags, checked, and written into its run folder."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar
+
+import yaml
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from behavexplor.errors import InputError, unknown_name
+
+MAX_FILE_SIZE = 100_000  # bytes; a campaign's file has a few hundred
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a campaign runs: a number of executions, or a time.
+
+    Attributes:
+        executions: None where it is a time.
+        seconds: None where it is a number of executions.
+    """
+
+    executions: int | None = None
+    seconds: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read "750", "30m" or "1h30m".
+
+        Raises:
+            InputError: if the text is neither, or nothing at all could be executed.
+        """
+        if re.fullmatch(r"\d{1,9}", text) and int(text) > 0:
+            return cls(executions=int(text))
+        parts = re.fullmatch(r"(?:(\d+(?:\.\d+)?)h)?(?:(\d+(?:\.\d+)?)m)?(?:(\d+(?:\.\d+)?)s)?", text)
+        amounts = parts.groups(default="0") if parts else ()
+        seconds = sum(float(amount) * unit for amount, unit in zip(amounts, (3600, 60, 1), strict=False))
+        if not seconds:
+            raise InputError(
+                f"The budget {text!r} is neither a number of executions (750) nor a time (90s, 30m, 1h30m)"
+            )
+        return cls(seconds=seconds)
+
+
+@dataclass(frozen=True)
+class CampaignConfig:
+    """One search method x ADS x environment x seed, with a budget.
+
+    Attributes:
+        env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
+        ads: system under test: "rule", or "package.module:attribute" of anything with a `predict` method.
+        method: search method: "behavexplor", "uniform", or "package.module:attribute".
+        budget: executions, such as "750", or a time, such as "30m".
+        seed: the same seed gives the same campaign.
+        batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the
+            paper's sequential loop.
+        options: of the search method; see its `Options`.
+
+    Raises:
+        InputError: if a value is out of range.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    env: str = "intersection-straight"
+    ads: str = "rule"
+    method: str = "behavexplor"
+    budget: str = "750"
+    seed: int = 0
+    batch: int = 8
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        Budget.parse(self.budget)
+        if not 0 <= self.seed < 2**63:
+            raise InputError(f"The seed {self.seed} must be a whole number from 0 to 2^63 - 1")
+        if not 1 <= self.batch <= 10_000:
+            raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
+
+    def to_yaml(self) -> str:
+        """The whole configuration; a campaign that is given this file is the same campaign."""
+        return yaml.safe_dump(asdict(self), sort_keys=False)
+
+
+def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
+    """A configuration from plain values.
+
+    Raises:
+        InputError: naming the first value that is unknown, of a wrong type or out of range.
+    """
+    return checked(CampaignConfig, values, "configuration")
+
+
+def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
+    """An instance of a dataclass from plain values, none of them unknown or of a wrong type.
+
+    Raises:
+        InputError: naming the first value that is wrong.
+    """
+    known = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
+    for key in values:
+        if key not in known:
+            if not known:
+                raise InputError(f"{key!r} is not known: this {what} has no keys")
+            raise unknown_name(f"key of the {what}", str(key), known)
+    try:
+        return TypeAdapter(kind).validate_python(dict(values))
+    except ValidationError as error:
+        first = error.errors()[0]
+        cause = first.get("ctx", {}).get("error")
+        if isinstance(cause, InputError):
+            raise cause from None
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{place} of the {what}: {first['msg']}, got {first['input']!r:.80}") from None
+
+
+def read_config(name: str) -> dict[str, Any]:
+    """The values in a campaign's file.
+
+    Args:
+        name: path of a YAML file, or the name of a preset in `configs/`, such as "paper".
+
+    Raises:
+        InputError: if there is no such file, or it holds no mapping.
+    """
+    path = Path(name)
+    if not path.is_file() and "/" not in name and (preset := _presets() / f"{name}.yaml").is_file():
+        path = preset
+    if not path.is_file():
+        presets = [preset.stem for preset in _presets().glob("*.yaml")]
+        raise unknown_name("configuration (neither a file nor a preset)", name, presets)
+    try:
+        data = path.read_bytes()
+        if len(data) > MAX_FILE_SIZE:
+            raise InputError(f"{path} has {len(data)} bytes: no campaign's configuration is that long")
+        values = yaml.safe_load(data.decode())
+    except (OSError, ValueError, LookupError, AttributeError, TypeError, RecursionError, yaml.YAMLError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not a YAML file: {' '.join(str(error).split())}") from None
+    if values is None:
+        return {}
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise InputError(f"{path} must hold keys and values, such as `env: intersection-straight`")
+    return values
+
+
+def _presets() -> Path:
+    """The folder of presets: beside the package in a checkout, inside it when it was installed."""
+    inside = Path(__file__).parent / "configs"
+    return inside if inside.is_dir() else Path(__file__).parent.parent / "configs"

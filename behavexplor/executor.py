@@ -1,0 +1,88 @@
+"""Where scenarios are executed: in this process, or in worker processes.
+
+An executor is a `concurrent.futures.Executor` to which `evaluate` is submitted: bytes go out, bytes come back,
+whatever stands between. Results do not depend on the executor.
+"""
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from typing import Any, ParamSpec, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from behavexplor.scenario import Scenario
+from behavexplor.simulation import Simulation
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_simulation: list[Simulation] = []  # the one of this process, once it has begun to evaluate
+
+
+def begin(env: str, ads: str) -> Simulation:
+    """Make this process ready to evaluate scenarios.
+
+    Raises:
+        InputError: see `Simulation`.
+    """
+    _simulation[:] = [Simulation(env, ads)]
+    return _simulation[0]
+
+
+def evaluate(scenario: bytes) -> bytes:
+    """Run a scenario.
+
+    Args:
+        scenario: as JSON in UTF-8.
+
+    Returns:
+        The trace, as `Trace.to_bytes` gives it.
+    """
+    return _simulation[0].run(Scenario.from_json(scenario.decode())).to_bytes()
+
+
+class InProcessExecutor(Executor):
+    """Executes at once, in this process."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Call the function and return its result as a future that is done."""
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def make_executor(workers: int, env: str, ads: str) -> Executor:
+    """An executor for `evaluate`; this process must have begun already if there are no other workers.
+
+    Args:
+        workers: how many processes run scenarios; with 1 it is this one.
+        env: see `Simulation`.
+        ads: see `Simulation`.
+    """
+    if workers == 1:
+        return InProcessExecutor()
+    methods = multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+    if context.get_start_method() == "forkserver":
+        context.set_forkserver_preload(["behavexplor.executor"])
+    return ProcessPoolExecutor(workers, context, _begin_worker, (env, ads))
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _begin_worker(env: str, ads: str) -> None:
+    """Workers leave Ctrl-C to the campaign, and use one thread each."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threadpool_limits(1)
+    begin(env, ads)

@@ -1,0 +1,8 @@
+"""`python -m behavexplor.fuzz`: the same as `behavexplor fuzz`."""
+
+import sys
+
+from behavexplor.commands import main
+
+if __name__ == "__main__":
+    sys.exit(main(["fuzz", *sys.argv[1:]]))

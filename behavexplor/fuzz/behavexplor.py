@@ -1,0 +1,218 @@
+"""BehAVExplor: search guided by how new a behaviour is and how near it came to a violation (paper Algorithm 1)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from behavexplor.fuzz.corpus import Corpus, Testcase
+from behavexplor.fuzz.energy import SELECTION_CHANGE, degree_change, failure_change
+from behavexplor.fuzz.miner import Behavior, BehaviorMiner, MinerOptions
+from behavexplor.fuzz.mutation import (
+    MAX_KEEP_PROBABILITY,
+    MIN_SIGMA,
+    ROUTES,
+    WAYPOINTS,
+    mutate_routes,
+    mutate_waypoints,
+)
+from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, Candidate, SearchExhausted, draws
+from behavexplor.fuzz.specs import Verdict
+from behavexplor.logical import LogicalScenario
+from behavexplor.scenario import Scenario
+from behavexplor.trace import Trace
+
+MAX_FAILED_INITIAL = 1000
+
+
+@dataclass(frozen=True)
+class BehAVExplorOptions:
+    """The options of `BehAVExplor`; the defaults are the paper's configuration (section IV).
+
+    Attributes:
+        initial_corpus: scenarios executed before the first mutation.
+        initial_energy: E of the initial testcases.
+        novelty_threshold: theta_c; a behaviour is novel if its distance to all known ones is greater.
+        known: which testcases' behaviours are known (the paper's Y): all that were "kept", or only initial and
+            "novel" ones.
+        waypoint_energy: theta_e; the waypoints of testcases with more energy are mutated, the routes of others.
+        waypoint_keep_probability: epsilon of waypoint mutation, the probability that an NPC stays as it is.
+        route_keep_probability: epsilon of route mutation.
+        point_keep_probability: the probability that one waypoint of a chosen NPC stays as it is.
+        sigma_position: deviation of waypoint mutation [m].
+        sigma_speed: deviation of waypoint mutation [m/s].
+        failure_weight: w_1, of the failure frequency.
+        degree_weight: w_2, of the change of the violation degree.
+        selection_weight: w_3, of the selection frequency.
+        success: which mutants the failure frequency counts: "failed" ones, or "failed-or-novel" ones.
+        degree_distance: what the change of the violation degree is divided by one less of: the mutant's distance
+            to its "parent", or to the nearest of all "known" behaviours.
+        bounded: whether the change of the violation degree is bounded by tanh; the paper prints it unbounded.
+        miner: how behaviours are abstracted.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    initial_corpus: int = 4
+    initial_energy: float = 1.0
+    novelty_threshold: float = NOVELTY_THRESHOLD
+    known: Literal["kept", "novel"] = "kept"
+    waypoint_energy: float = 0.5
+    waypoint_keep_probability: float = 0.5
+    route_keep_probability: float = 0.5
+    point_keep_probability: float = 0.0
+    sigma_position: float = 12.0
+    sigma_speed: float = 6.0
+    failure_weight: float = 0.5
+    degree_weight: float = 0.5
+    selection_weight: float = 1.0
+    success: Literal["failed", "failed-or-novel"] = "failed"
+    degree_distance: Literal["parent", "known"] = "parent"
+    bounded: bool = True
+    miner: MinerOptions = field(default_factory=MinerOptions)
+
+    def __post_init__(self) -> None:
+        check_range("initial_corpus", self.initial_corpus, 1)
+        check_range("novelty_threshold", self.novelty_threshold, 0, 1)
+        for name in ("waypoint_keep_probability", "route_keep_probability", "point_keep_probability"):
+            check_range(name, getattr(self, name), 0, MAX_KEEP_PROBABILITY)
+        for name in ("sigma_position", "sigma_speed"):
+            check_range(name, getattr(self, name), MIN_SIGMA)
+
+
+class BehAVExplor:
+    """Behaviour diversity and violation degree guide the search, energies select what is mutated, and how.
+
+    Until the initial corpus has been executed and one of it passed, initial scenarios are asked for: with many
+    candidates in flight there are more of them than `initial_corpus`, and those that pass are testcases as well.
+    """
+
+    Options: ClassVar[type] = BehAVExplorOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: BehAVExplorOptions) -> None:
+        self._logical = logical
+        self._seed = seed
+        self._options = options
+        self._corpus = Corpus()  # Q
+        self._miner = BehaviorMiner(options.miner)
+        self._known = np.zeros(0, dtype=np.int64)  # Y, as indices of behaviours
+        self._asked = 0
+        self._ready = False
+        self._n_initial = 0
+        self._n_novel = 0
+        self._n_failed = 0
+
+    def ask(self) -> Candidate:
+        """An initial scenario, or the mutant of a testcase drawn by energy (Algorithm 1, lines 6-7).
+
+        Raises:
+            SearchExhausted: if none of `MAX_FAILED_INITIAL` initial scenarios passed.
+        """
+        if not self._corpus and self._n_failed >= MAX_FAILED_INITIAL:
+            raise SearchExhausted(
+                f"All {self._n_failed} initial scenarios failed: the ADS fails everywhere, there is nothing to search."
+            )
+        number = self._asked
+        rng = draws(self._seed, number)
+        self._asked += 1
+        if not self._ready:
+            return Candidate(number, self._logical.sample(rng), INITIAL, None)
+        parent = self._corpus.select(rng)
+        kind = WAYPOINTS if parent.energy > self._options.waypoint_energy else ROUTES
+        return Candidate(number, self._mutate(parent, kind, rng), kind, parent.number)
+
+    def _mutate(self, parent: Testcase, kind: str, rng: np.random.Generator) -> Scenario:
+        options = self._options
+        if kind == ROUTES:
+            keep = options.route_keep_probability
+            return mutate_routes(parent.scenario, self._logical, rng, keep_probability=keep)
+        return mutate_waypoints(
+            parent.scenario,
+            self._logical,
+            rng,
+            keep_probability=options.waypoint_keep_probability,
+            sigma_position=options.sigma_position,
+            sigma_speed=options.sigma_speed,
+            point_keep_probability=options.point_keep_probability,
+        )
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
+        """Learn from an execution (Algorithm 1, lines 9-18).
+
+        Returns:
+            For an initial scenario: kept. For a mutant: `novelty`, its distance to the known behaviours; `novel`;
+            `distance` to its parent; `kept`; `parent_energy` after the update; and, if kept, its own `energy`.
+        """
+        self._n_failed += verdict.failed
+        behavior = self._miner.describe(trace)
+        if candidate.parent is None:
+            return self._tell_initial(candidate, behavior, verdict)
+        return self._tell_mutant(candidate, self._corpus[candidate.parent], behavior, verdict)
+
+    def _tell_initial(self, candidate: Candidate, behavior: Behavior, verdict: Verdict) -> Mapping[str, Any]:
+        self._n_initial += 1
+        if not verdict.failed:
+            self._keep(candidate, behavior, verdict, self._options.initial_energy, known=True)
+        if not self._ready and self._corpus and self._n_initial >= self._options.initial_corpus:
+            self._miner.fit()
+            self._ready = True
+        return {"kept": not verdict.failed}
+
+    def _tell_mutant(
+        self, candidate: Candidate, parent: Testcase, behavior: Behavior, verdict: Verdict
+    ) -> Mapping[str, Any]:
+        options = self._options
+        distances = self._miner.distances(self._miner.abstract(behavior.merged))
+        distance = float(distances[parent.behavior])
+        novelty = float(distances[self._known].min())
+        novel = novelty > options.novelty_threshold
+        kept = not verdict.failed and (novel or verdict.degree < parent.degree)
+        apart = distance if options.degree_distance == "parent" else novelty
+        change = degree_change(parent.degree, verdict.degree, apart, bounded=options.bounded)
+        self._update_energy(parent, change, verdict.failed or (novel and options.success == "failed-or-novel"))
+        learned = {
+            "novelty": novelty,
+            "novel": novel,
+            "distance": distance,
+            "kept": kept,
+            "parent_energy": parent.energy,
+        }
+        if kept:
+            energy = learned["energy"] = 1 + options.degree_weight * change  # paper equation 17
+            self._keep(candidate, behavior, verdict, energy, known=novel or options.known == "kept")
+        if kept and novel:
+            self._n_novel += 1
+            if self._miner.due:
+                self._miner.fit()
+        return learned
+
+    def _update_energy(self, parent: Testcase, change: float, failed: bool) -> None:
+        """E_s after its mutant s' (paper equation 14)."""
+        options = self._options
+        parent.n_failed += failed
+        parent.n_passed += not failed
+        parent.energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
+        parent.energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
+
+    def _keep(self, candidate: Candidate, behavior: Behavior, verdict: Verdict, energy: float, *, known: bool) -> None:
+        index = self._miner.add(behavior)
+        if known:
+            self._known = np.append(self._known, index)
+        self._corpus.add(
+            Testcase(candidate.number, candidate.scenario, candidate.parent, verdict.degree, index, energy)
+        )
+
+    def status(self) -> Mapping[str, float]:
+        """Size of the corpus, its mean and greatest energy, novel mutants kept, and failures."""
+        energies = [testcase.energy for testcase in self._corpus]
+        return {
+            "corpus": len(self._corpus),
+            "mean_energy": float(np.mean(energies)) if energies else 0.0,
+            "max_energy": max(energies, default=0.0),
+            "novel": self._n_novel,
+            "failed": self._n_failed,
+        }

@@ -1,0 +1,47 @@
+"""The search methods by name; their modules are imported when they are asked for."""
+
+from importlib import import_module
+from types import MappingProxyType
+
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.fuzz.search import SearchMethod
+
+METHODS = MappingProxyType(
+    {
+        "behavexplor": "behavexplor.fuzz.behavexplor:BehAVExplor",
+        "uniform": "behavexplor.fuzz.uniform:Uniform",
+    }
+)
+
+
+def load_method(name: str) -> type[SearchMethod]:
+    """The class of a search method.
+
+    Args:
+        name: one of `METHODS`, or any "package.module:attribute".
+
+    Raises:
+        InputError: if there is none of that name, or what is found is not a search method.
+    """
+    target = METHODS.get(name, name)
+    module_name, separator, attribute = target.partition(":")
+    if not separator:
+        raise unknown_name("search method", name, METHODS)
+    try:
+        method = getattr(import_module(module_name), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(f"The search method {name!r} cannot be imported: {error}") from error
+    missing = [part for part in ("Options", "ask", "tell", "status") if not hasattr(method, part)]
+    if not isinstance(method, type) or missing:
+        lacks = f"it lacks {', '.join(missing)}" if missing else "it is not a class"
+        raise InputError(f"{name!r} is not a search method: {lacks}; see behavexplor.fuzz.search.SearchMethod")
+    return method
+
+
+def describe_method(name: str) -> str:
+    """What a search method is, in one line: the first of its docstring.
+
+    Raises:
+        InputError: as `load_method`.
+    """
+    return (load_method(name).__doc__ or "").strip().partition("\n")[0]

@@ -1,0 +1,114 @@
+"""Mutations of a scenario (paper Algorithm 2). A mutant is a valid scenario that differs from its parent."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from behavexplor.errors import InputError
+from behavexplor.logical import LogicalScenario
+from behavexplor.scenario import NPC, Scenario, Waypoint
+
+WAYPOINTS: Final = "waypoints"  # kinds of mutation, the origins of mutants
+ROUTES: Final = "routes"
+MAX_KEEP_PROBABILITY: Final = 0.95  # beyond it, almost every draw would leave a scenario as it is
+MIN_SIGMA: Final = 1e-6  # [m] and [m/s]; below it, so would noise
+_ATTEMPTS = 1000
+
+
+def mutate_waypoints(
+    scenario: Scenario,
+    logical: LogicalScenario,
+    rng: np.random.Generator,
+    *,
+    keep_probability: float,
+    sigma_position: float,
+    sigma_speed: float,
+    point_keep_probability: float = 0.0,
+) -> Scenario:
+    """Gaussian noise on the waypoints of some NPCs; routes and types stay.
+
+    Args:
+        scenario: the parent, valid in `logical`.
+        logical: gives the lanes, the speed range and the spawn rules.
+        rng: source of the draws.
+        keep_probability: epsilon, the probability that an NPC stays as it is.
+        sigma_position: deviation of the noise on positions [m].
+        sigma_speed: deviation of the noise on speeds [m/s].
+        point_keep_probability: the probability that a waypoint of a chosen NPC stays as it is.
+
+    Raises:
+        InputError: if no mutant was found.
+    """
+
+    def shifted(npc: NPC) -> NPC:
+        return shift_waypoints(npc, logical, rng, (sigma_position, sigma_speed), point_keep_probability)
+
+    return _mutate(scenario, logical, rng, keep_probability, shifted)
+
+
+def mutate_routes(
+    scenario: Scenario, logical: LogicalScenario, rng: np.random.Generator, *, keep_probability: float
+) -> Scenario:
+    """A new type, route and uniform waypoints for some NPCs.
+
+    Args:
+        scenario: the parent, valid in `logical`.
+        logical: what NPCs are sampled from.
+        rng: source of the draws.
+        keep_probability: epsilon, the probability that an NPC stays as it is.
+
+    Raises:
+        InputError: if no mutant was found.
+    """
+
+    def replaced(_: NPC) -> NPC:
+        return logical.sample_npc(rng)
+
+    return _mutate(scenario, logical, rng, keep_probability, replaced)
+
+
+def shift_waypoints(
+    npc: NPC, logical: LogicalScenario, rng: np.random.Generator, sigma: tuple[float, float], keep_probability: float
+) -> NPC:
+    """The NPC with Gaussian noise on its waypoints, wherever others may stand.
+
+    A waypoint stays in its lane, and waypoints of one lane that overtook each other change places. Speeds stay
+    in their range, and the last one stays 0.
+
+    Args:
+        npc: valid in `logical`.
+        logical: gives the lanes and the speed range.
+        rng: source of the draws.
+        sigma: deviations of the noise on positions [m] and on speeds [m/s].
+        keep_probability: the probability that a waypoint gets no noise.
+    """
+    low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
+    values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
+    noise = rng.normal(0.0, sigma, values.shape)
+    noisy = values + noise * (rng.random((len(values), 1)) >= keep_probability)
+    position = np.sort(np.clip(noisy[:, 0], low, high))
+    position = np.maximum.accumulate(np.clip(position, low, high))
+    speed = np.clip(noisy[:, 1], *logical.speed_range)
+    speed[-1] = 0.0
+    return NPC(npc.type, npc.route, tuple(map(Waypoint, position.tolist(), speed.tolist())))
+
+
+def _mutate(
+    scenario: Scenario,
+    logical: LogicalScenario,
+    rng: np.random.Generator,
+    keep_probability: float,
+    change: Callable[[NPC], NPC],
+) -> Scenario:
+    """Change each NPC with probability 1 - epsilon, and place it beside the others by the spawn rules."""
+    for _ in range(_ATTEMPTS):
+        npcs = list(scenario.npcs)
+        for i in np.flatnonzero(rng.random(len(npcs)) > keep_probability):
+            others = npcs[:i] + npcs[i + 1 :]
+            npcs[i] = logical.place(partial(change, npcs[i]), others)
+        mutant = Scenario(scenario.functional, tuple(npcs))
+        if mutant != scenario:
+            return mutant
+    raise InputError(f"None of {_ATTEMPTS} mutations changed a scenario with {len(scenario.npcs)} NPCs")

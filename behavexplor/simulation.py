@@ -1,0 +1,93 @@
+"""An environment with an ADS in it: concrete scenarios go in, traces come out."""
+
+from contextlib import suppress
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import behavexplor
+from behavexplor.ads.loading import load_ads
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.logical import LogicalScenario
+from behavexplor.rollout import rollout
+from behavexplor.scenario import Scenario
+from behavexplor.trace import Trace
+
+
+def environment_id(name: str) -> str:
+    """The gymnasium id of an environment.
+
+    Args:
+        name: of a functional scenario, such as "intersection-straight", or a full id, also one that another
+            package registers ("package:namespace/name-v0").
+
+    Raises:
+        InputError: if there is no such environment.
+    """
+    if name in behavexplor.FUNCTIONAL_SCENARIOS:
+        return f"{behavexplor.NAMESPACE}/{name}-v0"
+    if "/" not in name and ":" not in name and name not in gymnasium.registry:
+        raise unknown_name("environment", name, behavexplor.FUNCTIONAL_SCENARIOS)
+    return name
+
+
+class Simulation:
+    """Runs concrete scenarios with one ADS in one environment.
+
+    Args:
+        env: see `environment_id`; the environment takes `reset(options={"scenario": ...})`, says by `logical`
+            which scenarios it can run, and ends an episode with `info["trace"]`.
+        ads: see `behavexplor.ads.loading.load_ads`. What it declares (`observation`, `action`,
+            `policy_frequency`) is the configuration of the environment.
+
+    Raises:
+        InputError: if there is no such environment or ADS, or they do not fit each other.
+    """
+
+    def __init__(self, env: str, ads: str) -> None:
+        name = environment_id(env)
+        self.logical = _logical(name)
+        self.ads = load_ads(ads, self.logical.roadmap)
+        declared = ("observation", "action", "policy_frequency")
+        config = {key: getattr(self.ads, key) for key in declared if hasattr(self.ads, key)}
+        try:
+            self.env: gymnasium.Env[Any, Any] = gymnasium.make(name, config=config, disable_env_checker=True)
+        except InputError:
+            raise
+        except Exception as error:
+            message = f"{type(error).__name__}: {error}"
+            raise InputError(
+                f"The environment {name!r} cannot be made as the ADS {ads!r} wants it: {message}"
+            ) from error
+
+    def run(self, scenario: Scenario) -> Trace:
+        """Run a scenario to its end."""
+        return rollout(self.env, self.ads, scenario)
+
+    def close(self) -> None:
+        """Release what the environment holds."""
+        self.env.close()
+
+
+def trial(simulation: Simulation) -> None:
+    """Run one scenario for nothing: whatever is compiled or loaded late is ready afterwards."""
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    with suppress(Exception):  # an ADS that fails will do so again, in an execution that counts
+        simulation.run(scenario)
+
+
+def _logical(name: str) -> LogicalScenario:
+    """The logical scenario of an environment."""
+    try:
+        env = gymnasium.make(name, disable_env_checker=True)
+    except (gymnasium.error.Error, ImportError) as error:
+        raise InputError(f"The environment {name!r} cannot be made: {error}") from error
+    logical = getattr(env.unwrapped, "logical", None)
+    env.close()
+    if not isinstance(logical, LogicalScenario):
+        raise InputError(
+            f"The environment {name!r} cannot be fuzzed: it has no attribute `logical` that says which scenarios "
+            f"it can run (a behavexplor.logical.LogicalScenario)"
+        )
+    return logical

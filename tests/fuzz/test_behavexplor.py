@@ -1,0 +1,268 @@
+"""Algorithm 1 step by step, with verdicts made by hand."""
+
+from dataclasses import replace
+from math import tanh
+
+import numpy as np
+import pytest
+
+from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.errors import InputError
+from behavexplor.fuzz.behavexplor import BehAVExplor, BehAVExplorOptions
+from behavexplor.fuzz.search import SearchExhausted
+from behavexplor.fuzz.specs import Verdict
+
+from .fakes import make_trace, simulate
+
+OTHER = simulate(LOGICAL.sample(np.random.default_rng(123)))
+
+
+def verdict(degree, *, failed=False):
+    return Verdict({"collision": degree}, ("collision",) if failed else ())
+
+
+def drive(speed, seconds=20.0):
+    x = np.arange(int(seconds * 20)) / 20 * speed
+    return make_trace(np.stack([x, 0 * x, 0 * x], axis=1))
+
+
+def started(trace=OTHER, degree=10.0, **options):
+    """A search whose only testcase is candidate 0."""
+    search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions(initial_corpus=1, **options))
+    search.tell(search.ask(), trace, verdict(degree))
+    return search
+
+
+def tell_next(search, trace, outcome):
+    candidate = search.ask()
+    return candidate, search.tell(candidate, trace, outcome)
+
+
+def test_the_initial_corpus_is_sampled_and_has_energy_1():
+    search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions())
+    for i in range(4):
+        candidate, learned = tell_next(search, OTHER, verdict(5.0))
+        assert (candidate.number, candidate.origin, candidate.parent) == (i, "initial", None)
+        assert learned == {"kept": True}
+    assert [testcase.energy for testcase in search._corpus] == [1.0] * 4
+    assert search.ask().parent in range(4)
+
+
+def test_failures_are_no_testcases_and_one_benign_start_is_enough():
+    search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions())
+    for _ in range(7):
+        candidate, learned = tell_next(search, OTHER, verdict(0.0, failed=True))
+        assert candidate.origin == "initial"
+        assert learned == {"kept": False}
+    tell_next(search, OTHER, verdict(5.0))
+    assert search.status()["corpus"] == 1
+    assert search.ask().parent == 7
+
+
+def test_an_ads_that_fails_everywhere_ends_the_search():
+    search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions())
+    shortest = make_trace(np.zeros((1, 3)))
+    for _ in range(1000):
+        tell_next(search, shortest, verdict(0.0, failed=True))
+    with pytest.raises(SearchExhausted, match="All 1000 initial scenarios failed"):
+        search.ask()
+
+
+def test_a_mutant_nearer_to_a_violation_is_kept_and_rewarded():
+    search = started(degree=10.0)
+    candidate, learned = tell_next(search, OTHER, verdict(9.5))
+    change = tanh((10 - 9.5) / (1 - 0 + 1e-5))  # the same trace: dis = 0
+    assert learned["distance"] == learned["novelty"] == 0
+    assert learned["kept"]
+    assert not learned["novel"]
+    assert learned["energy"] == pytest.approx(1 + 0.5 * change)
+    assert learned["parent_energy"] == pytest.approx(1 + 0.5 * (-0.1 * 1 / 1) + 0.5 * change - 0.05)
+    assert search._corpus[candidate.number].parent == 0
+
+
+def test_a_mutant_neither_new_nor_nearer_is_forgotten():
+    search = started(degree=10.0)
+    for n_passed in (1, 2):
+        before = search._corpus[0].energy
+        _, learned = tell_next(search, OTHER, verdict(10.2))
+        assert not learned["kept"]
+        assert "energy" not in learned
+        change = tanh((10 - 10.2) / (1 + 1e-5))
+        failure = -0.1 * n_passed / n_passed
+        assert learned["parent_energy"] == pytest.approx(before + 0.5 * failure + 0.5 * change - 0.05)
+    assert search.status()["corpus"] == 1
+
+
+def test_failed_mutants_raise_the_parents_energy_and_are_not_kept():
+    search = started(degree=10.0)
+    tell_next(search, OTHER, verdict(10.0))
+    before = search._corpus[0].energy
+    _, learned = tell_next(search, OTHER, verdict(8.0, failed=True))
+    change = tanh(2 / (1 + 1e-5))
+    assert learned["parent_energy"] == pytest.approx(before + 0.5 * (1 / (1 + 1)) + 0.5 * change - 0.05)
+    assert not learned["kept"]
+    assert search.status()["corpus"] == 1
+    assert search.status()["failed"] == 1
+
+
+def test_a_novel_mutant_is_kept_though_it_is_farther_from_a_violation():
+    search = started(drive(5.0), degree=1.0)
+    _, learned = tell_next(search, drive(5.0, seconds=60), verdict(4.0))
+    assert learned["novelty"] == learned["distance"] == pytest.approx(2 / 3, abs=0.01)
+    assert learned["novel"]
+    assert learned["kept"]
+    change = tanh((1 - 4) / (1 - learned["distance"] + 1e-5))
+    assert learned["energy"] == pytest.approx(1 + 0.5 * change)
+    assert search.status()["novel"] == 1
+    _, again = tell_next(search, drive(5.0, seconds=60), verdict(4.0))
+    assert again["novelty"] == 0
+
+
+def test_a_novel_failure_does_not_become_known():
+    search = started(drive(5.0))
+    for _ in range(2):
+        _, learned = tell_next(search, drive(5.0, seconds=60), verdict(0.0, failed=True))
+        assert learned["novel"]
+        assert not learned["kept"]
+
+
+def test_a_novel_testcase_refits_the_clusters():
+    """A steady drive gives one cluster only: until a novel testcase shows that there is more."""
+    search = started(drive(5.0), degree=1.0)
+    x = np.cumsum(5 + 5 * np.sin(np.arange(1200) / 40)) / 20
+    winding = make_trace(np.stack([x, 0 * x, 0 * x], axis=1))
+    fast, slow = (search._miner.describe(winding).merged[i : i + 1] for i in (30, 95))
+    assert search._miner.abstract(fast) == search._miner.abstract(slow)
+    assert tell_next(search, winding, verdict(4.0))[1]["novel"]
+    assert search._miner.abstract(fast) != search._miner.abstract(slow)
+
+
+@pytest.mark.parametrize(("known", "novelty"), [("kept", 0.0), ("novel", 1 / 3)])
+def test_what_counts_as_known(known, novelty):
+    """A testcase kept only for its degree behaves a third otherwise; is that known afterwards?"""
+    search = started(drive(5.0, seconds=20), degree=10.0, known=known)
+    _, learned = tell_next(search, drive(5.0, seconds=30), verdict(9.0))
+    assert learned["kept"]
+    assert not learned["novel"]
+    _, learned = tell_next(search, drive(5.0, seconds=30), verdict(20.0))
+    assert learned["novelty"] == pytest.approx(novelty, abs=0.01)
+
+
+@pytest.mark.parametrize(("energy", "kind"), [(0.51, "waypoints"), (0.5, "routes"), (-3.0, "routes")])
+def test_the_energy_decides_how_boldly_is_mutated(energy, kind):
+    search = started(initial_energy=energy)
+    for _ in range(10):
+        candidate = search.ask()
+        assert candidate.origin == kind
+        parent = search._corpus[candidate.parent].scenario
+        same_routes = [npc.route for npc in candidate.scenario.npcs] == [npc.route for npc in parent.npcs]
+        assert same_routes or kind == "routes"
+
+
+def test_unbounded_as_printed():
+    search = started(drive(0.0, seconds=20), degree=10.0, bounded=False)
+    _, learned = tell_next(search, make_trace(np.zeros((1, 3))), verdict(9.0))
+    assert learned["distance"] == 1.0
+    assert learned["energy"] == pytest.approx(1 + 0.5 * 1.0 / 1e-5)
+
+
+def test_weights():
+    search = started(failure_weight=2.0, degree_weight=3.0, selection_weight=4.0)
+    _, learned = tell_next(search, OTHER, verdict(9.9))
+    change = tanh(0.1 / (1 + 1e-5))
+    assert learned["energy"] == pytest.approx(1 + 3 * change)
+    assert learned["parent_energy"] == pytest.approx(1 + 2 * -0.1 + 3 * change - 4 * 0.05)
+
+
+def test_novel_mutants_may_count_as_successes():
+    for success, change in (("failed", -0.1), ("failed-or-novel", 1.0)):
+        search = started(drive(5.0), degree=10.0, success=success)
+        _, learned = tell_next(search, drive(5.0, seconds=60), verdict(10.0))
+        assert learned["novel"]
+        assert learned["parent_energy"] == pytest.approx(1 + 0.5 * change - 0.05)
+
+
+def test_which_distance_divides_the_change_of_degree():
+    """The mutant behaves as a known testcase does, yet other than its parent."""
+    for degree_distance, distance in (("parent", 2 / 3), ("known", 0.0)):
+        search = started(drive(5.0, seconds=60), degree=10.0, degree_distance=degree_distance)
+        tell_next(search, drive(5.0, seconds=20), verdict(20.0))
+        search._corpus[0].energy, search._corpus[1].energy = 1.0, 0.0
+        candidate, learned = tell_next(search, drive(5.0, seconds=20), verdict(9.9))
+        assert candidate.parent == 0
+        assert learned["energy"] == pytest.approx(1 + 0.5 * tanh(0.1 / (1 - distance + 1e-5)), abs=1e-3)
+
+
+def test_points_may_be_kept():
+    search = started(point_keep_probability=0.5, waypoint_keep_probability=0.0)
+    parent = search._corpus[0].scenario
+    stay = [
+        a == b
+        for _ in range(20)
+        for npc, old in zip(search.ask().scenario.npcs, parent.npcs, strict=True)
+        for a, b in zip(npc.waypoints[:-1], old.waypoints[:-1], strict=True)
+    ]
+    assert 0.3 < np.mean(stay) < 0.55  # some of those that moved pushed others on
+
+
+def test_novelty_threshold():
+    for threshold, novel in ((0.3, True), (0.4, False)):
+        search = started(drive(5.0, seconds=20), novelty_threshold=threshold)
+        assert tell_next(search, drive(5.0, seconds=30), verdict(9.0))[1]["novel"] is novel
+
+
+@pytest.mark.parametrize("option", ["waypoint_keep_probability", "route_keep_probability"])
+def test_keep_probabilities(option):
+    energy = 1.0 if option.startswith("waypoint") else 0.0
+    search = started(initial_energy=energy, **{option: 0.0})
+    parent = search._corpus[0].scenario
+    for _ in range(5):
+        assert all(a != b for a, b in zip(search.ask().scenario.npcs, parent.npcs, strict=True))
+
+
+def test_sigmas():
+    search = started(sigma_position=1e-3, sigma_speed=1e-6)
+    parent = search._corpus[0].scenario
+    gaps = [
+        (abs(a.position - b.position), abs(a.speed - b.speed))
+        for npc, old in zip(search.ask().scenario.npcs, parent.npcs, strict=True)
+        for a, b in zip(npc.waypoints, old.waypoints, strict=True)
+    ]
+    assert 0 < max(gap[0] for gap in gaps) < 0.02
+    assert 0 < max(gap[1] for gap in gaps) < 2e-5
+
+
+def test_early_mutants_of_many_in_flight_are_initial():
+    search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions())
+    in_flight = [search.ask() for _ in range(10)]
+    for candidate in in_flight:
+        search.tell(candidate, OTHER, verdict(5.0))
+    assert {candidate.origin for candidate in in_flight} == {"initial"}
+    assert search.status()["corpus"] == 10
+
+
+def test_two_mutants_of_one_parent_in_flight():
+    search = started()
+    first, second = search.ask(), search.ask()
+    one = search.tell(first, OTHER, verdict(9.0))
+    two = search.tell(second, OTHER, verdict(9.0))
+    assert two["parent_energy"] > one["parent_energy"] > 1
+    assert search._corpus[0].selections == 2
+    assert search._corpus[0].n_passed == 2
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("initial_corpus", 0),
+        ("novelty_threshold", 1.1),
+        ("waypoint_keep_probability", 1.0),
+        ("route_keep_probability", -0.1),
+        ("point_keep_probability", 1.0),
+        ("sigma_position", 0.0),
+        ("sigma_speed", -1.0),
+    ],
+)
+def test_options_out_of_range(option, value):
+    with pytest.raises(InputError, match=option):
+        replace(BehAVExplorOptions(), **{option: value})

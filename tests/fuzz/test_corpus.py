@@ -1,0 +1,42 @@
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from behavexplor.fuzz.corpus import Corpus, Testcase
+from behavexplor.scenario import Scenario
+
+
+def corpus_of(*energies):
+    corpus = Corpus()
+    for i, energy in enumerate(energies):
+        corpus.add(Testcase(10 * i, Scenario("s", ()), None, 1.0, i, energy))
+    return corpus
+
+
+def test_testcases_are_found_by_the_number_of_their_candidate():
+    corpus = corpus_of(1.0, 2.0)
+    assert corpus[10].energy == 2.0
+    assert [testcase.number for testcase in corpus] == [0, 10]
+    assert len(corpus) == 2
+
+
+def test_selection_follows_the_energies():
+    corpus = corpus_of(1.0, 3.0, -2.0)
+    rng = np.random.default_rng(0)
+    counts = Counter(corpus.select(rng).number for _ in range(4000))
+    assert counts[20] == 0
+    assert counts[10] / 4000 == pytest.approx(3 / 4, abs=0.03)
+
+
+def test_selections_are_recorded():
+    corpus = corpus_of(0.0, 1.0)
+    for i in range(5):
+        corpus.select(np.random.default_rng(i))
+    assert [testcase.selections for testcase in corpus] == [0, 5]
+
+
+def test_a_changed_energy_counts_at_once():
+    corpus = corpus_of(0.0, 1.0)
+    corpus[0].energy, corpus[10].energy = 1.0, 0.0
+    assert corpus.select(np.random.default_rng(0)).number == 0

@@ -1,0 +1,259 @@
+"""The commands as a user runs them: what they print, their exit codes, and what is left after an interruption."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from behavexplor.commands import main
+from behavexplor.store import Store
+
+ROOT = Path(__file__).parent.parent
+FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "1"]
+
+
+def run(*arguments, cwd=ROOT):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "behavexplor", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run with failures, and what fuzzing printed."""
+    folder = tmp_path_factory.mktemp("runs") / "finished"
+    result = run(*FUZZ, "--budget", 12, "--seed", 5, "--method", "uniform", "--out", folder)
+    assert result.returncode == 0, result.stderr
+    return folder, result
+
+
+def records(folder):
+    result = run("records", folder)
+    assert result.returncode == 0
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_the_summary_says_what_failed_and_how_to_look_at_it(finished):
+    folder, result = finished
+    failed = [record["id"] for record in records(folder) if record["violated"]]
+    assert result.stdout.startswith("12 executions in ")
+    assert f"{len(failed)} failed" in result.stdout
+    assert f"Everything is kept in {folder}" in result.stdout
+    assert f"replay {folder} {failed[0]}" in result.stdout
+
+
+def test_records_are_one_json_object_a_line(finished):
+    folder, _ = finished
+    lines = records(folder)
+    assert [record["id"] for record in lines] == list(range(12))
+    assert all({"violated", "degree", "novelty", "end"} <= record.keys() for record in lines)
+
+
+@pytest.mark.parametrize("extra", [["--workers", "2"], ["--quiet"]])
+def test_the_same_seed_prints_the_same_records(finished, tmp_path, extra):
+    folder, _ = finished
+    result = run(*FUZZ, "--budget", 12, "--seed", 5, "--method", "uniform", "--out", tmp_path / "again", *extra)
+    assert result.returncode == 0
+    assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
+
+
+def test_the_stored_configuration_makes_the_same_run(finished, tmp_path):
+    folder, _ = finished
+    result = run("fuzz", "--config", folder / "config.yaml", "--workers", 1, "--out", tmp_path / "again")
+    assert result.returncode == 0
+    assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
+
+
+def test_the_fuzz_package_is_the_fuzz_command(tmp_path):
+    command = [sys.executable, "-m", "behavexplor.fuzz", *FUZZ[1:], "--budget", "2", "--out", str(tmp_path / "a")]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=120, check=False)
+    assert result.returncode == 0
+    assert len(records(tmp_path / "a")) == 2
+
+
+def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
+    folder, _ = finished
+    number = next(record["id"] for record in records(folder) if "collision" in record["violated"])
+    result = run("replay", folder, number, "--out", tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "violates collision" in result.stdout
+    assert "gave the same trace" in result.stdout
+    with Image.open(tmp_path / f"{number:06d}.gif") as animation:
+        duration = Store.read(folder).execution(number).load_trace().duration
+        assert animation.n_frames == pytest.approx(duration / 0.1, abs=3)
+    with Image.open(tmp_path / f"{number:06d}.png") as picture:
+        assert picture.size == (600, 600)
+
+
+def test_a_replay_that_differs_is_said_to(finished, tmp_path):
+    folder, _ = finished
+    copy = tmp_path / "copy"
+    store = Store.read(folder)
+    other = Store.create(copy, store.config().replace("cruiser", "Swerver"))
+    other.add(store.execution(0))
+    other.commit()
+    result = run("replay", copy, 0)
+    assert result.returncode == 1
+    assert "ANOTHER trace" in result.stderr
+
+
+def test_violations_fail_a_check_only_when_asked(tmp_path):
+    arguments = [*FUZZ, "--ads", "tests.drivers:Swerver", "--budget", "2"]
+    assert run(*arguments, "--out", tmp_path / "a").returncode == 0
+    assert run(*arguments, "--out", tmp_path / "b", "--fail-on-violation").returncode == 1
+
+
+@pytest.mark.parametrize("ads", ["tests.drivers:Cruiser", "tests.drivers:make_cruiser"])
+def test_a_class_or_function_makes_the_ads(tmp_path, ads):
+    result = run(*FUZZ, "--ads", ads, "--budget", 2, "--out", tmp_path / "a")
+    assert result.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fuzz", "--env", "intersection-strait"], "did you mean 'intersection-straight'?"),
+        (["fuzz", "--env", "nowhere/x-v0"], "The environment 'nowhere/x-v0' cannot be made"),
+        (["fuzz", "--env", "CartPole-v1"], "cannot be fuzzed"),
+        (["fuzz", "--ads", "rules"], "did you mean 'rule'?"),
+        (["fuzz", "--ads", "tests.nothing:here"], "cannot be imported"),
+        (["fuzz", "--ads", "tests.drivers:make_nothing"], "has no predict method"),
+        (["fuzz", "--ads", "tests.drivers:np.pi"], "cannot be imported"),
+        (["fuzz", "--method", "unifrom"], "did you mean 'uniform'?"),
+        (["fuzz", "--budget", "0"], "neither a number of executions"),
+        (["fuzz", "--batch", "0"], "The batch 0"),
+        (["fuzz", "--workers", "0"], "--workers 0 must lie between"),
+        (["fuzz", "--seed", "-1"], "The seed -1"),
+        (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
+        (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
+        (["fuzz", "--resume", "tests"], "is not a run folder"),
+        (["fuzz", "--resume", "tests", "--config", "paper"], "--config cannot be given with --resume"),
+        (["records", "nowhere"], "is not a run folder"),
+        (["replay", "nowhere", "0"], "is not a run folder"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(ROOT)
+    if arguments[0] == "fuzz" and "--resume" not in arguments:
+        arguments = [*arguments, "--out", str(tmp_path / "run")]
+    assert main(arguments) == 2
+    output = capsys.readouterr()
+    lines = [line for line in output.err.splitlines() if not line.startswith("Fuzzing ")]
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert output.out == ""
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["fuzz", "--enw", "x"], ["fuzz", "--budget"], ["fuzz", "--seed", "x"], ["fuss"], []]
+)
+def test_bad_flags_exit_with_2_and_no_traceback(arguments):
+    result = run(*arguments)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+
+
+def test_a_folder_that_is_not_empty_is_kept(tmp_path):
+    (tmp_path / "mine").write_text("precious")
+    result = run(*FUZZ, "--budget", 2, "--out", tmp_path)
+    assert result.returncode == 2
+    assert "is not empty" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_ads_that_raises_ends_the_campaign_with_its_words(tmp_path, workers):
+    result = run(*FUZZ, "--ads", "tests.drivers:Faulty", "--budget", 5, "--workers", workers, "--out", tmp_path / "a")
+    assert result.returncode == 3
+    assert "ZeroDivisionError: no gap to divide by" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_an_ads_that_kills_its_worker_ends_the_campaign(tmp_path):
+    result = run(*FUZZ, "--ads", "tests.drivers:Dying", "--budget", 5, "--workers", 2, "--out", tmp_path / "a")
+    assert result.returncode == 3
+    assert "could not be carried out" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def start(folder, *arguments):
+    """A campaign in the background, once it has stored something."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "behavexplor", *FUZZ, "--budget", "400", "--out", str(folder), *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and process.poll() is None:
+        if (folder / "campaign.db").exists() and stored(folder) >= 10:
+            return process
+        time.sleep(0.05)
+    process.kill()
+    raise AssertionError(process.communicate()[1])
+
+
+def stored(folder):
+    try:
+        return len(Store.read(folder))
+    except Exception:  # it is being made right now
+        return 0
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_ends_cleanly_and_can_be_resumed(tmp_path, number, workers):
+    folder = tmp_path / "a"
+    process = start(folder, "--workers", workers)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    counted = int(out.split()[0])
+    assert counted == stored(folder) >= 10
+    assert f"fuzz --resume {folder}" in err
+    resumed = run("fuzz", "--resume", folder, "--workers", 1, "--budget", counted + 5)
+    assert resumed.returncode == 0, resumed.stderr
+    assert len(records(folder)) == counted + 5
+
+
+def test_after_sigkill_nothing_counted_is_lost_and_the_campaign_goes_on(tmp_path):
+    folder = tmp_path / "killed"
+    process = start(folder)
+    process.kill()
+    process.communicate()
+    kept = records(folder)
+    assert [record["id"] for record in kept] == list(range(len(kept)))
+    total = len(kept) + 10
+    assert run("fuzz", "--resume", folder, "--workers", 1, "--budget", total).returncode == 0
+    whole = tmp_path / "whole"
+    assert run(*FUZZ, "--budget", total, "--out", whole).returncode == 0
+    assert records(folder) == records(whole)
+
+
+def test_only_the_budget_changes_on_resuming(finished):
+    folder, _ = finished
+    result = run("fuzz", "--resume", folder, "--seed", 6)
+    assert result.returncode == 2
+    assert "--seed cannot be changed on --resume: the run has 5" in result.stderr
+
+
+def test_help_is_quick_and_says_what_matters():
+    result = run("fuzz", "--help")
+    assert result.returncode == 0
+    for flag in ("env", "ads", "method", "config", "budget", "seed", "workers", "batch", "out", "resume", "quiet"):
+        assert f"--{flag}" in result.stdout
+    assert "(default: intersection-straight)" in result.stdout
+
+
+def test_records_can_be_cut_off_by_head(finished):
+    folder, _ = finished
+    command = f"{sys.executable} -m behavexplor records {folder} | head -n 1"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
+    assert result.stderr == ""
+    assert json.loads(result.stdout)["id"] == 0

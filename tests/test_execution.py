@@ -1,0 +1,84 @@
+"""From a scenario to its trace: rollout, simulation, executors."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.errors import InputError
+from behavexplor.executor import InProcessExecutor, begin, evaluate, make_executor
+from behavexplor.rollout import rollout
+from behavexplor.scenario import Scenario
+from behavexplor.simulation import Simulation, environment_id
+from behavexplor.trace import Trace
+from tests.drivers import Cruiser
+
+SCENARIOS = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(4)]
+
+
+class Diary(Cruiser):
+    """Counts its decisions in its state, and keeps a log of them."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        actions, _ = super().predict(observation)
+        count = np.where(episode_start, 0, 0 if state is None else state) + 1
+        return actions, count
+
+    def log(self, state):
+        return {"count": state}
+
+
+def test_the_state_and_the_log_of_an_ads():
+    env = gymnasium.make(
+        environment_id("intersection-straight"), config={"observation": {"type": "Scene"}, "action": Diary.action}
+    )
+    ads = Diary()
+    for scenario in SCENARIOS[:2]:
+        trace = rollout(env, ads, scenario)
+        assert trace.decisions["count"].tolist() == list(range(1, len(trace.actions) + 1))
+        assert trace.actions.shape == (len(trace.action_frame), 2)
+
+
+def test_recorded_actions_give_the_same_trace():
+    simulation = Simulation("intersection-straight", "tests.drivers:cruiser")
+    trace = simulation.run(SCENARIOS[0])
+
+    class Recorded(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            step = 0 if state is None else state
+            return trace.actions[step][None], step + 1
+
+    assert rollout(simulation.env, Recorded(), SCENARIOS[0]).to_bytes() == trace.to_bytes()
+    simulation.close()
+
+
+def test_all_executors_give_the_same_traces():
+    arguments = ("intersection-straight", "tests.drivers:cruiser")
+    simulation = begin(*arguments)
+    expected = [simulation.run(scenario).to_bytes() for scenario in SCENARIOS]
+    for workers in (1, 2):
+        with make_executor(workers, *arguments) as executor:
+            futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
+            assert [future.result() for future in futures] == expected
+
+
+def test_errors_come_back_from_the_executor():
+    future = InProcessExecutor().submit(evaluate, b"{}")
+    with pytest.raises(InputError, match="functional: missing"):
+        future.result()
+
+
+@pytest.mark.parametrize("name", ["intersection-straight", "behavexplor/intersection-straight-v0"])
+def test_environment_names(name):
+    assert environment_id(name) == "behavexplor/intersection-straight-v0"
+
+
+def test_an_environment_of_another_package():
+    """It is registered elsewhere, says what it can run, and takes highway-env's config."""
+    gymnasium.register("elsewhere/crossing-v3", "behavexplor.envs.intersection_straight:IntersectionStraightEnv")
+    try:
+        trace = Simulation("elsewhere/crossing-v3", "tests.drivers:cruiser").run(Scenario("intersection-straight", ()))
+    finally:
+        del gymnasium.registry["elsewhere/crossing-v3"]
+    assert isinstance(trace, Trace)
+    assert trace.end == "arrived"
