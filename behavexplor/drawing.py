@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Color = tuple[int, int, int]
 
 SIDE = 600  # of a picture [px]
-VIEW = 64.0  # of the world in a picture, the ego in its middle [m]
+VIEW = 80.0  # of the world in a picture, the ego in its middle [m]
 MAX_FRAMES = 300  # of an animation; longer ones run faster
 FRAME_TIME = 0.1  # between two pictures of an animation [s]
 
@@ -30,6 +30,7 @@ _GROUND, _ASPHALT, _DIVIDER, _CURB, _YELLOW = (
 _EGO, _HIT, _INK, _PAPER = (46, 170, 90), (222, 60, 60), (30, 34, 40), (255, 255, 255)
 _NPCS = ((66, 133, 222), (226, 128, 60), (160, 104, 206), (40, 168, 178), (206, 96, 152))
 _GLASS = (28, 36, 48)
+_COLORS = (_GROUND, _ASPHALT, _DIVIDER, _CURB, _YELLOW, _EGO, _HIT, _INK, _PAPER, _GLASS, *_NPCS)
 
 
 def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
@@ -52,10 +53,22 @@ def save_animation(path: Path, trace: Trace, roadmap: RoadMap, caption: str) -> 
     count = min(MAX_FRAMES, max(2, round(trace.duration / FRAME_TIME) + 1))
     frames = np.unique(np.searchsorted(trace.time, np.linspace(0, trace.duration, count) - 1e-9))
     pictures = [draw(trace, roadmap, int(frame), caption) for frame in frames]
-    palette = pictures[-1].quantize(colors=128)
+    palette = _palette(pictures)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     times = [int(FRAME_TIME * 1000)] * (len(pictures) - 1) + [2000]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=times, loop=0)
+
+
+def _palette(pictures: list[Image.Image]) -> Image.Image:
+    """One palette for all pictures: what blends in some of them, and every colour for sure."""
+    sample = pictures[:: max(1, len(pictures) // 4)]
+    sheet = Image.new("RGB", (SIDE, SIDE * len(sample)))
+    for i, picture in enumerate(sample):
+        sheet.paste(picture, (0, SIDE * i))
+    swatch = SIDE // len(_COLORS)
+    for i, color in enumerate(_COLORS):
+        sheet.paste(color, (swatch * i, 0, swatch * (i + 1), swatch))
+    return sheet.quantize(colors=255)
 
 
 def draw(trace: Trace, roadmap: RoadMap, frame: int, caption: str) -> Image.Image:

@@ -72,24 +72,24 @@ def _leg_towards(heading: float) -> str:
 
 def _crossing_lanes() -> Iterator[Lane]:
     """The lanes leg by leg, those side by side from left to right."""
+    end = STOP_LINE + EXIT + ONWARD
     for leg, outward in LEGS.items():
-        inward = outward + math.pi
-        length = EGO_APPROACH if leg == EGO_LEG else APPROACH
-        for side, offset in OFFSETS.items():
-            x, y = _beside(outward, STOP_LINE + length, -offset)
-            yield Lane(f"{leg}-in-{side}", f"{leg}-far", f"{leg}-in", x, y, _wrap(inward), length, LANE_WIDTH)
+        approach = EGO_APPROACH if leg == EGO_LEG else APPROACH
+        begin = STOP_LINE + approach
+        inward = _wrap(outward + math.pi)
+        for name, start, length, nodes, heading in (
+            ("behind", end, end - begin, ("begin", "far"), inward),  # no route begins here, but the road does
+            ("in", begin, approach, ("far", "in"), inward),
+            ("out", STOP_LINE, EXIT, ("out", "onward"), outward),
+            ("onward", STOP_LINE + EXIT, ONWARD, ("onward", "end"), outward),
+        ):
+            for side, offset in OFFSETS.items():
+                x, y = _beside(outward, start, offset if heading == outward else -offset)
+                origin, target = (f"{leg}-{node}" for node in nodes)
+                yield Lane(f"{leg}-{name}-{side}", origin, target, x, y, heading, length, LANE_WIDTH)
         for side, offset in OFFSETS.items():
             for movement in MOVEMENTS[side]:
                 yield _connector(leg, side, offset, movement)
-        for name, start, length, origin, target in (
-            ("out", STOP_LINE, EXIT, "out", "onward"),
-            ("onward", STOP_LINE + EXIT, ONWARD, "onward", "end"),
-        ):
-            for side, offset in OFFSETS.items():
-                x, y = _beside(outward, start, offset)
-                yield Lane(
-                    f"{leg}-{name}-{side}", f"{leg}-{origin}", f"{leg}-{target}", x, y, outward, length, LANE_WIDTH
-                )
 
 
 def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:

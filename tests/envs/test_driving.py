@@ -4,9 +4,12 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import HealthCheck, given, settings
 
 import behavexplor
+from behavexplor.envs import viewer
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.errors import InputError
@@ -178,9 +181,6 @@ def test_highway_env_pushes_nobody_apart(env):
 
 
 def test_nothing_global_is_left_behind(env):
-    from highway_env.vehicle.behavior import IDMVehicle
-    from highway_env.vehicle.kinematics import Vehicle
-
     before = (Vehicle.LENGTH, Vehicle.WIDTH, Vehicle.MAX_SPEED, IDMVehicle.DISTANCE_WANTED, dict(DrivingEnv.metadata))
     env.reset()
     env.step(GO)
@@ -230,6 +230,4 @@ def test_a_picture_shows_lines_routes_and_vehicles():
     env.close()
     assert picture.shape == (800, 800, 3)
     colors = {tuple(color) for color in picture.reshape(-1, 3)[::3].tolist()}
-    from behavexplor.envs import viewer
-
     assert {viewer.YELLOW, viewer.CURB, viewer.EGO} <= colors

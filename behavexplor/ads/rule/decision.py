@@ -6,7 +6,7 @@ from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.speed import SpeedPlan
-from behavexplor.ads.rule.station_time import INTERVAL
+from behavexplor.ads.rule.station_time import INTERVAL, LEADS, N_INTERVALS, SOFT_LOW, StationTime
 
 CRUISE: Final = 0  # drives as on a free road
 FOLLOW: Final = 1  # adapts its speed to others
@@ -39,12 +39,18 @@ def waiting_station(path: Path, station: float, speed: float, half_length: float
 
 
 @kernel
-def crosses_freely(path: Path, plan: SpeedPlan, half_length: float, p: Numbers) -> bool:
-    """Whether a plan stays before the junction, or crosses it without dawdling, stopping or coming too close."""
+def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length: float) -> bool:
+    """Whether a plan stays before the junction, or crosses it without stopping or coming too close to others.
+
+    Behind the junction there must be room: nobody ahead may end up where the ego would have to stop inside.
+    """
     if plan.station <= path.junction_start - half_length:
         return True
-    rest = path.junction_end + half_length - plan.station
-    return plan.risk == 0.0 and plan.inside == 0.0 and rest <= p.clearing_time * plan.speed
+    spans, last = graph.spans, N_INTERVALS - 1
+    for i in range(graph.counts[last]):
+        if spans[last, i, LEADS] == 1.0 and spans[last, i, SOFT_LOW] < path.junction_end + half_length:
+            return False
+    return plan.risk == 0.0 and plan.inside == 0.0
 
 
 @kernel

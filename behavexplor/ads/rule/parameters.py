@@ -25,7 +25,6 @@ class Parameters:
         stop_line_gap: distance between the stop line and the front bumper of the waiting ego [m].
         firm_braking: a junction is still refused if this deceleration stops the ego before it [m/s2].
         clear_time: how long a junction must be free before the ego ends its yielding [s].
-        clearing_time: a plan that ends inside the junction must be able to leave it at its speed within this [s].
         comfortable_acceleration: on a free road [m/s2].
         lateral_acceleration: limit in curves [m/s2].
         approach_braking: deceleration before curves [m/s2].
@@ -61,7 +60,6 @@ class Parameters:
     stop_line_gap: float = 1.0
     firm_braking: float = 4.0
     clear_time: float = 0.3
-    clearing_time: float = 3.0
     comfortable_acceleration: float = 2.0
     lateral_acceleration: float = 2.5
     approach_braking: float = 2.0

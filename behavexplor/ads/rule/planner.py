@@ -130,7 +130,7 @@ def _plan(
     plan = plan_speed(Situation(path, room, half_length, math.inf, caution, p), station, speed, last, nodes)
     yields = False
     if waits:
-        crosses = crosses_freely(path, plan, half_length, p)
+        crosses = crosses_freely(path, room, plan, half_length)
         memory[CLEAR] = memory[CLEAR] + PERIOD if crosses else 0.0
         yields = not crosses or (memory[DECISION] == YIELD and memory[CLEAR] < p.clear_time)
     if yields:

@@ -14,6 +14,7 @@ from behavexplor.ads.rule.station_time import (
     HARD_HIGH,
     HARD_LOW,
     INTERVAL,
+    LEADS,
     N_INTERVALS,
     SOFT_HIGH,
     SOFT_LOW,
@@ -150,10 +151,11 @@ def _search(situation: Situation, station: float, speed: float, acceleration: fl
             break
         survived += STAGES[stage]
         now, following, count = following, now, found
-    best = 0
+    best, least = 0, math.inf
     for i in range(count):
-        if now[i, TOTAL] < now[best, TOTAL]:
-            best = i
+        total = now[i, TOTAL] + _debt(situation, now[i, S], now[i, V], survived)
+        if total < least:
+            best, least = i, total
     node = now[best]
     return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False)
 
@@ -199,6 +201,33 @@ def _expand(
 
 
 @kernel
+def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
+    """Cost of the braking that a plan leaves for later, behind those ahead and before the wall.
+
+    Without it the ego would always rather start later, so that it has to brake only after the plan's end.
+    """
+    if survived < N_INTERVALS:
+        return 0.0
+    debt = _braking_cost(situation, v, situation.wall - s)
+    spans, last = situation.graph.spans, N_INTERVALS - 1
+    for i in range(situation.graph.counts[last]):
+        if spans[last, i, LEADS] == 1.0:
+            room = spans[last, i, HARD_LOW] - s
+            closing = v - (spans[last, i, HARD_LOW] - spans[last - 1, i, HARD_LOW]) / INTERVAL
+            debt = max(debt, _braking_cost(situation, closing, room))
+    return debt
+
+
+@kernel
+def _braking_cost(situation: Situation, closing: float, room: float) -> float:
+    """Cost of losing a closing speed [m/s] within a room [m] with constant braking."""
+    if closing <= 0.0:
+        return 0.0
+    needed = closing * closing / (2 * max(room, situation.p.bumper_gap))
+    return situation.p.braking_cost * needed * closing
+
+
+@kernel
 def _advance(
     situation: Situation, s: float, v: float, a: float, interval: int, count: int
 ) -> tuple[bool, float, float, float, float, float]:
@@ -222,7 +251,7 @@ def _advance(
                 cost += situation.caution * spans[k, i, COST] * INTERVAL
                 risk += spans[k, i, COST] * INTERVAL
         achieved = (after - v) / INTERVAL
-        effort = p.acceleration_cost if achieved > 0.0 else p.braking_cost
+        effort = p.acceleration_cost if 0.0 < achieved <= p.comfortable_acceleration else p.braking_cost
         cost += (p.delay_cost * (limit - after) + effort * achieved * achieved) * INTERVAL
         if after > limit:
             cost += p.overspeed_cost * (after - limit) * INTERVAL

@@ -24,6 +24,8 @@ TAILS_PER_NPC: Final = 8  # the most ways on that are followed up
 HARD_LOW, HARD_HIGH = 0, 1  # where the ego's centre would touch, or nearly so [m]
 SOFT_LOW, SOFT_HIGH = 2, 3  # where it would be too close for comfort, in time or space [m]
 COST = 4  # of being there [1/s]
+LEADS = 5  # 1 for those ahead on the ego's path, 0 for those who cross or merge
+N_COLUMNS = 6
 
 STEP = 1.0  # of the stations at which an NPC's box is placed on its way [m]
 N_STEPS = 128
@@ -33,7 +35,7 @@ class StationTime(NamedTuple):
     """Spans of the ego's stations taken up in each interval of time.
 
     Attributes:
-        spans: shape (N_INTERVALS, most, 5), columns as above.
+        spans: shape (N_INTERVALS, most, 6), columns as above.
         counts: how many spans there are in each interval, shape (N_INTERVALS,).
         occupied: room for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
         tails: room for one NPC's ways, shape (TAILS_PER_NPC,).
@@ -51,7 +53,7 @@ class StationTime(NamedTuple):
 def empty_station_time(n_npcs: int) -> StationTime:
     """Room for the graphs of scenes with so many NPCs."""
     return StationTime(
-        np.empty((N_INTERVALS, max(n_npcs, 1) * TAILS_PER_NPC, 5)),
+        np.empty((N_INTERVALS, max(n_npcs, 1) * TAILS_PER_NPC, N_COLUMNS)),
         np.zeros(N_INTERVALS, np.int64),
         np.empty((N_STEPS, 2)),
         np.empty(TAILS_PER_NPC, np.int64),
@@ -119,6 +121,7 @@ def _project(
         spans[k, i, SOFT_LOW] = soft_low - half_length - p.stop_gap
         spans[k, i, SOFT_HIGH] = soft_high + half_length + p.stop_gap
         spans[k, i, COST] = p.following_cost if ahead else p.crossing_cost
+        spans[k, i, LEADS] = 1.0 if ahead else 0.0
         room.counts[k] += 1
 
 

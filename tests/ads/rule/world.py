@@ -1,0 +1,46 @@
+"""A few lines of world for the planner: highway-env's bicycle model among NPCs whose motion is a function."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from behavexplor.ads.rule import RulePlanner
+from behavexplor.logical import EGO_SIZE
+from behavexplor.roadmap import RoadMap
+
+SEDAN = (4.57, 2.08)
+
+
+def scene(ego, npcs=()):
+    """The scene of an ego (x, y, heading, speed) and NPCs (x, y, heading, speed, acceleration)."""
+    rows = [[1.0, *ego, 0.0, *EGO_SIZE], *([1.0, *npc, *SEDAN] for npc in npcs)]
+    return np.array(rows)
+
+
+def drive(
+    roadmap: RoadMap, npcs: Callable[[float], list] = lambda _: [], seconds=60.0, speed=0.0, station=None, planner=None
+):
+    """Drive until the destination or the end of the time; returns the ego's frames and the decisions.
+
+    Returns:
+        Frames (time, x, y, heading, speed, acceleration, steering), 10 per second, and the decision codes.
+    """
+    planner = planner or RulePlanner(roadmap)
+    x, y, heading = roadmap.ego_route.pose(roadmap.ego_start if station is None else station)
+    frames, decisions, state = [], [], None
+    for step in range(int(seconds * 10)):
+        observation = scene((x, y, heading, speed), npcs(step / 10))
+        actions, state = planner.predict(observation[None], state)
+        acceleration, steering = -8 + (actions[0, 0] + 1) * 6, -0.6 + (actions[0, 1] + 1) * 0.6
+        frames.append((step / 10, x, y, heading, speed, acceleration, steering))
+        decisions.append(int(planner.log(state)["decision"][0]))
+        for _ in range(2):
+            slip = math.atan(0.5 * math.tan(steering))
+            x += speed * math.cos(heading + slip) * 0.05
+            y += speed * math.sin(heading + slip) * 0.05
+            heading += speed * math.sin(slip) / (EGO_SIZE[0] / 2) * 0.05
+            speed += acceleration * 0.05
+        if math.hypot(x - roadmap.destination_point[0], y - roadmap.destination_point[1]) <= 1.0:
+            break
+    return np.array(frames), np.array(decisions)
