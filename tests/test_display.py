@@ -64,7 +64,7 @@ def test_the_screen_of_a_terminal(monkeypatch):
     screen = shown(Terminal(), Budget(executions=100))
     for part in ("50 of 100 executions", "2.5 per second", "75% of the time", "12.0%", "mean energy", "0.75", "corpus"):
         assert part in screen
-    assert "last 10 executions ago" in screen
+    assert "last 10 ago" in screen
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0, "0:00"), (59.6, "1:00"), (61, "1:01"), (3661, "1:01:01")])

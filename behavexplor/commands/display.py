@@ -161,7 +161,8 @@ def share(count: int, progress: Progress) -> str:
 
 
 def _ago(progress: Progress, mark: str) -> str:
-    """How many executions ago something happened last."""
+    """How many executions ago something happened last, in words."""
     if mark not in progress.last:
         return ""
-    return f", last {progress.executions - 1 - progress.last[mark]} executions ago"
+    ago = progress.executions - 1 - progress.last[mark]
+    return f", last {ago} ago" if ago else ", the latest"

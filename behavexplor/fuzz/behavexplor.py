@@ -207,12 +207,11 @@ class BehAVExplor:
         )
 
     def status(self) -> Mapping[str, float]:
-        """Size of the corpus, its mean and greatest energy, novel mutants kept, and failures."""
+        """Size of the corpus, its mean and greatest energy, and novel mutants kept."""
         energies = [testcase.energy for testcase in self._corpus]
         return {
             "corpus": len(self._corpus),
             "mean_energy": float(np.mean(energies)) if energies else 0.0,
             "max_energy": max(energies, default=0.0),
-            "novel": self._n_novel,
-            "failed": self._n_failed,
+            "novel_kept": self._n_novel,
         }

@@ -102,7 +102,7 @@ def test_failed_mutants_raise_the_parents_energy_and_are_not_kept():
     assert learned["parent_energy"] == pytest.approx(before + 0.5 * (1 / (1 + 1)) + 0.5 * change - 0.05)
     assert not learned["kept"]
     assert search.status()["corpus"] == 1
-    assert search.status()["failed"] == 1
+    assert search._n_failed == 1
 
 
 def test_a_novel_mutant_is_kept_though_it_is_farther_from_a_violation():
@@ -113,7 +113,7 @@ def test_a_novel_mutant_is_kept_though_it_is_farther_from_a_violation():
     assert learned["kept"]
     change = tanh((1 - 4) / (1 - learned["distance"] + 1e-5))
     assert learned["energy"] == pytest.approx(1 + 0.5 * change)
-    assert search.status()["novel"] == 1
+    assert search.status()["novel_kept"] == 1
     _, again = tell_next(search, drive(5.0, seconds=60), verdict(4.0))
     assert again["novelty"] == 0
 

@@ -36,9 +36,9 @@ def steer(path: Path, scene: Floats, station: float, last: float, p: Numbers) ->
 
 
 @kernel
-def accelerate(wanted: float, last: float, speed: float, emergency: bool, p: Numbers) -> float:
+def accelerate(wanted: float, last: float, speed: float, at_once: bool, p: Numbers) -> float:
     """Acceleration [m/s2] within the limits of its change and of the vehicle; never into reverse."""
-    change = (p.emergency_jerk if emergency else p.jerk) * PERIOD
+    change = (p.emergency_jerk if at_once else p.jerk) * PERIOD
     wanted = min(max(wanted, last - change), last + change)
     wanted = min(max(wanted, ACCELERATION_RANGE[0]), ACCELERATION_RANGE[1])
     return max(wanted, -speed / PERIOD)

@@ -41,7 +41,7 @@ class Parameters:
         look_ahead: least look-ahead distance of the steering [m],
         look_ahead_time: and what it grows by with the speed [s].
         jerk: limit of the change of acceleration [m/s3],
-        emergency_jerk: and in an emergency [m/s3].
+        emergency_jerk: and in an emergency or for more than firm braking [m/s3].
         steering_rate: limit of the change of the steering angle [rad/s].
 
     Raises:
@@ -73,8 +73,8 @@ class Parameters:
     following_cost: float = 10.0
     committed_caution: float = 0.2
     keep_clear_cost: float = 100.0
-    look_ahead: float = 4.0
-    look_ahead_time: float = 0.4
+    look_ahead: float = 3.0
+    look_ahead_time: float = 0.2
     jerk: float = 10.0
     emergency_jerk: float = 80.0
     steering_rate: float = 0.8

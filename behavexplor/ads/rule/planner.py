@@ -141,6 +141,6 @@ def _plan(
 
     memory[DECISION] = decision_code(path, plan, station, half_length, yields)
     memory[SURVIVED] = plan.survived * INTERVAL
-    emergency = memory[DECISION] == EMERGENCY
-    memory[LAST_ACCELERATION] = accelerate(plan.acceleration, last, speed, emergency, p)
+    at_once = memory[DECISION] == EMERGENCY or plan.acceleration < -p.firm_braking
+    memory[LAST_ACCELERATION] = accelerate(plan.acceleration, last, speed, at_once, p)
     memory[LAST_STEERING] = steer(path, scene, station, memory[LAST_STEERING], p)

@@ -29,6 +29,7 @@ ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # tha
 HARDEST: Final = (0, 0, 1, 1, 2, 2, 2, 2)  # index of the hardest braking in each stage
 STRONGEST: Final = (8, 8, 8, 8, 7, 7, 7, 7)  # index of the strongest acceleration in each stage
 
+RESPONSE: Final = 0.3  # in which the free speed is reached [s]
 FINENESS: Final = 2.5  # nodes of a stage are merged if bins of the roots of distance and speed agree: fine near 0
 N_STATION_BINS: Final = 42
 N_SPEED_BINS: Final = 16
@@ -118,18 +119,19 @@ def plan_speed(situation: Situation, station: float, speed: float, acceleration:
 
 
 @kernel
-def free_acceleration(speed: float, limit: float, p: Numbers) -> float:
-    """Towards the limit, comfortably."""
-    return min(max(limit - speed, -p.approach_braking), p.comfortable_acceleration)
+def free_acceleration(path: Path, station: float, speed: float, p: Numbers) -> float:
+    """Towards the limit, here and after the time of response, comfortably."""
+    limit = min(limit_at(path, station), limit_at(path, station + RESPONSE * speed))
+    return min(max((limit - speed) / RESPONSE, -p.firm_braking), p.comfortable_acceleration)
 
 
 @kernel
 def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPlan:
     path, p = situation.path, situation.p
-    first = free_acceleration(speed, limit_at(path, station), p)
+    first = free_acceleration(path, station, speed, p)
     s, v, risk, inside = station, speed, 0.0, 0.0
     for k in range(N_INTERVALS):
-        a = free_acceleration(v, limit_at(path, s), p)
+        a = free_acceleration(path, s, v, p)
         ok, s, v, _, more_risk, more_inside = _advance(situation, s, v, a, k, 1)
         if not ok:
             return SpeedPlan(first, k, s, v, risk, inside, True)
@@ -202,10 +204,7 @@ def _expand(
 
 @kernel
 def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
-    """Cost of the braking that a plan leaves for later, behind those ahead and before the wall.
-
-    Without it the ego would always rather start later, so that it has to brake only after the plan's end.
-    """
+    """Cost of the braking that a plan leaves for later; without it every plan would brake too late."""
     if survived < N_INTERVALS:
         return 0.0
     debt = _braking_cost(situation, v, situation.wall - s)
@@ -252,7 +251,8 @@ def _advance(
                 risk += spans[k, i, COST] * INTERVAL
         achieved = (after - v) / INTERVAL
         effort = p.acceleration_cost if 0.0 < achieved <= p.comfortable_acceleration else p.braking_cost
-        cost += (p.delay_cost * (limit - after) + effort * achieved * achieved) * INTERVAL
+        hurry = 1.5 - k / N_INTERVALS  # metres now count more than later, or it would always rather start later
+        cost += (p.delay_cost * hurry * (limit - after) + effort * achieved * achieved) * INTERVAL
         if after > limit:
             cost += p.overspeed_cost * (after - limit) * INTERVAL
         s, v = ahead, after

@@ -19,15 +19,16 @@ def scene(ego, npcs=()):
 
 
 def drive(
-    roadmap: RoadMap, npcs: Callable[[float], list] = lambda _: [], seconds=60.0, speed=0.0, station=None, planner=None
+    roadmap: RoadMap, npcs: Callable[[float], list] = lambda _: [], seconds=60.0, speed=0.0, station=None, offset=0.0
 ):
     """Drive until the destination or the end of the time; returns the ego's frames and the decisions.
 
     Returns:
         Frames (time, x, y, heading, speed, acceleration, steering), 10 per second, and the decision codes.
     """
-    planner = planner or RulePlanner(roadmap)
+    planner = RulePlanner(roadmap)
     x, y, heading = roadmap.ego_route.pose(roadmap.ego_start if station is None else station)
+    x, y = x - offset * math.sin(heading), y + offset * math.cos(heading)
     frames, decisions, state = [], [], None
     for step in range(int(seconds * 10)):
         observation = scene((x, y, heading, speed), npcs(step / 10))

@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+
+from behavexplor.ads.rule.parameters import Parameters, numbers
+from behavexplor.ads.rule.path import ego_path, pose_on_path, project_on_path
+from behavexplor.ads.rule.prediction import lane_graph
+from behavexplor.ads.rule.station_time import (
+    HARD_HIGH,
+    HARD_LOW,
+    INTERVAL,
+    LEADS,
+    box_on_path,
+    empty_station_time,
+    project_obstacles,
+)
+from behavexplor.envs.roads import crossing
+from behavexplor.geometry import box_corners, boxes_overlap
+from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
+from tests.ads.rule.world import SEDAN, scene
+
+STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
+
+
+def graph_of(roadmap, npcs, station=20.0):
+    room = empty_station_time(max(len(npcs), 1))
+    graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
+    ego = (*roadmap.ego_route.pose(station), 5.0)
+    path = ego_path(roadmap, Parameters())
+    project_obstacles(path, graph, scene(ego, npcs), station, numbers(Parameters()), room)
+    return room
+
+
+@pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
+def test_the_path_is_the_centre_line_of_the_route(roadmap):
+    path = ego_path(roadmap, Parameters())
+    for station in np.linspace(0, roadmap.ego_route.length, 50):
+        pose = pose_on_path(path, station)
+        assert pose == pytest.approx(roadmap.ego_route.pose(station), abs=1e-9)
+        assert project_on_path(path, pose[0], pose[1]) == pytest.approx((station, 0), abs=1e-6)
+
+
+@pytest.mark.parametrize("size", [VEHICLE_SIZES["sedan"], VEHICLE_SIZES["school-bus"]])
+def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
+    rng = np.random.default_rng(0)
+    path, half = ego_path(STRAIGHT, Parameters()), 1.3
+    touched = 0
+    for _ in range(300):
+        x, y, heading = rng.uniform(-6, 9), rng.uniform(-20, 60), rng.uniform(-np.pi, np.pi)
+        low, high = box_on_path(path, x, y, heading, *size, half)
+        box = box_corners(np.array([x, y]), heading, np.array(size))
+        strip = box_corners(np.array([1.75, 20.0]), np.array(0.0), np.array([2 * half, 200.0]))
+        assert (low <= high) == bool(boxes_overlap(box, strip))
+        if low <= high:
+            touched += 1
+            for station in np.linspace(low + 1e-3, high - 1e-3, 5):
+                slice_ = box_corners(STRAIGHT.ego_route.pose(station)[:2], np.array(0.0), np.array([2 * half, 1e-6]))
+                assert boxes_overlap(box, slice_)
+    assert touched > 50
+
+
+@pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
+def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
+    rng = np.random.default_rng(1)
+    contacts = 0
+    for _ in range(150):
+        route = roadmap.npc_routes[rng.integers(len(roadmap.npc_routes))]
+        start, speed = rng.uniform(70, 140), rng.uniform(0, 11)  # the ego stands at 20 m, behind all of them
+        time = rng.uniform(0, 7.9)
+        npc = route.pose(start + speed * time)
+        room = graph_of(roadmap, [(*route.pose(start), speed, 0.0)])
+        spans = room.spans[int(time / INTERVAL), : room.counts[int(time / INTERVAL)]]
+        for station in np.arange(25.0, 190.0, 1.5):
+            ego = roadmap.ego_route.pose(station)
+            boxes = [box_corners(pose[:2], pose[2], np.array(size)) for pose, size in ((ego, EGO_SIZE), (npc, SEDAN))]
+            if boxes_overlap(*boxes):
+                contacts += 1
+                assert any(span[HARD_LOW] < station < span[HARD_HIGH] for span in spans), (route.name, start)
+    assert contacts > 50
+
+
+def test_those_ahead_lead_those_behind_are_left_out_and_those_far_aside_too():
+    ahead, behind = STRAIGHT.ego_route.pose(60.0), STRAIGHT.ego_route.pose(2.0)
+    aside = STRAIGHT.routes["south-outer-straight"].pose(50.0)
+    assert graph_of(STRAIGHT, [(*ahead, 3.0, 0.0)]).spans[0, 0, LEADS] == 1
+    assert graph_of(STRAIGHT, [(*behind, 3.0, 0.0)]).counts.max() == 0
+    assert graph_of(STRAIGHT, [(*aside, 3.0, 0.0)]).counts[:8].max() == 0
+
+
+def test_an_absent_npc_takes_up_nothing():
+    observation = scene((1.75, 85.0, -np.pi / 2, 5.0), [(*STRAIGHT.ego_route.pose(40.0), 0.0, 0.0)])
+    room = empty_station_time(1)
+    graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT, Parameters())
+    project_obstacles(path, graph, observation, 20.0, numbers(Parameters()), room)
+    assert room.counts.min() > 0
+    observation[1, 0] = 0.0
+    project_obstacles(path, graph, observation, 20.0, numbers(Parameters()), room)
+    assert room.counts.max() == 0
