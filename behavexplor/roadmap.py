@@ -117,12 +117,13 @@ class RoadMap:
     Attributes:
         lanes: all lanes; those side by side from left to right.
         npc_routes: the routes that NPCs may take.
-        ego_route: the route of the ego, running on past its destination.
+        ego_route: the route to the ego's destination, running on past it.
         ego_start: station on the ego's route where the ego starts [m].
         destination: station on the ego's route that it must reach [m].
         illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
         line_kinds: `DOUBLE_YELLOW` or `CURB` for each line.
         speed_limit: [m/s].
+        ego_offset: how far to the right of its route the ego starts [m]; it is not 0 where it has to change lanes.
     """
 
     lanes: tuple[Lane, ...]
@@ -133,6 +134,7 @@ class RoadMap:
     illegal_lines: Floats
     line_kinds: tuple[str, ...]
     speed_limit: float
+    ego_offset: float = 0.0
 
     @cached_property
     def routes(self) -> dict[str, Route]:
@@ -142,7 +144,8 @@ class RoadMap:
     @cached_property
     def start_pose(self) -> Floats:
         """Where the ego starts: x [m], y [m] and heading [rad], shape (3,)."""
-        return self.ego_route.pose(self.ego_start)
+        x, y, heading = self.ego_route.pose(self.ego_start)
+        return np.array([x - self.ego_offset * np.sin(heading), y + self.ego_offset * np.cos(heading), heading])
 
     @cached_property
     def destination_point(self) -> Floats:

@@ -25,6 +25,11 @@ EXIT = 75.0  # length of the lanes that leave the crossing; the ego's destinatio
 ONWARD = 80.0  # and of those behind, where NPCs park out of the ego's way [m]
 EGO_LEG = "south"
 
+ROAD = 244.0  # length of the straight road's lanes [m]
+ROAD_ONWARD = 100.0  # and of those behind, where NPCs park out of the ego's way [m]
+ROAD_LANES = 4
+OPPOSITE_LANES = 2  # of the other direction, beyond the double yellow line: the ego can stray onto them
+
 LEGS = {"south": math.pi / 2, "west": math.pi, "north": -math.pi / 2, "east": 0.0}  # outward heading [rad]
 OFFSETS = {"inner": 0.5 * LANE_WIDTH, "outer": 1.5 * LANE_WIDTH}  # lane centre from the middle of the road [m]
 MOVEMENTS = {"inner": ("left", "straight"), "outer": ("straight", "right")}
@@ -58,6 +63,47 @@ def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
         line_kinds=kinds,
         speed_limit=SPEED_LIMIT,
     )
+
+
+def straight_road(start_lane: int, target_lane: int, ego_start: float, destination: float) -> RoadMap:
+    """A straight road of four lanes in one direction, beside the carriageway of the other direction.
+
+    Args:
+        start_lane: where the ego starts, counted from the left, beginning with 0.
+        target_lane: where its destination lies, counted likewise.
+        ego_start: distance into its lane [m].
+        destination: distance into the target lane [m].
+    """
+    lanes = {lane.name: lane for lane in _road_lanes()}
+    routes = [Route(f"lane-{i + 1}", (lanes[f"road-{i + 1}"], lanes[f"onward-{i + 1}"])) for i in range(ROAD_LANES)]
+    length = ROAD + ROAD_ONWARD
+    edges = {DOUBLE_YELLOW: [0.0], CURB: [ROAD_LANES * LANE_WIDTH, -OPPOSITE_LANES * LANE_WIDTH]}
+    lines = [(kind, [(0.0, y), (length, y)]) for kind, offsets in edges.items() for y in offsets]
+    return RoadMap(
+        lanes=tuple(lanes.values()),
+        npc_routes=tuple(routes),
+        ego_route=routes[target_lane],
+        ego_start=ego_start,
+        destination=destination,
+        illegal_lines=np.array([ends for _, ends in lines]),
+        line_kinds=tuple(kind for kind, _ in lines),
+        speed_limit=SPEED_LIMIT,
+        ego_offset=(start_lane - target_lane) * LANE_WIDTH,
+    )
+
+
+def _road_lanes() -> Iterator[Lane]:
+    """Eastwards along the x axis, then the lanes that come the other way."""
+    for name, start, length, origin, target in (
+        ("road", 0.0, ROAD, "begin", "onward"),
+        ("onward", ROAD, ROAD_ONWARD, "onward", "end"),
+    ):
+        for i in range(ROAD_LANES):
+            yield Lane(f"{name}-{i + 1}", origin, target, start, (i + 0.5) * LANE_WIDTH, 0.0, length, LANE_WIDTH)
+    length = ROAD + ROAD_ONWARD
+    for i in range(OPPOSITE_LANES):
+        y = -(i + 0.5) * LANE_WIDTH
+        yield Lane(f"opposite-{i + 1}", "end-opposite", "begin-opposite", length, y, math.pi, length, LANE_WIDTH)
 
 
 def _lane_names(leg: str, side: str, movement: str) -> tuple[str, str, str, str]:

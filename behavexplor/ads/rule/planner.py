@@ -30,6 +30,8 @@ from behavexplor.scene import EGO, LENGTH, N_COLUMNS, SPEED, X, Y
 
 Floats = NDArray[np.float64]
 
+RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
+
 DECISION: Final = 0  # code, see `behavexplor.ads.rule.decision`
 CLEAR: Final = 1  # how long the junction has been free [s]
 LAST_ACCELERATION: Final = 2  # commanded [m/s2]
@@ -85,9 +87,10 @@ class RulePlanner:
         Raises:
             InputError: if an array has a wrong shape.
         """
-        scenes = np.ascontiguousarray(observation, dtype=np.float64)
+        scenes = np.asarray(observation, dtype=np.float64)
         if scenes.ndim != 3 or scenes.shape[1] == 0 or scenes.shape[2] != N_COLUMNS:
             raise InputError(f"observation: expected shape (B, 1 + n, {N_COLUMNS}), got {scenes.shape}")
+        scenes = np.ascontiguousarray(np.rint(scenes / RESOLUTION) * RESOLUTION)
         memory = np.zeros((len(scenes), N_MEMORIES)) if state is None else np.array(state, dtype=np.float64, order="C")
         if memory.shape != (len(scenes), N_MEMORIES):
             raise InputError(f"state: expected shape {(len(scenes), N_MEMORIES)}, got {memory.shape}")

@@ -14,6 +14,7 @@ from behavexplor.ads.rule.station_time import (
     HARD_HIGH,
     HARD_LOW,
     INTERVAL,
+    LEAD_SPEED,
     LEADS,
     N_INTERVALS,
     SOFT_HIGH,
@@ -212,8 +213,7 @@ def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     for i in range(situation.graph.counts[last]):
         if spans[last, i, LEADS] == 1.0:
             room = spans[last, i, HARD_LOW] - s
-            closing = v - (spans[last, i, HARD_LOW] - spans[last - 1, i, HARD_LOW]) / INTERVAL
-            debt = max(debt, _braking_cost(situation, closing, room))
+            debt = max(debt, _braking_cost(situation, v - spans[last, i, LEAD_SPEED], room))
     return debt
 
 

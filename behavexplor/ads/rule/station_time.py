@@ -25,7 +25,8 @@ HARD_LOW, HARD_HIGH = 0, 1  # where the ego's centre would touch, or nearly so [
 SOFT_LOW, SOFT_HIGH = 2, 3  # where it would be too close for comfort, in time or space [m]
 COST = 4  # of being there [1/s]
 LEADS = 5  # 1 for those ahead on the ego's path, 0 for those who cross or merge
-N_COLUMNS = 6
+LEAD_SPEED = 6  # and their speed, at least [m/s]
+N_COLUMNS = 7
 
 STEP = 1.0  # of the stations at which an NPC's box is placed on its way [m]
 N_STEPS = 128
@@ -35,7 +36,7 @@ class StationTime(NamedTuple):
     """Spans of the ego's stations taken up in each interval of time.
 
     Attributes:
-        spans: shape (N_INTERVALS, most, 6), columns as above.
+        spans: shape (N_INTERVALS, most, 7), columns as above.
         counts: how many spans there are in each interval, shape (N_INTERVALS,).
         occupied: room for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
         tails: room for one NPC's ways, shape (TAILS_PER_NPC,).
@@ -104,8 +105,12 @@ def _project(
     if ahead and occupied[0, 0] + occupied[0, 1] < 2 * station:
         return
     half_length = scene[EGO, LENGTH] / 2
+    before = 0.0
     for k in range(N_INTERVALS):
         time = k * INTERVAL
+        driven, until = reach(speed, acceleration, p.acceleration_memory, limit, time, time + INTERVAL)
+        lead_speed = (driven - before) / INTERVAL if k > 0 else speed
+        before = driven
         margin = p.following_time if ahead else p.crossing_time + p.crossing_time_growth * time
         near, far = reach(
             speed, acceleration, p.acceleration_memory, limit, max(time - margin, 0.0), time + INTERVAL + margin
@@ -113,8 +118,7 @@ def _project(
         soft_low, soft_high = _stretch(occupied, steps, near, far)
         if soft_low > soft_high:
             continue
-        near, far = reach(speed, acceleration, p.acceleration_memory, limit, time, time + INTERVAL)
-        low, high = _stretch(occupied, steps, near, far)
+        low, high = _stretch(occupied, steps, driven, until)
         i = room.counts[k]
         spans[k, i, HARD_LOW] = low - half_length - p.bumper_gap
         spans[k, i, HARD_HIGH] = high + half_length + p.bumper_gap
@@ -122,6 +126,7 @@ def _project(
         spans[k, i, SOFT_HIGH] = soft_high + half_length + p.stop_gap
         spans[k, i, COST] = p.following_cost if ahead else p.crossing_cost
         spans[k, i, LEADS] = 1.0 if ahead else 0.0
+        spans[k, i, LEAD_SPEED] = lead_speed
         room.counts[k] += 1
 
 
