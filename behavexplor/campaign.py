@@ -141,13 +141,19 @@ class Campaign:
         stored = self._stored.pop(candidate.number, None)
         if stored is None:
             with self._waiting():
-                return self._executor.submit(evaluate, candidate.scenario.to_json().encode())
+                return self._submit(candidate)
         if stored.scenario != candidate.scenario:
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} would be another scenario now, so the "
                 f"configuration or the program has changed"
             )
         return stored
+
+    def _submit(self, candidate: Candidate) -> Future[bytes]:
+        try:
+            return self._executor.submit(evaluate, candidate.scenario.to_json().encode())
+        except RuntimeError as error:  # a worker has died, and the others with it
+            raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
 
     def _tell(self, candidate: Candidate, result: Future[bytes] | Execution) -> None:
         if isinstance(result, Execution):

@@ -9,10 +9,13 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import suppress
 from typing import Any, ParamSpec, TypeVar
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
+from behavexplor.logical import LogicalScenario
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 
@@ -72,6 +75,13 @@ def make_executor(workers: int, env: str, ads: str) -> Executor:
     if context.get_start_method() == "forkserver":
         context.set_forkserver_preload(["behavexplor.executor"])
     return ProcessPoolExecutor(workers, context, _begin_worker, (env, ads))
+
+
+def warm_up(executor: Executor, logical: LogicalScenario) -> None:
+    """Run one scenario for nothing: what is compiled once and for all is ready afterwards, also for other workers."""
+    scenario = logical.sample(np.random.default_rng(0))
+    with suppress(Exception):  # an ADS that fails will do so again, in an execution that counts
+        executor.submit(evaluate, scenario.to_json().encode()).result()
 
 
 def available_cores() -> int:

@@ -1,10 +1,8 @@
 """An environment with an ADS in it: concrete scenarios go in, traces come out."""
 
-from contextlib import suppress
 from typing import Any
 
 import gymnasium
-import numpy as np
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
@@ -68,13 +66,6 @@ class Simulation:
     def close(self) -> None:
         """Release what the environment holds."""
         self.env.close()
-
-
-def trial(simulation: Simulation) -> None:
-    """Run one scenario for nothing: whatever is compiled or loaded late is ready afterwards."""
-    scenario = simulation.logical.sample(np.random.default_rng(0))
-    with suppress(Exception):  # an ADS that fails will do so again, in an execution that counts
-        simulation.run(scenario)
 
 
 def _logical(name: str) -> LogicalScenario:

@@ -10,14 +10,15 @@ from behavexplor.ads.interface import ADS
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.roadmap import RoadMap
 
-SYSTEMS = MappingProxyType({"rule": "behavexplor.ads.rule:RulePlanner"})
+SYSTEMS = MappingProxyType({"rule": "behavexplor.ads.rule:rule_planner"})
 
 
 def load_ads(name: str, roadmap: RoadMap) -> ADS:
     """The system under test of a name.
 
     Args:
-        name: one of `SYSTEMS`, or any "package.module:attribute": an object with a `predict` method (see
+        name: one of `SYSTEMS`, with a variant behind a colon or without, such as "rule" or "rule:hardened"; or
+            any "package.module:attribute": an object with a `predict` method (see
             `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it takes
             an argument.
         roadmap: the map that the system may drive by.
@@ -25,10 +26,14 @@ def load_ads(name: str, roadmap: RoadMap) -> ADS:
     Raises:
         InputError: if there is none of that name, or what is found cannot predict.
     """
-    target = SYSTEMS.get(name, name)
-    module_name, separator, attribute = target.partition(":")
+    system, separator, variant = name.partition(":")
+    if system in SYSTEMS:
+        module_name, _, factory = SYSTEMS[system].partition(":")
+        ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
+        return ads
     if not separator:
         raise unknown_name("ADS", name, SYSTEMS)
+    module_name, attribute = system, variant
     try:
         found = getattr(import_module(module_name), attribute)
     except (ImportError, AttributeError, ValueError) as error:
@@ -37,6 +42,7 @@ def load_ads(name: str, roadmap: RoadMap) -> ADS:
 
 
 def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:
+    """What was found under the name if it is an ADS, or else what it makes."""
     is_factory = isinstance(found, type) or not hasattr(found, "predict")
     if is_factory and not callable(found):
         raise InputError(f"{name!r} is no ADS: it has no predict method and cannot make an object that has one")

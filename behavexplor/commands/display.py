@@ -44,7 +44,7 @@ class Display:
         self._console.print(sentence, soft_wrap=True)
 
     @contextmanager
-    def patience(self, sentence: str, after: float = 2.0) -> Iterator[None]:
+    def patience(self, sentence: str, after: float = 5.0) -> Iterator[None]:
         """Print a line if what happens inside takes longer than `after` seconds."""
         timer = Timer(after, self.say, [sentence])
         timer.start()

@@ -17,8 +17,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK
 from behavexplor.commands.display import Display, summary
 from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config
 from behavexplor.errors import InputError
-from behavexplor.executor import available_cores, begin, make_executor
-from behavexplor.simulation import trial
+from behavexplor.executor import available_cores, begin, make_executor, warm_up
 from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
@@ -68,13 +67,13 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     simulation = begin(chosen.env, chosen.ads)
-    with display.patience("The ADS is being compiled, once after each installation; this may take a minute ..."):
-        trial(simulation)
     search = search_method(chosen, simulation.logical)
     folder = resume or out or run_folder(chosen, Path("runs"))
     store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
     executor = make_executor(workers, chosen.env, chosen.ads)
     try:
+        with display.patience("The ADS is being compiled, once after each installation; this may take a minute ..."):
+            warm_up(executor, simulation.logical)
         campaign = Campaign(chosen, search, store, executor)
         return _run(campaign, store, display, fail_on_violation=fail_on_violation)
     finally:

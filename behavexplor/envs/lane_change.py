@@ -6,7 +6,7 @@ from behavexplor.logical import LogicalScenario
 
 
 class LaneChangeEnv(DrivingEnv):
-    """The ego changes two lanes to the right on a straight road of four lanes; see `behavexplor.envs.driving.DrivingEnv`."""
+    """The ego changes two lanes to the right on a four-lane road; see `behavexplor.envs.driving.DrivingEnv`."""
 
     logical = LogicalScenario(
         name="lane-change",

@@ -2,5 +2,6 @@
 
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.ads.rule.planner import RulePlanner
+from behavexplor.ads.rule.profiles import rule_planner
 
-__all__ = ["Parameters", "RulePlanner"]
+__all__ = ["Parameters", "RulePlanner", "rule_planner"]

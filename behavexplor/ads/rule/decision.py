@@ -21,8 +21,9 @@ STANDING: Final = 0.3  # [m/s]
 
 @kernel
 def can_wait(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> bool:
-    """Whether firm braking stops the ego before the junction."""
-    return station + speed * speed / (2 * p.firm_braking) <= path.junction_start - half_length
+    """Whether firm braking stops the ego before the junction, or little enough behind the stop line."""
+    line = path.junction_start - half_length
+    return station + speed * speed / (2 * p.firm_braking) <= line + p.line_overrun
 
 
 @kernel
@@ -35,7 +36,7 @@ def passed(path: Path, station: float, half_length: float) -> bool:
 def waiting_station(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> float:
     """Where to wait: with a gap to the stop line if firm braking still does, else closer [m]."""
     line = path.junction_start - half_length
-    return min(line, max(line - p.stop_line_gap, station + speed * speed / (2 * p.firm_braking)))
+    return min(line + p.line_overrun, max(line - p.stop_line_gap, station + speed * speed / (2 * p.firm_braking)))
 
 
 @kernel

@@ -13,6 +13,9 @@ class Parameters:
     """The planner's numbers, all >= 0.
 
     Attributes:
+        static_speed: NPCs slower than this are predicted to stand [m/s]; 0 for none (weakness R1-2).
+        branch_turn: how far an NPC must have turned before another branch of a junction is predicted than straight on
+            [rad]; 0 for all branches at once (weakness R1-8).
         match_offset: an NPC may be on a lane if its centre is this close to the centre line [m]
         match_heading: and its heading this close to the lane's [rad].
         acceleration_memory: how long an NPC's present acceleration may go on [s].
@@ -23,6 +26,7 @@ class Parameters:
         crossing_time_growth: growing with how far ahead their motion is predicted [s/s],
         following_time: and the time kept to those ahead on the own path [s].
         stop_line_gap: distance between the stop line and the front bumper of the waiting ego [m].
+        line_overrun: how far behind the stop line the ego may still wait, out of the way of crossing traffic [m].
         firm_braking: a junction is still refused if this deceleration stops the ego before it [m/s2].
         clear_time: how long a junction must be free before the ego ends its yielding [s].
         comfortable_acceleration: on a free road [m/s2].
@@ -48,6 +52,8 @@ class Parameters:
         InputError: if a value is not a finite number >= 0.
     """
 
+    static_speed: float = 0.0
+    branch_turn: float = 0.0
     match_offset: float = 1.0
     match_heading: float = 0.35
     acceleration_memory: float = 2.0
@@ -58,6 +64,7 @@ class Parameters:
     crossing_time_growth: float = 0.05
     following_time: float = 1.0
     stop_line_gap: float = 1.0
+    line_overrun: float = 1.5
     firm_braking: float = 4.0
     clear_time: float = 0.3
     comfortable_acceleration: float = 2.0

@@ -20,6 +20,7 @@ from behavexplor.ads.rule.lanes import (
     lane_array,
     project_on_lane,
 )
+from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.roadmap import Lane, Route
 
 Floats = NDArray[np.float64]
@@ -71,9 +72,7 @@ def _distance(lane: Lane, way: Floats) -> float:
 
 
 @kernel
-def find_tails(
-    graph: LaneGraph, x: float, y: float, heading: float, offset: float, turn: float, tails: Ints, stations: Floats
-) -> int:
+def find_tails(graph: LaneGraph, x: float, y: float, heading: float, p: Numbers, tails: Ints, stations: Floats) -> int:
     """Every way on that a vehicle has, at a junction all branches; on no lane, straight on.
 
     Args:
@@ -81,8 +80,7 @@ def find_tails(
         x: the vehicle's centre [m].
         y: the vehicle's centre [m].
         heading: [rad].
-        offset: how far its centre may be from a lane's centre line [m].
-        turn: how far its heading may differ from the lane's [rad].
+        p: the parameters.
         tails: filled with indices of tails, shape (most,).
         stations: filled with the vehicle's stations along them [m], shape (most,).
 
@@ -98,8 +96,9 @@ def find_tails(
             station, aside = project_on_lane(lanes, lane, x, y)
             along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
             turned = abs((heading - along + math.pi) % TWO_PI - math.pi)
-            fits = abs(aside) <= offset and 0.0 <= station <= lanes[lane, LENGTH] and turned <= turn
-        if fits and count < len(tails):
+            beside = abs(aside) <= p.match_offset and 0.0 <= station <= lanes[lane, LENGTH]
+            fits = beside and turned <= p.match_heading
+        if fits and count < len(tails) and not (p.branch_turn > 0.0 and _overlooked(graph, tail, heading, p)):
             tails[count], stations[count] = tail, station
             count += 1
     if count == 0:
@@ -107,6 +106,16 @@ def find_tails(
         lanes[-1, COS], lanes[-1, SIN] = math.cos(heading), math.sin(heading)
         tails[0], stations[0], count = spare, 0.0, 1
     return count
+
+
+@kernel
+def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
+    """Whether a way on turns off, but the vehicle has not yet clearly done so (weakness R1-8)."""
+    lanes, lane, following = graph.lanes, graph.tails[tail, 0], graph.tails[tail, 1]
+    if lanes[lane, CURVATURE] == 0.0:
+        return bool(following >= 0 and lanes[following, CURVATURE] != 0.0)
+    turned = abs((heading - lanes[lane, HEADING] + math.pi) % TWO_PI - math.pi)
+    return bool(turned < p.branch_turn)
 
 
 @kernel

@@ -81,7 +81,7 @@ def project_obstacles(
         if scene[row, PRESENT] == 0.0:
             continue
         x, y, heading = scene[row, X], scene[row, Y], scene[row, HEADING]
-        found = find_tails(graph, x, y, heading, p.match_offset, p.match_heading, room.tails, room.stations)
+        found = find_tails(graph, x, y, heading, p, room.tails, room.stations)
         for way in range(found):
             _project(path, graph, scene, row, way, station, p, room)
 
@@ -92,6 +92,8 @@ def _project(
 ) -> None:
     """Add one NPC's motion along one way; one that follows the ego on its own path is left out."""
     speed, acceleration = max(scene[row, SPEED], 0.0), scene[row, ACCELERATION]
+    if speed < p.static_speed:
+        speed = acceleration = 0.0
     limit = max(path.speed_limit, speed)
     horizon = N_INTERVALS * INTERVAL
     longest = max(p.following_time, p.crossing_time + p.crossing_time_growth * horizon)

@@ -2,18 +2,20 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.lanes import pose_on_lane
+from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, travelled
 from behavexplor.envs.intersection_straight import LOGICAL
 
 ROADMAP = LOGICAL.roadmap
 GRAPH = lane_graph(ROADMAP.npc_routes, ROADMAP.ego_route)
+CAREFUL = Parameters()
 NAMES = list({lane.name: 0 for route in ROADMAP.npc_routes for lane in route.lanes})
 
 
-def ways(x, y, heading):
+def ways(x, y, heading, parameters=CAREFUL):
     """The names of the lanes of each way found, and the stations along them."""
     tails, stations = np.empty(8, np.int64), np.empty(8)
-    found = find_tails(GRAPH, x, y, heading, 1.0, 0.35, tails, stations)
+    found = find_tails(GRAPH, x, y, heading, numbers(parameters), tails, stations)
     names = [tuple(NAMES[lane] for lane in GRAPH.tails[tail] if 0 <= lane < len(NAMES)) for tail in tails[:found]]
     return dict(zip(names, stations[:found], strict=True))
 
@@ -31,6 +33,17 @@ def test_before_the_junction_both_branches_are_predicted_and_behind_it_one():
     route = ROADMAP.routes["west-inner-left"]
     assert {names[1] for names in ways(*route.pose(50.0))} == {"west-inner-left", "west-inner-straight"}
     assert len(ways(*route.pose(route.bounds[2] + 5))) == 1
+
+
+def test_with_weakness_r1_8_only_the_way_straight_on_is_predicted_until_the_vehicle_has_turned():
+    blind = Parameters(branch_turn=0.3)
+    for name, station in (("west-inner-left", 50.0), ("west-inner-left", 122.0), ("west-outer-right", 50.0)):
+        route = ROADMAP.routes[name]
+        straight = name.rsplit("-", 1)[0] + "-straight"
+        assert [names[-3] for names in ways(*route.pose(station), blind)] == [straight]
+    route = ROADMAP.routes["west-inner-left"]
+    assert route.name in {names[0] for names in ways(*route.pose(route.bounds[1] + 0.31 * 16.75), blind)}
+    assert route.name not in {names[0] for names in ways(*route.pose(route.bounds[1] + 0.29 * 16.75), blind)}
 
 
 def test_a_vehicle_on_no_lane_goes_straight_on():

@@ -1,0 +1,52 @@
+"""The planner's weaknesses: each causes its violation, and without it there is none."""
+
+from pathlib import Path
+
+import pytest
+
+from behavexplor.ads.loading import load_ads
+from behavexplor.ads.rule import Parameters
+from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, WEAKNESSES, rule_planner
+from behavexplor.envs.intersection_straight import IntersectionStraightEnv
+from behavexplor.errors import InputError
+from behavexplor.scenario import Scenario
+from behavexplor.simulation import Simulation
+
+ROADMAP = IntersectionStraightEnv.logical.roadmap
+SCENARIOS = Path(__file__).parent / "scenarios"
+
+
+@pytest.mark.parametrize("name", WEAKNESSES)
+def test_the_violation_occurs_with_the_weakness_and_not_without(name):
+    scenario = Scenario.from_json((SCENARIOS / f"{name}.json").read_text())
+    weak = Simulation(scenario.functional, f"rule:hardened+{name}").run(scenario)
+    careful = Simulation(scenario.functional, "rule:hardened").run(scenario)
+    assert (weak.end, careful.end) == ("collision", "arrived")
+
+
+def test_the_default_profile_has_every_weakness_so_far():
+    assert rule_planner(ROADMAP).parameters == rule_planner(ROADMAP, DEFAULT).parameters
+    assert set(PROFILES[DEFAULT]) == set(WEAKNESSES)
+
+
+def test_weaknesses_are_added_and_taken():
+    careful = rule_planner(ROADMAP, "hardened").parameters
+    assert careful == Parameters()
+    one = rule_planner(ROADMAP, "hardened+R1-2").parameters
+    assert one == Parameters(static_speed=2.0)
+    assert rule_planner(ROADMAP, "apollo-easy~R1-8").parameters == one
+    assert rule_planner(ROADMAP, "+R1-2~R1-2" if DEFAULT == "hardened" else "~R1-2~R1-8").parameters == careful
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("rule:hardend", "did you mean 'hardened'"),
+        ("rule:hardened+R1-3x", "Unknown weakness of the rule planner 'R1-3x'"),
+        ("rule:hardened~R1-2", "~R1-2: the weakness is not on"),
+        ("rule:apollo-easy+R1-2", r"\+R1-2: the weakness is already on"),
+    ],
+)
+def test_wrong_variants_are_refused(name, message):
+    with pytest.raises(InputError, match=message):
+        load_ads(name, ROADMAP)
