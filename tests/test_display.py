@@ -29,7 +29,9 @@ class Terminal(io.StringIO):
 
 def shown(stream, budget, progress=PROGRESS, quiet=False):
     with Display(stream, budget, quiet=quiet) as display:
-        display._last_line -= 60
+        display.show(progress)
+        if display._last_line is not None:
+            display._last_line -= 60
         display.show(progress)
     return stream.getvalue()
 

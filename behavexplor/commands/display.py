@@ -36,8 +36,7 @@ class Display:
         self._live = (
             Live(console=self._console, auto_refresh=False) if self._console.is_terminal and not quiet else None
         )
-        self._last_line = time.monotonic()
-        self._start: Progress | None = None
+        self._last_line: float | None = None
 
     def say(self, sentence: str) -> None:
         """Print a line."""
@@ -68,11 +67,12 @@ class Display:
 
     def show(self, progress: Progress) -> None:
         """Show how far the campaign has come."""
-        if self._start is None:
-            self._start = progress
         if self._live is not None:
             self._live.update(self._screen(progress), refresh=True)
-        elif time.monotonic() - self._last_line >= LINE_SECONDS:
+            return
+        if self._last_line is None:
+            self._last_line = time.monotonic()
+        if time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
             self.say(self._line(progress))
 
