@@ -4,12 +4,27 @@ Importing this registers the environments `behavexplor/<functional scenario>-v0`
 else; the simulator is imported when an environment is made.
 """
 
+import pkgutil
+from pathlib import Path
+
 import gymnasium
 
 __version__ = "0.1.0"
 
 NAMESPACE = "behavexplor"
-FUNCTIONAL_SCENARIOS = {"intersection-straight": "behavexplor.envs.intersection_straight:IntersectionStraightEnv"}
+
+
+def _functional_scenarios() -> dict[str, str]:
+    """The entry point of each functional scenario's environment by name: one for each file in `envs/functional`."""
+    folder = Path(__file__).parent / "envs" / "functional"
+    modules = sorted(module.name for module in pkgutil.iter_modules([str(folder)]))
+    return {
+        module.replace("_", "-"): f"behavexplor.envs.functional.{module}:{module.title().replace('_', '')}Env"
+        for module in modules
+    }
+
+
+FUNCTIONAL_SCENARIOS = _functional_scenarios()
 
 for _name, _entry_point in FUNCTIONAL_SCENARIOS.items():
     _id = f"{NAMESPACE}/{_name}-v0"

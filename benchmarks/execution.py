@@ -16,8 +16,10 @@ import highway_env  # noqa: F401 - registers intersection-v1
 import numpy as np
 
 from behavexplor.ads.rule import RulePlanner
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.rollout import rollout
+
+LOGICAL = IntersectionStraightEnv.logical
 
 
 class Cruiser:

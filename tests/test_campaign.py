@@ -6,12 +6,14 @@ import pytest
 
 from behavexplor.campaign import Campaign, ExecutionError, search_method
 from behavexplor.config import CampaignConfig
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS
 from behavexplor.scenario import Scenario
 from behavexplor.store import Store
 from tests.fuzz.fakes import simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 
 class FakeExecutor(Executor):

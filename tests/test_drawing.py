@@ -8,8 +8,10 @@ from PIL import Image
 
 from behavexplor import drawing
 from behavexplor.drawing import MAX_FRAMES, SIDE, decisive_frame, draw, save_animation
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from tests.fuzz.fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 SCENARIO = LOGICAL.sample(np.random.default_rng(0))

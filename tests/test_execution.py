@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.executor import InProcessExecutor, begin, evaluate, make_executor
 from behavexplor.rollout import rollout
@@ -12,6 +12,8 @@ from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation, environment_id
 from behavexplor.trace import Trace
 from tests.drivers import Cruiser
+
+LOGICAL = IntersectionStraightEnv.logical
 
 SCENARIOS = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(4)]
 
@@ -75,7 +77,9 @@ def test_environment_names(name):
 
 def test_an_environment_of_another_package():
     """It is registered elsewhere, says what it can run, and takes highway-env's config."""
-    gymnasium.register("elsewhere/crossing-v3", "behavexplor.envs.intersection_straight:IntersectionStraightEnv")
+    gymnasium.register(
+        "elsewhere/crossing-v3", "behavexplor.envs.functional.intersection_straight:IntersectionStraightEnv"
+    )
     try:
         trace = Simulation("elsewhere/crossing-v3", "tests.drivers:cruiser").run(Scenario("intersection-straight", ()))
     finally:

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.geometry import box_corners, boxes_overlap
 from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.scenario import NPC, Scenario, Waypoint
 from tests.strategies import scenarios
+
+LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 

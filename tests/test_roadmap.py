@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.roads import crossing
 from behavexplor.roadmap import CURB, DOUBLE_YELLOW, Lane, Route
+
+LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 

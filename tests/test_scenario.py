@@ -5,10 +5,12 @@ import json
 import pytest
 from hypothesis import given
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.scenario import NPC, Scenario, Waypoint
 from tests.strategies import scenarios
+
+LOGICAL = IntersectionStraightEnv.logical
 
 VALID = {
     "functional": "intersection-straight",

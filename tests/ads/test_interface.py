@@ -1,6 +1,8 @@
 from behavexplor.ads.interface import ADS, DecisionLog
 from behavexplor.ads.rule import RulePlanner
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+
+LOGICAL = IntersectionStraightEnv.logical
 
 
 class Blind:

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from highway_env.road.road import RoadNetwork
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.network import road_network
+
+LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 NETWORK = road_network(ROADMAP)

@@ -4,9 +4,11 @@ from zlib import crc32
 
 import numpy as np
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.trace import Trace
+
+LOGICAL = IntersectionStraightEnv.logical
 
 RATE = 20  # frames per second
 

@@ -6,13 +6,15 @@ from math import tanh
 import numpy as np
 import pytest
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.behavexplor import BehAVExplor, BehAVExplorOptions
 from behavexplor.fuzz.search import SearchExhausted
 from behavexplor.fuzz.specs import Verdict
 
 from .fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 OTHER = simulate(LOGICAL.sample(np.random.default_rng(123)))
 

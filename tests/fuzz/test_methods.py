@@ -11,13 +11,15 @@ from dataclasses import fields, is_dataclass, replace
 import pytest
 from pydantic import TypeAdapter
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS, describe_method, load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted
 from behavexplor.fuzz.specs import Verdict, judge
 
 from .fakes import simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 EVERY = pytest.mark.parametrize("name", sorted(METHODS))
 

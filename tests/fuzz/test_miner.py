@@ -3,12 +3,14 @@ import pytest
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.features import N_FEATURES, NEGLIGIBLE
 from behavexplor.fuzz.miner import BehaviorMiner, MinerOptions
 
 from .fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 TRACES = [simulate(LOGICAL.sample(np.random.default_rng(seed))) for seed in range(12)]
 

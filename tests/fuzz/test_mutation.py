@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.mutation import mutate_routes, mutate_waypoints, shift_waypoints
 from behavexplor.scenario import NPC, Scenario, Waypoint
+
+LOGICAL = IntersectionStraightEnv.logical
 
 CROWDED = replace(LOGICAL, n_npcs=20)
 NOISE = {"sigma_position": 12.0, "sigma_speed": 6.0}

@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.miner import MinerOptions
 from behavexplor.fuzz.novelty import NoveltyArchive, NoveltyOptions
 
 from .fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 TRACES = [simulate(LOGICAL.sample(np.random.default_rng(seed))) for seed in range(30)]
 

@@ -6,7 +6,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.specs import (
     NOTHING_NEAR,
@@ -22,6 +22,8 @@ from behavexplor.fuzz.specs import (
 from behavexplor.geometry import box_corners
 
 from .fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
 
 EGO = (4.70, 2.06)
 STILL = [(0.0, 0.0, 0.0)]

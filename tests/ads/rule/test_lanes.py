@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.lanes import lane_array, pose_on_lane, project_on_lane
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+
+LOGICAL = IntersectionStraightEnv.logical
 
 LANES = LOGICAL.roadmap.lanes
 ARRAY = lane_array(LANES)

@@ -4,10 +4,12 @@ import pytest
 
 import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.rollout import rollout
 from tests.ads.rule.world import scene
+
+LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 

@@ -4,7 +4,9 @@ import pytest
 from behavexplor.ads.rule.lanes import pose_on_lane
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, travelled
-from behavexplor.envs.intersection_straight import LOGICAL
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+
+LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 GRAPH = lane_graph(ROADMAP.npc_routes, ROADMAP.ego_route)

@@ -7,7 +7,7 @@ import pytest
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, WEAKNESSES, rule_planner
-from behavexplor.envs.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
