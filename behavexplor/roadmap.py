@@ -4,6 +4,7 @@ Environments build their simulator's roads from a `RoadMap`, planners read it as
 take the parameter ranges of scenarios from it. The world frame is that of `behavexplor.geometry`.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -64,6 +65,19 @@ class Lane:
             y = self.y - (np.cos(heading) - np.cos(self.heading)) / self.curvature
         return np.stack([x, y, heading], axis=-1)
 
+    def project(self, x: float, y: float) -> tuple[float, float]:
+        """Station and offset (positive to the right) of a point, also beyond the lane's ends [m]."""
+        dx, dy = x - self.x, y - self.y
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
+        if self.curvature == 0.0:
+            return ahead, aside
+        radius = 1 / self.curvature
+        to_centre = radius - aside
+        side = math.copysign(1.0, radius)
+        station = math.atan2(side * ahead, side * to_centre) * radius
+        return station, radius - side * math.hypot(ahead, to_centre)
+
 
 @dataclass(frozen=True)
 class Route:
@@ -103,6 +117,20 @@ class Route:
             here = index == i
             poses[here] = lane.pose(s[here] - self.bounds[i])
         return poses
+
+    def project(self, x: float, y: float) -> tuple[float, float]:
+        """Station and offset (positive to the right) of a point on the nearest lane [m].
+
+        The outer lanes are continued beyond the route's ends.
+        """
+        best = (math.inf, 0.0, 0.0)
+        last = len(self.lanes) - 1
+        for i, (lane, begin) in enumerate(zip(self.lanes, self.bounds, strict=False)):
+            station, offset = lane.project(x, y)
+            before = max(-station, 0.0) if i > 0 else 0.0
+            behind = max(station - lane.length, 0.0) if i < last else 0.0
+            best = min(best, (math.hypot(offset, before + behind), float(begin) + station, offset))
+        return best[1:]
 
     def polyline(self, start: float, end: float, spacing: float = 1.0) -> Floats:
         """Points of the centre line from one station to another, shape (P, 2) [m], about `spacing` apart."""

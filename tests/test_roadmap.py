@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.roads import crossing
@@ -75,3 +77,19 @@ def test_double_yellow_lines_part_the_directions_and_curbs_bound_the_road():
 def test_the_destination_lies_on_the_exit_lane():
     assert ROADMAP.destination_point == pytest.approx([1.75, -75.0])
     assert ROADMAP.start_pose == pytest.approx([1.75, 85.0, -math.pi / 2])
+
+
+@given(st.sampled_from(ROADMAP.npc_routes), st.floats(0, 1), st.floats(-3, 3))
+def test_projection_is_the_inverse_of_the_pose(route, share, offset):
+    station = share * route.length
+    x, y, heading = route.pose(station)
+    found = route.project(x - offset * math.sin(heading), y + offset * math.cos(heading))
+    assert found == pytest.approx((station, offset), abs=1e-6)
+
+
+def test_projection_beyond_the_ends_of_a_route():
+    route = ROADMAP.routes["south-inner-straight"]
+    x, y, _ = route.pose(-12.0)
+    assert route.project(x, y) == pytest.approx((-12, 0), abs=1e-9)
+    x, y, _ = route.pose(route.length + 7.5)
+    assert route.project(x, y) == pytest.approx((route.length + 7.5, 0), abs=1e-9)

@@ -1,7 +1,7 @@
 """The environment that all functional scenarios share: an ego among NPCs that play back a concrete scenario."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -11,6 +11,8 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
+from behavexplor.envs.config import changed_config, changed_logical, default_config
+from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.network import road_network
 from behavexplor.envs.npc import motion_table
 from behavexplor.envs.recorder import Recorder
@@ -27,7 +29,6 @@ STANDSTILL_SPEED = 0.3  # [m/s]
 STANDSTILL_TIME = 30.0  # [s]
 
 TERMINAL = ("collision", "arrived", "passed")  # what ends the task itself; the other ends cut it off
-REWARDS = {"collision": -20.0, "arrived": 10.0, "passed": -4.0, "standstill": -4.0, "timeout": -4.0}
 
 
 class DrivingEnv(AbstractEnv):  # type: ignore[misc]
@@ -50,11 +51,13 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         InputError: for an unknown key of the config, or frequencies that do not divide.
     """
 
-    logical: ClassVar[LogicalScenario]
+    logical: LogicalScenario
+    config: dict[str, Any]
     scenario: Scenario
     viewer: MapViewer | None
     _recorder: Recorder
     _end: str | None = None
+    _terms: dict[str, float]
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
         self.metadata = {"render_modes": ["human", "rgb_array"]}
@@ -62,39 +65,20 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
-        """highway-env's configuration with the frequencies, time limit and view of these environments."""
-        config: dict[str, Any] = super().default_config()
-        config |= {
-            "observation": {"type": "Kinematics", "vehicles_count": 1 + cls.logical.n_npcs},
-            "action": {"type": "ContinuousAction"},
-            "simulation_frequency": 20,
-            "policy_frequency": 10,
-            "duration": 200.0,
-            "screen_width": 800,
-            "screen_height": 800,
-            "centering_position": [0.5, 0.6],
-            "scaling": 5.5,
-        }
-        del config["other_vehicles_type"]
-        return config
+        """The configuration where nothing is changed."""
+        return default_config(super().default_config(), cls.logical)
 
     def configure(self, config: dict[str, Any]) -> None:
         """Change the configuration; see the class."""
-        for key in config:
-            if key not in self.config:
-                raise unknown_name("key of the environment's config", str(key), self.config)
-        super().configure(config)
-        if self.config["simulation_frequency"] % self.config["policy_frequency"]:
-            raise InputError(
-                f"simulation_frequency {self.config['simulation_frequency']} must be a multiple of "
-                f"policy_frequency {self.config['policy_frequency']}, or time would run wrong"
-            )
+        self.config = changed_config(self.config, config or {})
+        self.logical = changed_logical(type(self).logical, self.config["logical"])
+        super().configure({})
 
     def define_spaces(self) -> None:
         """The observation and action spaces of the configuration."""
         observation = self.config["observation"]
-        is_scene = observation.get("type") == "Scene"
-        self.observation_type = SceneObservation(self) if is_scene else observation_factory(self, observation)
+        own = {"Scene": SceneObservation, "Kinematics": Kinematics}.get(observation.get("type"))
+        self.observation_type = own(self, **observation) if own else observation_factory(self, observation)
         self.action_type = action_factory(self, self.config["action"])
         self.observation_space = self.observation_type.space()
         self.action_space = self.action_type.space()
@@ -124,6 +108,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self.time = self.steps = 0
         self.done = False
         self._end = None
+        self._terms = {}
         self.scenario = scenario
         self._place(scenario)
         self.define_spaces()
@@ -169,10 +154,11 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
             if substep < substeps - 1:
                 self._automatic_rendering()
         self.enable_auto_render = False
+        self._terms = self._recorder.reward_terms(self.config["reward"], self._end)
 
     def _find_end(self) -> str | None:
         roadmap = self.logical.roadmap
-        if self._recorder.collided():
+        if self._recorder.touched_npcs():
             return "collision"
         gap = self.vehicle.position - roadmap.destination_point
         if np.hypot(*gap) <= ARRIVAL_DISTANCE:
@@ -187,10 +173,9 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         return None
 
     def _rewards(self, action: Any) -> dict[str, float]:  # noqa: ARG002 - highway-env's signature
-        return {"progress": self._recorder.progress() / 10, "end": REWARDS.get(self._end or "", 0.0)}
+        return self._terms
 
     def _reward(self, action: Any) -> float:
-        """Tenths of metres nearer to the destination, and what the end of the episode is worth (`REWARDS`)."""
         return sum(self._rewards(action).values())
 
     def _is_terminated(self) -> bool:
@@ -200,7 +185,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         return self._end is not None and self._end not in TERMINAL
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002 - highway-env's signature
-        info = {"speed": self.vehicle.speed, "rewards": self._rewards(action)}
+        info = {"speed": self.vehicle.speed, "rewards": dict(self._rewards(action))}
         if self._end is not None:
             info |= {"end": self._end, "trace": self._recorder.trace(self._end)}
         return info

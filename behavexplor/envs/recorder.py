@@ -1,6 +1,7 @@
 """The record of an episode while it runs, and the questions that its end and its reward ask of it."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behavexplor.envs.npc import HEADING, SPEED, X, Y
-from behavexplor.geometry import box_corners, boxes_overlap
+from behavexplor.envs.reward import reward_terms, struck_from_behind
+from behavexplor.geometry import box_corners, box_segment_distance, boxes_overlap, point_segment_distance
 from behavexplor.roadmap import RoadMap
 from behavexplor.trace import Trace
 
@@ -35,6 +37,7 @@ class Recorder:
         self._actions: list[Floats] = []
         self._action_frames: list[int] = []
         self._standing = 0
+        self._line_frame: int | None = None
 
     def frame(self, ego: Vehicle) -> None:
         """Record the ego after a step. Its velocity is that of its centre: the slip of the bicycle model included."""
@@ -42,23 +45,37 @@ class Recorder:
         course = ego.heading + slip
         x, y = ego.position
         self._ego.append((x, y, ego.heading, ego.speed * np.cos(course), ego.speed * np.sin(course)))
+        if self._line_frame is None and self._touches_line():
+            self._line_frame = len(self._ego) - 1
 
     def action(self, action: Any) -> None:
         """Record a command, given at the latest frame."""
         self._actions.append(np.atleast_1d(np.asarray(action, dtype=np.float64)))
         self._action_frames.append(len(self._ego) - 1)
 
-    def collided(self) -> bool:
-        """Whether the ego's box touches an NPC's in the latest frame."""
-        frame = len(self._ego) - 1
+    def _touches_line(self) -> bool:
+        """Whether the ego's box touches an illegal line in the latest frame."""
         x, y, heading, *_ = self._ego[-1]
-        others = self._motion[frame]
-        near = np.hypot(others[:, X] - x, others[:, Y] - y) <= self._radii[0] + self._radii[1:]
+        lines = self._roadmap.illegal_lines
+        position = np.array([x, y])
+        near = point_segment_distance(position, lines[:, 0], lines[:, 1]) <= self._radii[0]
         if not near.any():
             return False
+        box = box_corners(position, np.array(heading), self._sizes[0])
+        return bool((box_segment_distance(box, lines[near]) == 0).any())
+
+    def touched_npcs(self) -> list[int]:
+        """Which NPCs the ego's box touches in the latest frame."""
+        x, y, heading, *_ = self._ego[-1]
+        others = self._motion[len(self._ego) - 1]
+        gaps = np.hypot(others[:, X] - x, others[:, Y] - y)
+        near = np.flatnonzero(gaps <= self._radii[0] + self._radii[1:])
+        if not len(near):
+            return []
         box = box_corners(np.array([x, y]), np.array(heading), self._sizes[0])
         boxes = box_corners(others[near][:, [X, Y]], others[near, HEADING], self._sizes[1:][near])
-        return bool(boxes_overlap(box, boxes).any())
+        touched: list[int] = near[boxes_overlap(box, boxes)].tolist()
+        return touched
 
     def standing_frames(self, speed: float) -> int:
         """For how many frames up to the latest the ego has been slower than `speed` [m/s]; ask in every frame."""
@@ -66,11 +83,26 @@ class Recorder:
         self._standing = self._standing + 1 if np.hypot(vx, vy) < speed else 0
         return self._standing
 
-    def progress(self) -> float:
-        """How much nearer the latest decision has brought the ego to its destination [m]."""
-        x, y = self._roadmap.destination_point
-        before, now = self._ego[self._action_frames[-1]], self._ego[-1]
-        return float(np.hypot(before[0] - x, before[1] - y) - np.hypot(now[0] - x, now[1] - y))
+    def reward_terms(self, weights: Mapping[str, float], end: str | None) -> dict[str, float]:
+        """The terms of the reward for the latest decision, see `behavexplor.envs.reward`."""
+        decided = self._action_frames[-1]
+        before, now = self._ego[decided], self._ego[-1]
+        route = self._roadmap.ego_route
+        elapsed = float(self._time[len(self._ego) - 1] - self._time[decided])
+        npcs = self.touched_npcs() if end == "collision" else []
+        return reward_terms(
+            weights,
+            progress=route.project(*now[:2])[0] - route.project(*before[:2])[0],
+            acceleration=(math.hypot(*now[3:]) - math.hypot(*before[3:])) / elapsed,
+            touched=self._line_frame is not None and self._line_frame > decided,
+            end=end,
+            rear_end=bool(npcs) and all(self._struck_by(npc) for npc in npcs),
+        )
+
+    def _struck_by(self, npc: int) -> bool:
+        x, y, heading, vx, vy = self._ego[-1]
+        row = self._motion[len(self._ego) - 1, npc]
+        return struck_from_behind((x, y, heading, math.hypot(vx, vy)), (row[X], row[Y], row[HEADING], row[SPEED]))
 
     def trace(self, end: str) -> Trace:
         """The trace of the episode that has ended."""

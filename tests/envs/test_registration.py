@@ -1,0 +1,85 @@
+"""The environments as another project meets them."""
+
+import subprocess
+import sys
+
+import gymnasium
+import pytest
+
+import behavexplor
+
+SCRIPT = """
+import gymnasium
+import behavexplor
+ids = [name for name in gymnasium.registry if name.startswith("behavexplor/")]
+assert len(ids) >= 4, ids
+for name in ids:
+    env = gymnasium.wrappers.RecordVideo(gymnasium.make(name, render_mode="rgb_array"), "videos", name_prefix=name[12:])
+    env.reset(seed=0)
+    for _ in range(20):
+        env.step(env.action_space.sample())
+    env.close()
+"""
+
+
+def run(code, cwd):
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_the_functional_scenarios_of_the_paper_are_there():
+    assert set(behavexplor.FUNCTIONAL_SCENARIOS) >= {
+        "intersection-straight",
+        "intersection-left",
+        "lane-follow",
+        "lane-change",
+    }
+
+
+@pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
+def test_each_file_is_named_after_its_scenario(name):
+    env = gymnasium.make(f"behavexplor/{name}-v0").unwrapped
+    assert env.logical.name == name
+    assert env.__doc__
+
+
+def test_registering_again_changes_nothing():
+    code = (
+        "import importlib, gymnasium, behavexplor; before = dict(gymnasium.registry); importlib.reload(behavexplor); "
+        "assert dict(gymnasium.registry) == before; "
+        "import gymnasium as g; others = [n for n in g.registry if 'behavexplor' in n]; "
+        "assert all(n.startswith('behavexplor/') for n in others)"
+    )
+    result = run(code, ".")
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
+def test_a_fresh_interpreter_finds_it_by_its_module(tmp_path, name):
+    code = f"import gymnasium; gymnasium.make('behavexplor:behavexplor/{name}-v0').reset()"
+    result = run(code, tmp_path)
+    assert result.returncode == 0, result.stderr
+
+
+def test_spawned_workers_find_it(tmp_path):
+    (tmp_path / "workers.py").write_text(
+        "import gymnasium\n"
+        "if __name__ == '__main__':\n"
+        "    name = 'behavexplor:behavexplor/lane-follow-v0'\n"
+        "    settings = {'vectorization_mode': 'async', 'vector_kwargs': {'context': 'spawn'}}\n"
+        "    envs = gymnasium.make_vec(name, num_envs=2, **settings)\n"
+        "    observations, _ = envs.reset(seed=1)\n"
+        "    print(observations.shape)\n"
+        "    envs.close()\n"
+    )
+    command = [sys.executable, "workers.py"]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert result.stdout == "(2, 7, 5)\n", result.stderr
+
+
+def test_another_project_makes_plays_and_records_each(tmp_path):
+    pytest.importorskip("moviepy")
+    result = run(SCRIPT, tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert len(list((tmp_path / "videos").glob("*.mp4"))) == len(behavexplor.FUNCTIONAL_SCENARIOS)

@@ -1,0 +1,114 @@
+"""The reward: R1-R3 and progress, term by term."""
+
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.reward import WEIGHTS, reward_terms, struck_from_behind
+from behavexplor.scenario import NPC, Scenario, Waypoint
+
+S1 = "behavexplor/intersection-straight-v0"
+CONTINUOUS = {"type": "ContinuousAction", "acceleration_range": [-8.0, 4.0], "steering_range": [-0.6, 0.6]}
+GO, HOLD = np.array([1.0, 0.0]), np.array([1 / 3, 0.0])
+
+
+def terms(**changes):
+    quiet = {"progress": 0.0, "acceleration": 0.0, "touched": False, "end": None, "rear_end": False}
+    return reward_terms(WEIGHTS, **(quiet | changes))
+
+
+@pytest.mark.parametrize(
+    ("happened", "expected"),
+    [
+        ({"progress": 1.1}, {"progress": 0.11}),
+        ({"acceleration": -3.0}, {"effort": -0.018}),
+        ({"touched": True}, {"lines": -8.0}),
+        ({"end": "collision"}, {"collision": -20.0}),
+        ({"end": "collision", "rear_end": True}, {"rear_end": -2.0}),
+        ({"end": "arrived"}, {"arrived": 10.0}),
+        ({"end": "passed"}, {"missed": -4.0}),
+        ({"end": "standstill"}, {"missed": -4.0}),
+        ({"end": "timeout"}, {"missed": -4.0}),
+    ],
+)
+def test_terms(happened, expected):
+    assert terms(**happened) == pytest.approx({**dict.fromkeys(WEIGHTS, 0.0), "step": -0.02, **expected})
+
+
+@pytest.mark.parametrize(
+    ("npc", "struck"),
+    [
+        ((-4.6, 0.0, 0.0, 9.0), True),
+        ((-4.6, 0.0, 0.0, 4.0), False),  # slower: the ego backed into it
+        ((4.6, 0.0, 0.0, 9.0), False),  # in front
+        ((-3.0, 2.0, 1.2, 9.0), False),  # from the side
+    ],
+)
+def test_struck_from_behind(npc, struck):
+    assert struck_from_behind((0.0, 0.0, 0.0, 5.0), npc) is struck
+
+
+@given(st.floats(-7, 7), st.floats(-50, 50), st.floats(-50, 50))
+def test_struck_from_behind_does_not_depend_on_the_place(turn, x, y):
+    npc = (-4.5, 0.5, 0.3, 9.0)
+    cos, sin = math.cos(turn), math.sin(turn)
+    moved = (x + npc[0] * cos - npc[1] * sin, y + npc[0] * sin + npc[1] * cos, npc[2] + turn, npc[3])
+    assert struck_from_behind((x, y, turn, 5.0), moved)
+
+
+def episode(scenario, policy, **config):
+    """Rewards and terms of all decisions of an episode."""
+    env = gymnasium.make(S1, config={"action": CONTINUOUS, **config}).unwrapped
+    env.reset(options={"scenario": scenario})
+    rewards, log = [], []
+    while True:
+        _, reward, terminated, truncated, info = env.step(policy(env.vehicle))
+        rewards.append(reward)
+        log.append(info["rewards"])
+        if terminated or truncated:
+            return np.array(rewards), log
+
+
+def cruise(vehicle):
+    return GO if vehicle.speed < 10 else HOLD
+
+
+def test_an_arrival_is_worth_its_way():
+    rewards, log = episode(Scenario("intersection-straight", ()), cruise)
+    assert rewards.tolist() == [sum(terms.values()) for terms in log]
+    driven = sum(terms["progress"] for terms in log) / WEIGHTS["progress"]
+    assert driven == pytest.approx(160, abs=1.1)  # arrival is within a metre of the destination
+    assert log[-1]["arrived"] == 10
+    assert all(terms["arrived"] == terms["collision"] == terms["lines"] == 0 for terms in log[:-1])
+
+
+def test_a_line_counts_once():
+    def drift(vehicle):
+        steering = -0.05 if vehicle.heading > -math.pi / 2 - 0.1 else 0.05
+        return np.array([1.0 if vehicle.speed < 8 else 1 / 3, steering])
+
+    _, log = episode(Scenario("intersection-straight", ()), drift, duration=15.0)
+    assert sum(terms["lines"] for terms in log) == WEIGHTS["lines"]
+
+
+def test_standing_in_front_of_a_fast_car_is_a_rear_end():
+    ranges = IntersectionStraightEnv.logical.position_ranges(
+        IntersectionStraightEnv.logical.roadmap.routes["south-inner-straight"]
+    )
+    chaser = [Waypoint(2.6, 11.0)] + [Waypoint(float(high), 11.0) for _, high in ranges[1:-1]]
+    npc = NPC("sedan", "south-inner-straight", (*chaser, Waypoint(float(ranges[-1, 1]), 0.0)))
+    _, log = episode(Scenario("intersection-straight", (npc,)), lambda _: HOLD)
+    assert (log[-1]["rear_end"], log[-1]["collision"]) == (-2.0, 0.0)
+
+
+def test_weights_are_config():
+    weights = {"arrived": 100.0, "progress": 0.0}
+    rewards, log = episode(Scenario("intersection-straight", ()), cruise, reward=weights)
+    assert log[-1]["arrived"] == 100
+    assert all(terms["progress"] == 0 for terms in log)
+    assert rewards[-1] > 99
