@@ -32,23 +32,86 @@ TERMINAL = ("collision", "arrived", "passed")  # what ends the task itself; the 
 
 
 class DrivingEnv(AbstractEnv):  # type: ignore[misc]
-    """Drive to a destination among scripted vehicles; a functional scenario is a subclass with a `logical`.
+    """Drive to a destination among scripted vehicles.
 
-    `reset(options={"scenario": scenario})` runs that concrete scenario; without it one is sampled from the
-    logical scenario with the environment's own generator, so that the same environment trains a policy. At
-    the end of an episode `info["trace"]` holds its `behavexplor.trace.Trace`.
+    A functional scenario is a subclass with a `logical`: its map, and which concrete scenarios are possible there.
 
-    The episode ends when the ego collides, arrives (its centre within 1 m of the destination) or has passed
-    the destination by 5 m (terminated), and when it stood for 30 s or at the time limit (truncated).
+    ## Concrete scenarios
 
-    Args:
-        config: highway-env's configuration, changed where given; `observation` and `action` take highway-env's
-            types, and the observation type "Scene" besides. `simulation_frequency` [Hz] must be a multiple of
-            `policy_frequency` [Hz]; `duration` is the time limit [s].
-        render_mode: None, "human" or "rgb_array".
+    `reset(options={"scenario": scenario})` runs a `behavexplor.scenario.Scenario`. Without it one is sampled from the
+    logical scenario with the environment's own generator, so that the same environment trains a policy.
+    `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` says what is wrong with one.
+    NPCs follow their waypoints blindly: their motion is a function of the scenario alone. The ego starts from standstill.
+
+    ## Actions
+
+    highway-env's action types, given as `config["action"]`. The default is its `ContinuousAction`:
+
+    | index | action | range | meaning |
+    |---|---|---|---|
+    | 0 | acceleration | -1 to 1 | `acceleration_range`, -5 to 5 m/s2 by default |
+    | 1 | steering | -1 to 1 | `steering_range`, -45 to 45 degrees by default, positive to the right |
+
+    `DiscreteAction` and `DiscreteMetaAction` are the others.
+
+    ## Observations
+
+    highway-env's observation types, given as `config["observation"]`. The default is its `Kinematics` with a row for
+    each vehicle, the ego first, then by distance: presence, and x, y, vx, vy (relative to the ego's, scaled to [-1, 1]
+    by highway-env's ranges). One type is added: `Scene`, float64, unscaled, in the order of the scenario, absent vehicles
+    all 0:
+
+    | column | meaning | unit |
+    |---|---|---|
+    | 0 | present | 1 or 0 |
+    | 1, 2 | x (to the right), y (down) of the centre | m |
+    | 3 | heading, from x towards y | rad |
+    | 4 | speed | m/s |
+    | 5 | acceleration | m/s2 |
+    | 6, 7 | length, width | m |
+
+    ## Reward
+
+    The sum of the terms in `info["rewards"]`, each a weight in `config["reward"]` times what happened since the last
+    decision:
+
+    | term | weight | times |
+    |---|---|---|
+    | progress | 0.1 | metres forward along the ego's route |
+    | step | -0.02 | 1 |
+    | effort | -0.002 | the square of the mean acceleration [(m/s2)^2] |
+    | lines | -8 | 1 when the ego first touches an illegal line (R2) |
+    | collision | -20 | 1 at a collision (R1), except |
+    | rear_end | -2 | 1 if a faster vehicle struck the ego from behind |
+    | arrived | 10 | 1 on arrival (R3) |
+    | missed | -4 | 1 at any other end |
+
+    ## End of the episode
+
+    Terminated: the ego's box touches another vehicle's ("collision"), its centre is within 1 m of the destination
+    ("arrived"), or it has passed the destination by 5 m ("passed"). Truncated: the ego stood, slower than 0.3 m/s, for
+    30 s ("standstill"), or the time limit is reached ("timeout"). Touching a line does not end the episode.
+    `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.trace.Trace`. `info["scenario"]`
+    of `reset` is the scenario that runs.
+
+    ## Arguments
+
+    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, with the nearest match.
+
+    | key of `config` | default | meaning |
+    |---|---|---|
+    | observation, action | see above | highway-env's observation and action configuration |
+    | simulation_frequency | 20 | steps of the simulation [Hz], a multiple of |
+    | policy_frequency | 10 | decisions [Hz] |
+    | duration | 200 | time limit [s] |
+    | reward | see above | weights; single ones may be given |
+    | logical | {} | parameters of `behavexplor.logical.LogicalScenario` to change: `n_npcs`, `min_speed`, ... |
+
+    The other keys are highway-env's, most of them about rendering: `screen_width`, `screen_height`, `scaling`,
+    `centering_position`, `real_time_rendering`, ... `render_mode` is None, "human" or "rgb_array".
 
     Raises:
-        InputError: for an unknown key of the config, or frequencies that do not divide.
+        InputError: if something in the config is unknown or out of range.
     """
 
     logical: LogicalScenario

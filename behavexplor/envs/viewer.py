@@ -11,7 +11,10 @@ from behavexplor.roadmap import DOUBLE_YELLOW
 Floats = NDArray[np.float64]
 
 YELLOW, CURB, DESTINATION = (240, 190, 40), (225, 225, 225), (80, 220, 100)
-EGO, NPCS = (80, 220, 100), ((240, 120, 90), (110, 170, 250), (220, 140, 230), (120, 215, 215), (240, 205, 110))
+EGO, NPCS = (
+    (80, 220, 100),
+    ((240, 120, 90), (110, 170, 250), (220, 140, 230), (120, 215, 215), (240, 205, 110), (190, 190, 190)),
+)
 LINE_WIDTH = 0.15  # [m]
 DOUBLE_LINE_GAP = 0.15  # of either line from the middle [m]
 
@@ -58,7 +61,7 @@ class MapViewer(EnvViewer):  # type: ignore[misc]
             end = npc.waypoints[-1].position
             points = roadmap.routes[npc.route].polyline(npc.waypoints[0].position, end)
             pygame.draw.lines(surface, color, False, [surface.vec2pix(point) for point in points])
-        points = roadmap.ego_route.polyline(roadmap.ego_start, roadmap.destination)
+        points = [roadmap.start_pose[:2], *roadmap.ego_route.polyline(roadmap.ego_start, roadmap.destination)[1:]]
         pygame.draw.lines(surface, EGO, False, [surface.vec2pix(point) for point in points])
         target = surface.vec2pix(roadmap.destination_point)
         pygame.draw.circle(surface, DESTINATION, target, max(surface.pix(1.0), 3), width=2)

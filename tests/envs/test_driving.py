@@ -6,7 +6,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import behavexplor
 from behavexplor.envs import viewer
@@ -15,7 +16,7 @@ from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.errors import InputError
 from behavexplor.geometry import box_corners, boxes_overlap
 from behavexplor.scenario import NPC, Scenario, Waypoint
-from tests.strategies import scenarios
+from tests.strategies import seeds
 
 S1 = "behavexplor/intersection-straight-v0"
 IDS = [f"behavexplor/{name}-v0" for name in behavexplor.FUNCTIONAL_SCENARIOS]
@@ -126,9 +127,15 @@ def test_the_time_limit_cuts_the_episode():
     assert trace.duration == pytest.approx(2.0)
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(scenarios(behavexplor_logical()))
-def test_every_scenario_runs_to_its_end(env, scenario):
+ENVS = {env_id: gymnasium.make(env_id, config=SCENE).unwrapped for env_id in IDS}
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@settings(max_examples=12, deadline=None)
+@given(seed=seeds)
+def test_every_scenario_runs_to_its_end(env_id, seed):
+    env = ENVS[env_id]
+    scenario = env.logical.sample(np.random.default_rng(seed))
     trace, terminated, truncated = drive(env, scenario, cruise)
     assert terminated or truncated
     table = motion_table(scenario, env.logical.roadmap, trace.time)
@@ -231,3 +238,27 @@ def test_a_picture_shows_lines_routes_and_vehicles():
     assert picture.shape == (800, 800, 3)
     colors = {tuple(color) for color in picture.reshape(-1, 3)[::3].tolist()}
     assert {viewer.YELLOW, viewer.CURB, viewer.EGO} <= colors
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, data=st.data())
+def test_every_broken_scenario_is_refused_by_name_before_the_episode(env_id, seed, data):
+    env = ENVS[env_id]
+    value = env.logical.sample(np.random.default_rng(seed)).to_dict()
+    npc = data.draw(st.integers(0, len(value["npcs"]) - 1))
+    waypoint = data.draw(st.integers(0, len(value["npcs"][npc]["waypoints"]) - 1))
+    breaks = {
+        "type": lambda: value["npcs"][npc].update(type="tank"),
+        "route": lambda: value["npcs"][npc].update(route="nowhere"),
+        "waypoints": value["npcs"][npc]["waypoints"].pop,
+        "position": lambda: value["npcs"][npc]["waypoints"][-1].__setitem__(0, 9999.0),
+        "speed": lambda: value["npcs"][npc]["waypoints"][waypoint].__setitem__(1, 50.0),
+        "functional": lambda: value.update(functional="elsewhere"),
+        "npcs": lambda: value["npcs"].extend(value["npcs"]),
+    }
+    field = data.draw(st.sampled_from(sorted(breaks)))
+    breaks[field]()
+    with pytest.raises(InputError) as error:
+        env.reset(options={"scenario": Scenario.from_dict(value)})
+    assert field in str(error.value)

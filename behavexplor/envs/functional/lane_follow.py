@@ -6,7 +6,25 @@ from behavexplor.logical import LogicalScenario
 
 
 class LaneFollowEnv(DrivingEnv):
-    """The ego follows its lane on a straight road of four lanes; see `behavexplor.envs.driving.DrivingEnv`."""
+    """The ego follows its lane on a straight road of four lanes (S3).
+
+    ![S3](lane-follow.png)
+
+    Four lanes run in the ego's direction; the other direction lies beyond the double yellow line on the left. The ego
+    starts in the third lane from the left and has arrived 220 m further on.
+
+    | | |
+    |---|---|
+    | ego's way | 220 m, straight |
+    | NPCs | 6, each on one of the four lanes |
+    | waypoints | 4 on each of a route's 2 lanes; the last one, where the NPC parks, lies behind the ego's destination |
+    | illegal lines | the double yellow line on the left, the curbs on both sides |
+    | speed limit | 11.176 m/s (25 mph) |
+
+    ## Version history
+
+    - v0: first version.
+    """
 
     logical = LogicalScenario(
         name="lane-follow",
