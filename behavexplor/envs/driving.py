@@ -40,8 +40,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     `reset(options={"scenario": scenario})` runs a `behavexplor.scenario.Scenario`. Without it one is sampled from the
     logical scenario with the environment's own generator, so that the same environment trains a policy.
-    `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` says what is wrong with one.
-    NPCs follow their waypoints blindly: their motion is a function of the scenario alone. The ego starts from standstill.
+    `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` tells what is wrong.
+    NPCs follow their waypoints blindly: their motion is a function of the scenario alone. The ego starts standing.
 
     ## Actions
 
@@ -58,8 +58,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     highway-env's observation types, given as `config["observation"]`. The default is its `Kinematics` with a row for
     each vehicle, the ego first, then by distance: presence, and x, y, vx, vy (relative to the ego's, scaled to [-1, 1]
-    by highway-env's ranges). One type is added: `Scene`, float64, unscaled, in the order of the scenario, absent vehicles
-    all 0:
+    by highway-env's ranges). One type is added: `Scene`, float64, unscaled, in the order of the scenario, absent
+    vehicles all 0:
 
     | column | meaning | unit |
     |---|---|---|
@@ -91,8 +91,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     Terminated: the ego's box touches another vehicle's ("collision"), its centre is within 1 m of the destination
     ("arrived"), or it has passed the destination by 5 m ("passed"). Truncated: the ego stood, slower than 0.3 m/s, for
     30 s ("standstill"), or the time limit is reached ("timeout"). Touching a line does not end the episode.
-    `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.trace.Trace`. `info["scenario"]`
-    of `reset` is the scenario that runs.
+    `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.trace.Trace`. `reset` returns
+    the scenario that runs as `info["scenario"]`.
 
     ## Arguments
 
