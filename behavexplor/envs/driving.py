@@ -118,6 +118,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     config: dict[str, Any]
     scenario: Scenario
     viewer: MapViewer | None
+    observation_type: Any  # of highway-env, which has no annotations
+    action_type: Any
     _recorder: Recorder
     _end: str | None = None
     _terms: dict[str, float]
