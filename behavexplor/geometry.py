@@ -92,11 +92,20 @@ def box_segment_distance(box: Floats, segment: Floats) -> Floats:
     to_box = point_segment_distance(
         segment[..., :, None, :], box[..., None, :, :], np.roll(box, -1, axis=-2)[..., None, :, :]
     ).min((-1, -2))
-    return np.where(_segment_meets_box(box, start, end), 0.0, np.minimum(to_segment, to_box))
+    return np.where(segment_meets_box(box, segment), 0.0, np.minimum(to_segment, to_box))
 
 
-def _segment_meets_box(box: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
-    """Separating axes of a box and a segment: the box's two sides and the segment's normal."""
+def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
+    """Whether segments touch or enter boxes, by the separating axis theorem.
+
+    Args:
+        box: corners, shape (..., 4, 2).
+        segment: ends, shape (..., 2, 2).
+
+    Returns:
+        Shape (...).
+    """
+    start, end = segment[..., 0, :], segment[..., 1, :]
     along = end - start
     normal = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     ends = np.stack(np.broadcast_arrays(start, end), axis=-2)

@@ -179,3 +179,9 @@ class RoadMap:
     def destination_point(self) -> Floats:
         """The ego's destination, shape (2,) [m]."""
         return self.ego_route.pose(self.destination)[:2]
+
+    @cached_property
+    def destination_direction(self) -> Floats:
+        """The direction of the lane at the destination, a unit vector, shape (2,)."""
+        heading = self.ego_route.pose(self.destination)[2]
+        return np.array([np.cos(heading), np.sin(heading)])

@@ -228,8 +228,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         gap = self.vehicle.position - roadmap.destination_point
         if np.hypot(*gap) <= ARRIVAL_DISTANCE:
             return "arrived"
-        heading = roadmap.ego_route.pose(roadmap.destination)[2]
-        if gap @ (np.cos(heading), np.sin(heading)) > PASSED_DISTANCE:
+        if gap @ roadmap.destination_direction > PASSED_DISTANCE:
             return "passed"
         if self._recorder.standing_frames(STANDSTILL_SPEED) >= STANDSTILL_TIME * self.config["simulation_frequency"]:
             return "standstill"

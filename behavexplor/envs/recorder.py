@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.npc import HEADING, SPEED, X, Y
 from behavexplor.envs.reward import reward_terms, struck_from_behind
-from behavexplor.geometry import box_corners, box_segment_distance, boxes_overlap, point_segment_distance
+from behavexplor.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.roadmap import RoadMap
 from behavexplor.trace import Trace
 
@@ -38,6 +38,7 @@ class Recorder:
         self._action_frames: list[int] = []
         self._standing = 0
         self._line_frame: int | None = None
+        self._lines = _line_columns(roadmap.illegal_lines)
 
     def frame(self, ego: Vehicle) -> None:
         """Record the ego after a step. Its velocity is that of its centre: the slip of the bicycle model included."""
@@ -56,13 +57,16 @@ class Recorder:
     def _touches_line(self) -> bool:
         """Whether the ego's box touches an illegal line in the latest frame."""
         x, y, heading, *_ = self._ego[-1]
-        lines = self._roadmap.illegal_lines
-        position = np.array([x, y])
-        near = point_segment_distance(position, lines[:, 0], lines[:, 1]) <= self._radii[0]
+        cos, sin = math.cos(heading), math.sin(heading)
+        nx, ny, offset, middle_x, middle_y, half = self._lines
+        length, width = self._sizes[0]
+        reach = (np.abs(nx * cos + ny * sin) * length + np.abs(ny * cos - nx * sin) * width) / 2
+        near = np.abs(nx * x + ny * y - offset) <= reach
+        near &= np.hypot(middle_x - x, middle_y - y) <= half + self._radii[0]
         if not near.any():
             return False
-        box = box_corners(position, np.array(heading), self._sizes[0])
-        return bool((box_segment_distance(box, lines[near]) == 0).any())
+        box = box_corners(np.array([x, y]), np.array(heading), self._sizes[0])
+        return bool(segment_meets_box(box, self._roadmap.illegal_lines[near]).any())
 
     def touched_npcs(self) -> list[int]:
         """Which NPCs the ego's box touches in the latest frame."""
@@ -124,3 +128,12 @@ class Recorder:
             illegal_lines=roadmap.illegal_lines,
             end=end,
         )
+
+
+def _line_columns(lines: Floats) -> Floats:
+    """Unit normals of segments, their distances from the origin along these, middles and half lengths, (6, L)."""
+    along = lines[:, 1] - lines[:, 0]
+    length = np.hypot(along[:, 0], along[:, 1])
+    nx, ny = -along[:, 1] / length, along[:, 0] / length
+    middle = lines.mean(1)
+    return np.stack([nx, ny, nx * middle[:, 0] + ny * middle[:, 1], *middle.T, length / 2])

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.reward import WEIGHTS, reward_terms, struck_from_behind
+from behavexplor.fuzz.specs import judge
 from behavexplor.scenario import NPC, Scenario, Waypoint
 
 S1 = "behavexplor/intersection-straight-v0"
@@ -112,3 +113,20 @@ def test_weights_are_config():
     assert log[-1]["arrived"] == 100
     assert all(terms["progress"] == 0 for terms in log)
     assert rewards[-1] > 99
+
+
+def test_the_line_term_agrees_with_the_spec():
+    env = gymnasium.make(S1, config={"duration": 8.0, "logical": {"n_npcs": 0}}).unwrapped
+    rng = np.random.default_rng(0)
+    touched = []
+    for _ in range(25):
+        env.reset()
+        steering, lines = rng.normal(0, 0.002), 0.0
+        while True:
+            *_, terminated, truncated, info = env.step(np.array([0.6, steering]))
+            lines += info["rewards"]["lines"]
+            if terminated or truncated:
+                break
+        touched.append("lines" in judge(info["trace"]).violated)
+        assert lines == (WEIGHTS["lines"] if touched[-1] else 0.0)
+    assert 5 < sum(touched) < 20
