@@ -29,4 +29,5 @@ FUNCTIONAL_SCENARIOS = _functional_scenarios()
 for _name, _entry_point in FUNCTIONAL_SCENARIOS.items():
     _id = f"{NAMESPACE}/{_name}-v0"
     if _id not in gymnasium.registry:
-        gymnasium.register(_id, entry_point=_entry_point)
+        _vector_entry_point = _entry_point.removesuffix("Env") + "VectorEnv"
+        gymnasium.register(_id, entry_point=_entry_point, vector_entry_point=_vector_entry_point)

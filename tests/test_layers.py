@@ -22,13 +22,15 @@ ALLOWED = {
     "commands": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "commands"},
     "__main__": {"commands"},
     "fuzz.__main__": {"commands"},
+    "envs.sb3": GROUND | {"envs"},
     "__init__": set(),
 }
+APART = {("fuzz", "__main__"), ("envs", "sb3")}  # modules that may import what their neighbours may not
 HEAVY = {  # where the heavy libraries may be imported
     "highway_env": {"envs"},
     "pygame": {"envs"},
     "torch": {"ads"},
-    "stable_baselines3": {"ads"},
+    "stable_baselines3": {"ads", "envs.sb3"},
     "sb3_contrib": {"ads"},
     "numba": {"envs", "ads", "fuzz"},
     "sklearn": {"fuzz"},
@@ -40,7 +42,7 @@ HEAVY = {  # where the heavy libraries may be imported
 
 def room(path: Path) -> str:
     parts = path.relative_to(PACKAGE).with_suffix("").parts
-    return "fuzz.__main__" if parts == ("fuzz", "__main__") else parts[0]
+    return ".".join(parts) if parts in APART else parts[0]
 
 
 def imports(path: Path) -> set[str]:

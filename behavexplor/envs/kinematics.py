@@ -159,7 +159,9 @@ class _Columns:
         offsets = np.full((len(self._objects), 3), np.nan)
         for i, thing in enumerate(self._objects):
             if isinstance(thing, Vehicle):
-                offsets[i] = thing.lane_offset
+                lane = thing.lane  # asked for once: NPCs look for theirs whenever they are asked
+                station, offset = lane.local_coordinates(thing.position)
+                offsets[i] = station, offset, lane.local_angle(thing.heading, station)
         return offsets
 
 

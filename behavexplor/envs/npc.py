@@ -4,21 +4,48 @@ NPCs follow their waypoints blindly, so where they are is a function of the scen
 Between two waypoints the acceleration is constant, so that the square of the speed is linear in the
 position, and within limits: a speed that cannot be reached in the distance is approached as far as the
 limits allow. After its last waypoint a vehicle brakes as hard as it may and parks.
+
+The functions here are compiled, and shared by the single and the vector environment: what both make of a
+scenario is equal bit for bit.
 """
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.envs.compiled import kernel
 from behavexplor.roadmap import RoadMap, Route
 from behavexplor.scenario import NPC, Scenario
 
 Floats = NDArray[np.float64]
 
-MIN_ACCELERATION = -8.0  # [m/s2]
-MAX_ACCELERATION = 4.0  # [m/s2]
+MIN_ACCELERATION: Final = -8.0  # [m/s2]
+MAX_ACCELERATION: Final = 4.0  # [m/s2]
 
 X, Y, HEADING, SPEED, ACCELERATION = range(5)  # columns of a motion table
 N_COLUMNS = 5
+
+BEGIN, STATION, PHASE_SPEED, PHASE_ACCELERATION = range(4)  # columns of a table of phases
+N_PHASE_COLUMNS = 4
+
+_X, _Y, _HEADING, _COS, _SIN, _CURVATURE = range(6)  # columns of a route's lanes
+
+
+class Routes(NamedTuple):
+    """Routes as plain arrays; numbers of lanes are filled up to the largest.
+
+    Attributes:
+        lanes: start x [m], start y [m], heading there [rad], its cosine and sine, and curvature [1/m] of every
+            lane, shape (routes, lanes, 6).
+        begin: station where each lane begins [m], infinite where there is none, shape (routes, lanes + 1).
+    """
+
+    lanes: Floats
+    begin: Floats
 
 
 def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
@@ -27,51 +54,127 @@ def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
     Args:
         scenario: checked against the logical scenario of `roadmap`.
         roadmap: the place.
-        time: shape (T,) [s], each >= 0.
+        time: shape (T,) [s], each >= 0 and none smaller than the one before.
 
     Returns:
         x [m], y [m], heading [rad], speed [m/s] and acceleration [m/s2], shape (T, n_npcs, 5).
     """
     table = np.empty((len(time), len(scenario.npcs), N_COLUMNS))
+    index = route_index(roadmap)
     for i, npc in enumerate(scenario.npcs):
-        table[:, i] = _motion(npc, roadmap.routes[npc.route], time)
+        fill_motion(route_arrays(roadmap), index[npc.route], waypoint_array(npc), time, table[:, i])
     return table
 
 
-def _motion(npc: NPC, route: Route, time: Floats) -> Floats:
-    begin, station, speed, acceleration = _phases(npc)
-    phase = np.searchsorted(begin, time, side="right") - 1
-    since = time - begin[phase]
-    travelled = station[phase] + since * (speed[phase] + 0.5 * acceleration[phase] * since)
-    motion = np.empty((len(time), N_COLUMNS))
-    motion[:, :SPEED] = route.pose(travelled)
-    motion[:, SPEED] = np.maximum(speed[phase] + acceleration[phase] * since, 0.0)
-    motion[:, ACCELERATION] = acceleration[phase]
-    return motion
+def waypoint_array(npc: NPC) -> Floats:
+    """Position [m] and speed [m/s] of each waypoint, shape (waypoints, 2)."""
+    return np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
 
 
-def _phases(npc: NPC) -> tuple[Floats, Floats, Floats, Floats]:
-    """Phases of constant acceleration, the last one standing.
+@cache
+def route_index(roadmap: RoadMap) -> dict[str, int]:
+    """The row of each NPC route in `route_arrays`, by its name."""
+    return {route.name: i for i, route in enumerate(roadmap.npc_routes)}
+
+
+@cache
+def route_arrays(roadmap: RoadMap) -> Routes:
+    """The NPC routes of a map, computed once: it never changes."""
+    return routes_as_arrays(roadmap.npc_routes)
+
+
+def routes_as_arrays(routes: Sequence[Route]) -> Routes:
+    """Routes as plain arrays."""
+    most = max(len(route.lanes) for route in routes)
+    lanes, begin = np.zeros((len(routes), most, 6)), np.full((len(routes), most + 1), np.inf)
+    for i, route in enumerate(routes):
+        begin[i, : len(route.lanes)] = route.bounds[:-1]
+        for j, lane in enumerate(route.lanes):
+            cos, sin = math.cos(lane.heading), math.sin(lane.heading)
+            lanes[i, j] = lane.x, lane.y, lane.heading, cos, sin, lane.curvature
+    return Routes(lanes, begin)
+
+
+@kernel
+def fill_motion(routes: Routes, route: int, waypoints: Floats, time: Floats, table: Floats) -> None:
+    """Fill one NPC's columns of a motion table, shape (T, 5)."""
+    phases = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))
+    n_phases = fill_phases(waypoints, phases)
+    phase = 0
+    for frame in range(len(time)):
+        while phase + 1 < n_phases and phases[phase + 1, BEGIN] <= time[frame]:
+            phase += 1
+        table[frame, X], table[frame, Y], table[frame, HEADING], table[frame, SPEED] = npc_at(
+            routes,
+            route,
+            time[frame] - phases[phase, BEGIN],
+            phases[phase, STATION],
+            phases[phase, PHASE_SPEED],
+            phases[phase, PHASE_ACCELERATION],
+        )
+        table[frame, ACCELERATION] = phases[phase, PHASE_ACCELERATION]
+
+
+@kernel
+def fill_phases(waypoints: Floats, phases: Floats) -> int:
+    """The phases of constant acceleration of an NPC, the last one standing.
+
+    Args:
+        waypoints: shape (waypoints, 2), see `waypoint_array`.
+        phases: filled with the time of beginning [s], station [m] and speed [m/s] there, and acceleration
+            [m/s2]; shape (waypoints + 1 or more, 4).
 
     Returns:
-        Time of beginning [s], station [m] and speed [m/s] there, and acceleration [m/s2]; each (phases,).
+        The number of phases.
     """
-    phases = []
-    time, station, speed = 0.0, npc.waypoints[0].position, npc.waypoints[0].speed
-    for waypoint in npc.waypoints[1:]:
-        distance = waypoint.position - station
+    n = 0
+    time, station, speed = 0.0, waypoints[0, 0], waypoints[0, 1]
+    for i in range(1, len(waypoints)):
+        distance = waypoints[i, 0] - station
         if distance <= 0:
             continue
-        wanted = (waypoint.speed**2 - speed**2) / (2 * distance)
+        wanted = (waypoints[i, 1] * waypoints[i, 1] - speed * speed) / (2 * distance)
         acceleration = min(max(wanted, MIN_ACCELERATION), MAX_ACCELERATION)
-        reached = waypoint.speed if acceleration == wanted else (speed**2 + 2 * acceleration * distance) ** 0.5
-        phases.append((time, station, speed, acceleration))
+        reached = waypoints[i, 1]
+        if acceleration != wanted:
+            reached = math.sqrt(speed * speed + 2 * acceleration * distance)
+        phases[n] = (time, station, speed, acceleration)
+        n += 1
         time += 2 * distance / (speed + reached)
-        station, speed = waypoint.position, reached
+        station, speed = waypoints[i, 0], reached
     if speed > 0:
-        phases.append((time, station, speed, MIN_ACCELERATION))
+        phases[n] = (time, station, speed, MIN_ACCELERATION)
+        n += 1
         time -= speed / MIN_ACCELERATION
-        station -= speed**2 / (2 * MIN_ACCELERATION)
-    phases.append((time, station, 0.0, 0.0))
-    begin, stations, speeds, accelerations = np.array(phases).T
-    return begin, stations, speeds, accelerations
+        station -= speed * speed / (2 * MIN_ACCELERATION)
+    phases[n] = (time, station, 0.0, 0.0)
+    return n + 1
+
+
+@kernel
+def npc_at(
+    routes: Routes, route: int, since: float, station: float, speed: float, acceleration: float
+) -> tuple[float, float, float, float]:
+    """Position x and y [m], heading [rad] and speed [m/s] of an NPC.
+
+    Args:
+        routes: see `Routes`.
+        route: the row of its route.
+        since: time since its present phase began [s].
+        station: where that began [m].
+        speed: at that time [m/s].
+        acceleration: of the phase [m/s2].
+    """
+    station += since * (speed + 0.5 * acceleration * since)
+    i = 0
+    while station >= routes.begin[route, i + 1]:
+        i += 1
+    station -= routes.begin[route, i]
+    x, y, curvature = routes.lanes[route, i, _X], routes.lanes[route, i, _Y], routes.lanes[route, i, _CURVATURE]
+    cos, sin = routes.lanes[route, i, _COS], routes.lanes[route, i, _SIN]
+    heading = routes.lanes[route, i, _HEADING] + curvature * station
+    if curvature == 0.0:
+        x, y = x + station * cos, y + station * sin
+    else:
+        x, y = x + (math.sin(heading) - sin) / curvature, y - (math.cos(heading) - cos) / curvature
+    return x, y, heading, max(speed + acceleration * since, 0.0)

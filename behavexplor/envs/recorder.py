@@ -8,6 +8,7 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.npc import HEADING, SPEED, X, Y
 from behavexplor.envs.reward import reward_terms, struck_from_behind
 from behavexplor.geometry import box_corners, boxes_overlap, segment_meets_box
@@ -110,22 +111,15 @@ class Recorder:
 
     def trace(self, end: str) -> Trace:
         """The trace of the episode that has ended."""
-        roadmap = self._roadmap
         frames = len(self._ego)
-        ego = np.array(self._ego)
-        npcs = self._motion[:frames]
-        velocity = npcs[..., SPEED, None] * np.stack([np.cos(npcs[..., HEADING]), np.sin(npcs[..., HEADING])], -1)
-        return Trace(
+        return episode_trace(
+            self._roadmap,
             time=self._time[:frames],
-            position=np.concatenate([ego[:, None, :2], npcs[..., [X, Y]]], axis=1),
-            heading=np.concatenate([ego[:, None, 2], npcs[..., HEADING]], axis=1),
-            velocity=np.concatenate([ego[:, None, 3:], velocity], axis=1),
-            size=self._sizes,
+            ego=np.array(self._ego),
+            motion=self._motion[:frames],
+            sizes=self._sizes,
             actions=np.array(self._actions),
-            action_frame=np.array(self._action_frames),
-            route=roadmap.ego_route.polyline(roadmap.ego_start, roadmap.ego_route.length),
-            destination=roadmap.destination_point,
-            illegal_lines=roadmap.illegal_lines,
+            action_frames=np.array(self._action_frames),
             end=end,
         )
 

@@ -2,6 +2,7 @@
 
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import crossing
+from behavexplor.envs.vector import vector_env
 from behavexplor.logical import LogicalScenario
 
 
@@ -32,3 +33,6 @@ class IntersectionLeftEnv(DrivingEnv):
         n_npcs=5,
         waypoints_per_lane=2,
     )
+
+
+IntersectionLeftVectorEnv = vector_env(IntersectionLeftEnv)

@@ -2,6 +2,7 @@
 
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import straight_road
+from behavexplor.envs.vector import vector_env
 from behavexplor.logical import LogicalScenario
 
 
@@ -32,3 +33,6 @@ class LaneFollowEnv(DrivingEnv):
         n_npcs=6,
         waypoints_per_lane=4,
     )
+
+
+LaneFollowVectorEnv = vector_env(LaneFollowEnv)

@@ -1,0 +1,58 @@
+"""The trace of an episode from what was recorded of it."""
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.npc import HEADING, SPEED, X, Y
+from behavexplor.roadmap import RoadMap
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def episode_trace(
+    roadmap: RoadMap,
+    *,
+    time: Floats,
+    ego: Floats,
+    motion: Floats,
+    sizes: Floats,
+    actions: Floats,
+    action_frames: Ints,
+    end: str,
+) -> Trace:
+    """The trace of an episode of T frames that has ended.
+
+    Args:
+        roadmap: the place.
+        time: shape (T,) [s].
+        ego: x [m], y [m], heading [rad] and velocity [m/s], shape (T, 5).
+        motion: the NPCs' motion table, shape (T, n_npcs, 5).
+        sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m].
+        actions: the commands, shape (D, A).
+        action_frames: the frame at which each was given, shape (D,).
+        end: how the episode ended.
+    """
+    velocity = motion[..., SPEED, None] * np.stack([np.cos(motion[..., HEADING]), np.sin(motion[..., HEADING])], -1)
+    return Trace(
+        time=time,
+        position=np.concatenate([ego[:, None, :2], motion[..., [X, Y]]], axis=1),
+        heading=np.concatenate([ego[:, None, 2], motion[..., HEADING]], axis=1),
+        velocity=np.concatenate([ego[:, None, 3:], velocity], axis=1),
+        size=sizes,
+        actions=actions,
+        action_frame=action_frames,
+        route=_route_line(roadmap),
+        destination=roadmap.destination_point,
+        illegal_lines=roadmap.illegal_lines,
+        end=end,
+    )
+
+
+@cache
+def _route_line(roadmap: RoadMap) -> Floats:
+    """The centre line of the ego's route from its start past its destination, shape (P, 2) [m]."""
+    return roadmap.ego_route.polyline(roadmap.ego_start, roadmap.ego_route.length)

@@ -1,0 +1,51 @@
+"""From actions to what kernels understand: acceleration and steering, or the code of a manoeuvre."""
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, TypeAlias
+
+import numpy as np
+from highway_env.envs.common.action import ActionType, ContinuousAction, DiscreteAction, DiscreteMetaAction
+from highway_env.utils import lmap
+from numpy.typing import NDArray
+
+from behavexplor.envs.vector.meta import MANOEUVRES
+
+Floats = NDArray[np.float64]
+Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # from actions, shape (B, ...), to commands, shape (B, 2)
+
+
+def make_commands(action_type: ActionType) -> Commands:
+    """The commands of an environment's actions."""
+    if isinstance(action_type, DiscreteMetaAction):
+        codes = [[MANOEUVRES.index(name), 0.0] for _, name in sorted(action_type.actions.items())]
+        return _looked_up(np.array(codes))
+    if isinstance(action_type, DiscreteAction):
+        return _looked_up(_discrete_commands(action_type))
+    return lambda actions: _continuous_commands(action_type, actions)
+
+
+def _looked_up(table: Floats) -> Commands:
+    return lambda actions: np.asarray(table[np.asarray(actions, dtype=np.int64)])
+
+
+def _discrete_commands(action_type: DiscreteAction) -> Floats:
+    """The command of each action, as highway-env gives it to its vehicle; shape (actions, 2)."""
+    given: list[dict[str, float]] = []
+    action_type.controlled_vehicle = SimpleNamespace(act=given.append)
+    for action in range(action_type.space().n):
+        action_type.act(action)
+    action_type.controlled_vehicle = None
+    return np.array([(float(command["acceleration"]), float(command["steering"])) for command in given])
+
+
+def _continuous_commands(action_type: ContinuousAction, actions: NDArray[Any]) -> Floats:
+    """`ContinuousAction.get_action` for a batch, in the precision of the actions as there."""
+    commands = np.zeros((len(actions), 2))
+    if action_type.clip:
+        actions = np.clip(actions, -1, 1)
+    if action_type.longitudinal:
+        commands[:, 0] = lmap(actions[:, 0], [-1, 1], action_type.acceleration_range)
+    if action_type.lateral:
+        commands[:, 1] = lmap(actions[:, -1], [-1, 1], action_type.steering_range)
+    return commands

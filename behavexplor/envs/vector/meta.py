@@ -1,0 +1,106 @@
+"""Meta-actions: highway-env's `MDPVehicle`, that follows target lanes and target speeds.
+
+Operations stand in highway-env's own order, so that results are the same to the last bits.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from highway_env.vehicle.controller import ControlledVehicle
+from numpy.typing import NDArray
+
+from behavexplor.envs.compiled import kernel
+from behavexplor.envs.vector.lanes import (
+    COUNT,
+    FIRST,
+    Network,
+    is_after_end,
+    is_reachable,
+    lane_coordinates,
+    lane_heading,
+    next_lane,
+    wrap_to_pi,
+)
+from behavexplor.logical import EGO_SIZE
+
+Floats = NDArray[np.float64]
+
+MANOEUVRES = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's names; their place is the code
+LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(5)
+
+KP_SPEED: Final = float(ControlledVehicle.KP_A)  # [1/s]
+KP_HEADING: Final = float(ControlledVehicle.KP_HEADING)  # [1/s]
+KP_LATERAL: Final = float(ControlledVehicle.KP_LATERAL)  # [1/s]
+PURSUIT_TIME: Final = float(ControlledVehicle.TAU_PURSUIT)  # [s]
+MAX_STEERING: Final = float(ControlledVehicle.MAX_STEERING_ANGLE)  # [rad]
+LENGTH: Final = float(EGO_SIZE[0])  # [m]
+SLOWEST: Final = 1e-2  # speed that is divided by at least [m/s]
+
+
+@kernel
+def changed_speed(speeds: Floats, index: int, manoeuvre: int, speed: float) -> int:
+    """The index of the target speed after a manoeuvre: `MDPVehicle.act`."""
+    if manoeuvre not in (FASTER, SLOWER):
+        return index
+    index = nearest_speed(speeds, speed) + (1 if manoeuvre == FASTER else -1)
+    return min(max(index, 0), len(speeds) - 1)
+
+
+@kernel
+def nearest_speed(speeds: Floats, speed: float) -> int:
+    """The index of the nearest of evenly spaced speeds."""
+    last = len(speeds) - 1
+    share = (speed - speeds[0]) / (speeds[last] - speeds[0])
+    return int(min(max(np.rint(share * last), 0.0), float(last)))
+
+
+@kernel
+def changed_lane(network: Network, lane: int, manoeuvre: int, x: float, y: float) -> int:
+    """The target lane after a manoeuvre: `ControlledVehicle.act` with a meta-action."""
+    if manoeuvre not in (LANE_LEFT, LANE_RIGHT):
+        return lane
+    road = network.lane_road[lane]
+    first, count = network.roads[road, FIRST], network.roads[road, COUNT]
+    wanted = min(max(lane + (1 if manoeuvre == LANE_RIGHT else -1), first), first + count - 1)
+    return wanted if is_reachable(network.lanes, wanted, x, y) else lane
+
+
+@kernel
+def follow_road(network: Network, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
+    """Target lane, the next at the end of a lane, and steps of the route done: `ControlledVehicle.follow_road`."""
+    if is_after_end(network.lanes, lane, x, y):
+        return next_lane(network, position, lane, x, y)
+    return lane, position
+
+
+@kernel
+def throttle(target_speed: float, speed: float) -> float:
+    """The acceleration towards a speed [m/s2]: `ControlledVehicle.speed_control`."""
+    return KP_SPEED * (target_speed - speed)
+
+
+@kernel
+def steering(lanes: Floats, lane: int, x: float, y: float, heading: float, speed: float) -> float:
+    """The steering angle towards a lane [rad]: `ControlledVehicle.steering_control`."""
+    station, offset = lane_coordinates(lanes, lane, x, y)
+    ahead = station + speed * PURSUIT_TIME
+    future_heading = lane_heading(lanes, lane, ahead)
+    divisor = _not_zero(speed)
+    heading_command = math.asin(_clip(-KP_LATERAL * offset / divisor, 1.0))
+    wanted = future_heading + _clip(heading_command, math.pi / 4)
+    rate = KP_HEADING * wrap_to_pi(wanted - heading)
+    slip = math.asin(_clip(LENGTH / 2 / divisor * rate, 1.0))
+    return _clip(math.atan(2 * math.tan(slip)), MAX_STEERING)
+
+
+@kernel
+def _not_zero(speed: float) -> float:
+    if abs(speed) > SLOWEST:
+        return speed
+    return SLOWEST if speed >= 0 else -SLOWEST
+
+
+@kernel
+def _clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

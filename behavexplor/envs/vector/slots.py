@@ -1,0 +1,163 @@
+"""The state of all episodes in lock-step: one row, a slot, for each."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.compiled import kernel
+from behavexplor.envs.npc import (
+    BEGIN,
+    N_COLUMNS,
+    N_PHASE_COLUMNS,
+    PHASE_ACCELERATION,
+    PHASE_SPEED,
+    STATION,
+    Routes,
+    fill_phases,
+    npc_at,
+    route_index,
+)
+from behavexplor.envs.vector.contact import touches_line
+from behavexplor.envs.vector.lanes import closest_lane
+from behavexplor.envs.vector.world import World
+from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
+from behavexplor.roadmap import RoadMap
+from behavexplor.scenario import Scenario
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+X, Y, HEADING, SPEED, ACCELERATION, STEERING = range(6)  # columns of `ego`
+N_EGO = 6
+VX, VY = 3, 4  # columns of `record` after X, Y and HEADING
+N_RECORD = 5
+
+FRAME, STANDING, LINE_FRAME, END, N_NPCS = range(5)  # columns of `numbers`
+TARGET_LANE, ROUTE_POSITION, SPEED_INDEX = range(5, 8)  # and those of meta-actions
+N_COUNT = 8
+RUNNING, IDLE = -1, -2  # `END` where no episode has ended; else an index of `behavexplor.trace.ENDS`
+
+ROUTE, N_PHASES, PHASE = range(3)  # columns of `npc_numbers`
+
+PROGRESS, MEAN_ACCELERATION, TOUCHED, REAR_END = range(4)  # columns of `outcome`
+
+
+class Slots(NamedTuple):
+    """B episodes in lock-step, of N NPCs at most.
+
+    Attributes:
+        ego: x [m], y [m], heading [rad], speed [m/s], and the command: acceleration [m/s2] and steering [rad];
+            shape (B, 6).
+        numbers: whole numbers, columns above: the latest frame, how many frames the ego has been standing, the frame
+            at which it first touched an illegal line (-1: none), how the episode ended, the number of NPCs, and
+            the lane, place on the route and index of the speed that meta-actions aim at; shape (B, 8).
+        record: x [m], y [m], heading [rad] and velocity [m/s] of the ego in every frame, shape (B, T, 5).
+        outcome: of the latest decision: progress along the route [m], mean acceleration [m/s2], whether the ego
+            touched an illegal line for the first time, and whether a faster NPC struck it from behind; shape (B, 4).
+        size: length and width of every vehicle [m], the ego first, shape (B, 1 + N, 2).
+        npc: the NPCs' rows of their motion tables, shape (B, N, 5).
+        npc_numbers: route, number of phases and present phase of every NPC, shape (B, N, 3).
+        phases: see `behavexplor.envs.npc.fill_phases`, shape (B, N, phases, 4).
+    """
+
+    ego: Floats
+    numbers: Ints
+    record: Floats
+    outcome: Floats
+    size: Floats
+    npc: Floats
+    npc_numbers: Ints
+    phases: Floats
+
+
+def make_slots(n_slots: int, n_frames: int, logical: LogicalScenario) -> Slots:
+    """Slots without episodes.
+
+    Args:
+        n_slots: how many.
+        n_frames: that an episode has at most.
+        logical: which scenarios are to be run.
+    """
+    npcs = logical.n_npcs
+    routes = logical.roadmap.npc_routes
+    n_phases = 1 + max(len(logical.position_ranges(route)) for route in routes)
+    numbers = np.zeros((n_slots, N_COUNT), dtype=np.int64)
+    numbers[:, END] = IDLE
+    return Slots(
+        ego=np.zeros((n_slots, N_EGO)),
+        numbers=numbers,
+        record=np.empty((n_slots, n_frames, N_RECORD)),
+        outcome=np.zeros((n_slots, 4)),
+        size=np.zeros((n_slots, 1 + npcs, 2)),
+        npc=np.zeros((n_slots, npcs, N_COLUMNS)),
+        npc_numbers=np.zeros((n_slots, npcs, 3), dtype=np.int64),
+        phases=np.zeros((n_slots, npcs, n_phases, N_PHASE_COLUMNS)),
+    )
+
+
+@kernel
+def begin_episode(world: World, slots: Slots, b: int, routes: Ints, sizes: Floats, waypoints: Floats) -> None:
+    """Put a scenario into slot b.
+
+    Args:
+        world: the place.
+        slots: changed in place.
+        b: the slot.
+        routes: row of each NPC's route, shape (n_npcs,).
+        sizes: length and width of each NPC [m], shape (n_npcs, 2).
+        waypoints: position [m] and speed [m/s], filled up with copies of the last; shape (n_npcs, waypoints, 2).
+    """
+    numbers, ego = slots.numbers[b], slots.ego[b]
+    ego[:] = 0.0
+    ego[X], ego[Y], ego[HEADING] = world.start[0], world.start[1], world.start[2]
+    numbers[:] = 0
+    numbers[LINE_FRAME], numbers[END], numbers[N_NPCS] = -1, RUNNING, len(routes)
+    numbers[TARGET_LANE] = closest_lane(world.network.lanes, ego[X], ego[Y], ego[HEADING])
+    slots.size[b] = 0.0
+    slots.size[b, 0, 0], slots.size[b, 0, 1] = EGO_SIZE
+    slots.npc[b] = 0.0
+    for i in range(len(routes)):
+        slots.size[b, 1 + i] = sizes[i]
+        slots.npc_numbers[b, i, ROUTE] = routes[i]
+        slots.npc_numbers[b, i, N_PHASES] = fill_phases(waypoints[i], slots.phases[b, i])
+        slots.npc_numbers[b, i, PHASE] = 0
+    move_npcs(world.npc_routes, slots.numbers, slots.npc, slots.npc_numbers, slots.phases, b, 0.0)
+    if touches_line(world.illegal_lines, ego[X], ego[Y], ego[HEADING]):
+        numbers[LINE_FRAME] = 0
+    row = slots.record[b, 0]
+    row[X], row[Y], row[HEADING], row[VX], row[VY] = ego[X], ego[Y], ego[HEADING], 0.0, 0.0
+
+
+@kernel
+def move_npcs(
+    routes: Routes, numbers: Ints, npc: Floats, npc_numbers: Ints, phases: Floats, b: int, time: float
+) -> None:
+    """Put the NPCs of slot b where they are at a time [s] that is not before the last; arrays are those of `Slots`."""
+    for i in range(numbers[b, N_NPCS]):
+        n = npc_numbers[b, i, PHASE]
+        while n + 1 < npc_numbers[b, i, N_PHASES] and phases[b, i, n + 1, BEGIN] <= time:
+            n += 1
+        npc_numbers[b, i, PHASE] = n
+        npc[b, i, X], npc[b, i, Y], npc[b, i, HEADING], npc[b, i, SPEED] = npc_at(
+            routes,
+            npc_numbers[b, i, ROUTE],
+            time - phases[b, i, n, BEGIN],
+            phases[b, i, n, STATION],
+            phases[b, i, n, PHASE_SPEED],
+            phases[b, i, n, PHASE_ACCELERATION],
+        )
+        npc[b, i, ACCELERATION] = phases[b, i, n, PHASE_ACCELERATION]
+
+
+def put_scenario(world: World, slots: Slots, b: int, scenario: Scenario, roadmap: RoadMap) -> None:
+    """Begin an episode of a scenario in slot b; changes `slots` in place."""
+    index = route_index(roadmap)
+    n_waypoints = slots.phases.shape[2] - 1
+    waypoints = np.empty((len(scenario.npcs), n_waypoints, 2))
+    for i, npc in enumerate(scenario.npcs):
+        own = [(waypoint.position, waypoint.speed) for waypoint in npc.waypoints]
+        waypoints[i] = own + own[-1:] * (n_waypoints - len(own))
+    routes = np.array([index[npc.route] for npc in scenario.npcs], dtype=np.int64)
+    sizes = np.array([VEHICLE_SIZES[npc.type] for npc in scenario.npcs]).reshape(-1, 2)
+    begin_episode(world, slots, b, routes, sizes, waypoints)

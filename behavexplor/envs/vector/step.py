@@ -1,0 +1,221 @@
+"""One decision of every ego: from its command to what has come of it.
+
+Functions take numbers and single arrays, not `World` and `Slots`: these have dozens of fields, and every call would
+copy them all.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.compiled import kernel
+from behavexplor.envs.reward import REAR_END_ANGLE
+from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
+from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle
+from behavexplor.envs.vector.slots import (
+    ACCELERATION,
+    END,
+    FRAME,
+    HEADING,
+    LINE_FRAME,
+    MEAN_ACCELERATION,
+    N_NPCS,
+    PROGRESS,
+    REAR_END,
+    ROUTE_POSITION,
+    RUNNING,
+    SPEED,
+    SPEED_INDEX,
+    STANDING,
+    STEERING,
+    TARGET_LANE,
+    TOUCHED,
+    VX,
+    VY,
+    Slots,
+    X,
+    Y,
+    move_npcs,
+)
+from behavexplor.envs.vector.world import (
+    EGO_BEGIN,
+    EGO_COS,
+    EGO_CURVATURE,
+    EGO_LENGTH,
+    EGO_SIN,
+    EGO_X,
+    EGO_Y,
+    Rules,
+    World,
+)
+from behavexplor.logical import EGO_SIZE
+from behavexplor.trace import ENDS
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+COLLISION, ARRIVED, PASSED, STANDSTILL, TIMEOUT = (
+    ENDS.index(end) for end in ("collision", "arrived", "passed", "standstill", "timeout")
+)
+LENGTH: Final = float(EGO_SIZE[0])  # [m]
+
+
+@kernel
+def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
+    """Simulate until the next decision, or until an episode ends.
+
+    Args:
+        world: the place and its rules.
+        slots: changed in place.
+        commands: acceleration [m/s2] and steering [rad]; of meta-actions the code first. Shape (B, 2).
+        active: which slots are stepped, shape (B,).
+    """
+    rules, ego, numbers, record = world.rules, slots.ego, slots.numbers, slots.record
+    for b in range(len(active)):
+        if not active[b]:
+            continue
+        x, y, heading, speed = ego[b, X], ego[b, Y], ego[b, HEADING], ego[b, SPEED]
+        acceleration, angle = commands[b, 0], commands[b, 1]
+        lane, position, index = numbers[b, TARGET_LANE], numbers[b, ROUTE_POSITION], numbers[b, SPEED_INDEX]
+        if world.is_meta:
+            manoeuvre = int(commands[b, 0])
+            index = changed_speed(world.target_speeds, index, manoeuvre, speed)
+            lane, position = follow_road(world.network, position, lane, x, y)
+            lane = changed_lane(world.network, lane, manoeuvre, x, y)
+        decided = frame = numbers[b, FRAME]
+        for _ in range(rules.substeps):
+            if world.is_meta:
+                lane, position = follow_road(world.network, position, lane, x, y)
+                angle = steering(world.network.lanes, lane, x, y, heading, speed)
+                acceleration = throttle(world.target_speeds[index], speed)
+            acceleration = _within_speeds(rules, speed, acceleration)
+            slip = math.atan(0.5 * math.tan(angle))
+            x, y, heading, speed = _bicycle(rules, x, y, heading, speed, acceleration, slip)
+            frame += 1
+            record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING] = x, y, heading
+            record[b, frame, VX], record[b, frame, VY] = (
+                speed * math.cos(heading + slip),
+                speed * math.sin(heading + slip),
+            )
+            if numbers[b, LINE_FRAME] < 0 and touches_line(world.illegal_lines, x, y, heading):
+                numbers[b, LINE_FRAME] = frame
+            time = frame / rules.frequency
+            move_npcs(world.npc_routes, numbers, slots.npc, slots.npc_numbers, slots.phases, b, time)
+            is_slow = math.hypot(record[b, frame, VX], record[b, frame, VY]) < rules.standstill_speed
+            numbers[b, STANDING] = numbers[b, STANDING] + 1 if is_slow else 0
+            end = _find_end(rules, frame, numbers[b, STANDING], x, y)
+            if _touched(slots.npc, slots.size, b, 0, numbers[b, N_NPCS], x, y, heading) >= 0:
+                end = COLLISION
+            if end != RUNNING:
+                break
+        ego[b, X], ego[b, Y], ego[b, HEADING], ego[b, SPEED] = x, y, heading, speed
+        ego[b, ACCELERATION], ego[b, STEERING] = acceleration, angle
+        numbers[b, TARGET_LANE], numbers[b, ROUTE_POSITION], numbers[b, SPEED_INDEX] = lane, position, index
+        numbers[b, FRAME], numbers[b, END] = frame, end
+        _appraise(rules, world.ego_lanes, record, slots.outcome, b, decided, frame)
+        slots.outcome[b, TOUCHED] = 1.0 if numbers[b, LINE_FRAME] > decided else 0.0
+        rear_end = end == COLLISION and _struck_from_behind(record, frame, slots.npc, slots.size, b, numbers[b, N_NPCS])
+        slots.outcome[b, REAR_END] = 1.0 if rear_end else 0.0
+
+
+@kernel
+def _within_speeds(rules: Rules, speed: float, acceleration: float) -> float:
+    """The acceleration that keeps the ego within its speeds: `Vehicle.clip_actions`."""
+    if speed > rules.max_speed:
+        return min(acceleration, rules.max_speed - speed)
+    if speed < rules.min_speed:
+        return max(acceleration, rules.min_speed - speed)
+    return acceleration
+
+
+@kernel
+def _bicycle(
+    rules: Rules, x: float, y: float, heading: float, speed: float, acceleration: float, slip: float
+) -> tuple[float, float, float, float]:
+    """highway-env's bicycle model: `Vehicle.step`."""
+    dt = 1 / rules.frequency
+    x += speed * math.cos(heading + slip) * dt
+    y += speed * math.sin(heading + slip) * dt
+    heading += speed * math.sin(slip) / (LENGTH / 2) * dt
+    return x, y, heading, speed + acceleration * dt
+
+
+@kernel
+def _find_end(rules: Rules, frame: int, standing: int, x: float, y: float) -> int:
+    """How the episode has ended unless by a collision, or `RUNNING`: `DrivingEnv._find_end`."""
+    dx, dy = x - rules.destination_x, y - rules.destination_y
+    if math.hypot(dx, dy) <= rules.arrival_distance:
+        return ARRIVED
+    if dx * rules.destination_cos + dy * rules.destination_sin > rules.passed_distance:
+        return PASSED
+    if standing >= rules.standstill_frames:
+        return STANDSTILL
+    return TIMEOUT if frame >= rules.max_frames else RUNNING
+
+
+@kernel
+def _touched(npc: Floats, size: Floats, b: int, first: int, n_npcs: int, x: float, y: float, heading: float) -> int:
+    """The first NPC of slot b, counting from `first`, that the ego's box touches; -1 where there is none."""
+    for i in range(first, n_npcs):
+        length, width = size[b, 1 + i, 0], size[b, 1 + i, 1]
+        reach = RADIUS + math.hypot(length, width) / 2
+        dx, dy = npc[b, i, X] - x, npc[b, i, Y] - y
+        if abs(dx) > reach or abs(dy) > reach or math.hypot(dx, dy) > reach:
+            continue
+        box = corners(x, y, heading, EGO_SIZE[0], EGO_SIZE[1])
+        if boxes_touch(box, corners(npc[b, i, X], npc[b, i, Y], npc[b, i, HEADING], length, width)):
+            return i
+    return -1
+
+
+@kernel
+def _appraise(
+    rules: Rules, ego_lanes: Floats, record: Floats, outcome: Floats, b: int, decided: int, frame: int
+) -> None:
+    """What the reward asks of the ego's motion since the latest decision: `Recorder.reward_terms`."""
+    elapsed = frame / rules.frequency - decided / rules.frequency
+    before = math.hypot(record[b, decided, VX], record[b, decided, VY])
+    outcome[b, MEAN_ACCELERATION] = (math.hypot(record[b, frame, VX], record[b, frame, VY]) - before) / elapsed
+    start = _station(ego_lanes, record[b, decided, X], record[b, decided, Y])
+    outcome[b, PROGRESS] = _station(ego_lanes, record[b, frame, X], record[b, frame, Y]) - start
+
+
+@kernel
+def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b: int, n_npcs: int) -> bool:
+    """Whether every NPC that touches the ego ran into its back: `behavexplor.envs.reward.struck_from_behind`."""
+    x, y, heading = record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING]
+    speed = math.hypot(record[b, frame, VX], record[b, frame, VY])
+    i = _touched(npc, size, b, 0, n_npcs, x, y, heading)
+    while i >= 0:
+        ahead = (npc[b, i, X] - x) * math.cos(heading) + (npc[b, i, Y] - y) * math.sin(heading)
+        turned = abs((npc[b, i, HEADING] - heading + math.pi) % (2 * math.pi) - math.pi)
+        if not (ahead < 0 and turned <= REAR_END_ANGLE and npc[b, i, SPEED] > speed):
+            return False
+        i = _touched(npc, size, b, i + 1, n_npcs, x, y, heading)
+    return True
+
+
+@kernel
+def _station(lanes: Floats, x: float, y: float) -> float:
+    """Station of a point on the ego's route [m]: `behavexplor.roadmap.Route.project`."""
+    best, nearest = 0.0, math.inf
+    last = len(lanes) - 1
+    for i in range(last + 1):
+        dx, dy = x - lanes[i, EGO_X], y - lanes[i, EGO_Y]
+        cos, sin = lanes[i, EGO_COS], lanes[i, EGO_SIN]
+        station, offset = dx * cos + dy * sin, dy * cos - dx * sin
+        if lanes[i, EGO_CURVATURE] != 0.0:
+            radius = 1 / lanes[i, EGO_CURVATURE]
+            side = math.copysign(1.0, radius)
+            ahead, to_centre = station, radius - offset
+            station = math.atan2(side * ahead, side * to_centre) * radius
+            offset = radius - side * math.hypot(ahead, to_centre)
+        before = max(-station, 0.0) if i > 0 else 0.0
+        behind = max(station - lanes[i, EGO_LENGTH], 0.0) if i < last else 0.0
+        gap = math.hypot(offset, before + behind)
+        if gap < nearest:
+            best, nearest = lanes[i, EGO_BEGIN] + station, gap
+    return best

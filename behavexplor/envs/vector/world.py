@@ -1,0 +1,159 @@
+"""Everything that kernels need to know about an environment, as plain arrays."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
+from highway_env.road.lane import AbstractLane
+from highway_env.road.road import LaneIndex
+from highway_env.vehicle.kinematics import Vehicle
+from numpy.typing import NDArray
+
+from behavexplor.envs import driving
+from behavexplor.envs.network import MapNetwork, road_network
+from behavexplor.envs.npc import Routes, route_arrays
+from behavexplor.envs.vector.lanes import Network, lane_row
+from behavexplor.roadmap import RoadMap
+
+Floats = NDArray[np.float64]
+
+EGO_X, EGO_Y, EGO_HEADING, EGO_COS, EGO_SIN, EGO_CURVATURE, EGO_LENGTH, EGO_BEGIN = range(8)  # of `ego_lanes`
+
+
+class Rules(NamedTuple):
+    """The numbers by which episodes run and end.
+
+    Attributes:
+        min_speed: of the ego [m/s].
+        max_speed: of the ego [m/s].
+        frequency: of the simulation [Hz].
+        substeps: steps of the simulation from one decision to the next.
+        max_frames: number of steps at which an episode is cut.
+        arrival_distance: [m].
+        passed_distance: [m].
+        standstill_speed: [m/s].
+        standstill_frames: number of steps.
+        destination_x: [m].
+        destination_y: [m].
+        destination_cos: cosine of the heading there.
+        destination_sin: and its sine.
+    """
+
+    min_speed: float
+    max_speed: float
+    frequency: float
+    substeps: int
+    max_frames: float
+    arrival_distance: float
+    passed_distance: float
+    standstill_speed: float
+    standstill_frames: float
+    destination_x: float
+    destination_y: float
+    destination_cos: float
+    destination_sin: float
+
+
+class World(NamedTuple):
+    """An environment's map and rules.
+
+    Attributes:
+        network: all lanes, and the ego's route.
+        rules: the numbers.
+        npc_routes: the NPCs' routes.
+        npc_ends: where these end, shape (routes, 2) [m].
+        ego_end: where the ego's route ends, shape (2,) [m].
+        ego_lanes: the lanes of the ego's route, shape (steps, 8); columns above.
+        illegal_lines: ends, shape (lines, 4) [m].
+        start: x [m], y [m] and heading [rad] of the ego, shape (3,).
+        is_meta: whether the ego takes meta-actions.
+        target_speeds: that meta-actions choose from, shape (speeds,) [m/s].
+    """
+
+    network: Network
+    rules: Rules
+    npc_routes: Routes
+    npc_ends: Floats
+    ego_end: Floats
+    ego_lanes: Floats
+    illegal_lines: Floats
+    start: Floats
+    is_meta: bool
+    target_speeds: Floats
+
+
+def make_world(env: driving.DrivingEnv) -> World:
+    """The world of an environment that has been reset."""
+    roadmap, action = env.logical.roadmap, env.action_type
+    network = road_network(roadmap)
+    ends = [_end(network.get_lane(network.indexes(route)[-1])) for route in (roadmap.ego_route, *roadmap.npc_routes)]
+    is_meta = isinstance(action, DiscreteMetaAction)
+    return World(
+        network=_make_network(network, network.indexes(roadmap.ego_route)),
+        rules=_make_rules(env),
+        npc_routes=route_arrays(roadmap),
+        npc_ends=np.array(ends[1:]),
+        ego_end=ends[0],
+        ego_lanes=_ego_lanes(roadmap),
+        illegal_lines=np.array(roadmap.illegal_lines, dtype=np.float64).reshape(-1, 4),
+        start=np.array(roadmap.start_pose, dtype=np.float64),
+        is_meta=is_meta,
+        target_speeds=np.array(action.target_speeds, dtype=np.float64) if is_meta else np.zeros(2),
+    )
+
+
+def _make_rules(env: driving.DrivingEnv) -> Rules:
+    roadmap, action = env.logical.roadmap, env.action_type
+    speeds = action.speed_range if isinstance(action, ContinuousAction) and action.speed_range else None
+    min_speed, max_speed = speeds or (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
+    frequency = env.config["simulation_frequency"]
+    x, y = roadmap.destination_point
+    heading = roadmap.ego_route.pose(roadmap.destination)[2]
+    return Rules(
+        min_speed=float(min_speed),
+        max_speed=float(max_speed),
+        frequency=float(frequency),
+        substeps=int(frequency // env.config["policy_frequency"]),
+        max_frames=float(env.config["duration"] * frequency),
+        arrival_distance=driving.ARRIVAL_DISTANCE,
+        passed_distance=driving.PASSED_DISTANCE,
+        standstill_speed=driving.STANDSTILL_SPEED,
+        standstill_frames=float(driving.STANDSTILL_TIME * frequency),
+        destination_x=float(x),
+        destination_y=float(y),
+        destination_cos=float(np.cos(heading)),
+        destination_sin=float(np.sin(heading)),
+    )
+
+
+def _make_network(network: MapNetwork, route: Sequence[LaneIndex]) -> Network:
+    groups = {(origin, target): lanes for origin, to in network.graph.items() for target, lanes in to.items()}
+    road_of = {ends: road for road, ends in enumerate(groups)}
+    nodes: dict[str, int] = {}
+    roads: list[list[int]] = []
+    lane_road: list[int] = []
+    for (origin, target), lanes in groups.items():
+        ends = [nodes.setdefault(node, len(nodes)) for node in (origin, target)]
+        lane_road += [len(roads)] * len(lanes)
+        roads.append([*ends, len(lane_road) - len(lanes), len(lanes)])
+    return Network(
+        lanes=np.array([lane_row(lane) for lane in network.lanes_list()]),
+        roads=np.array(roads),
+        lane_road=np.array(lane_road),
+        route=np.array([(road_of[index[:2]], index[2]) for index in route]),
+    )
+
+
+def _end(lane: AbstractLane) -> Floats:
+    return np.array(lane.position(lane.length, 0), dtype=np.float64)
+
+
+def _ego_lanes(roadmap: RoadMap) -> Floats:
+    route = roadmap.ego_route
+    rows = [
+        (lane.x, lane.y, lane.heading, math.cos(lane.heading), math.sin(lane.heading), lane.curvature, lane.length, s)
+        for lane, s in zip(route.lanes, route.bounds[:-1], strict=True)
+    ]
+    return np.array(rows, dtype=np.float64)

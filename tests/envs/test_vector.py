@@ -1,0 +1,391 @@
+"""The vector environment does what the single one does, step by step and in gymnasium's own format."""
+
+import math
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from behavexplor.envs.driving import DrivingEnv
+from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.kinematics import FEATURES
+from behavexplor.envs.npc import motion_table
+from behavexplor.envs.vector import vector_env
+from behavexplor.errors import InputError
+from behavexplor.scenario import NPC, Scenario, Waypoint
+from behavexplor.trace import RESOLUTION
+
+TOLERANCE = 1e-9
+ACTIONS = {
+    "continuous": {"type": "ContinuousAction", "acceleration_range": [-8.0, 4.0], "steering_range": [-0.6, 0.6]},
+    "longitudinal": {"type": "ContinuousAction", "lateral": False, "speed_range": [0, 9]},
+    "lateral": {"type": "ContinuousAction", "longitudinal": False, "clip": False, "speed_range": [6, 9]},
+    "discrete": {"type": "DiscreteAction", "actions_per_axis": 5, "steering_range": [-0.2, 0.2]},
+    "meta": {"type": "DiscreteMetaAction", "target_speeds": [0, 4, 8, 12]},
+    "meta, speeds": {"type": "DiscreteMetaAction", "lateral": False},
+}
+OBSERVATIONS = {
+    "scene": {"type": "Scene"},
+    "kinematics": {"type": "Kinematics"},
+    "all features": {
+        "type": "Kinematics",
+        "features": list(FEATURES),
+        "vehicles_count": 4,
+        "see_behind": True,
+        "observe_intentions": True,
+    },
+    "raw": {
+        "type": "Kinematics",
+        "features": list(FEATURES),
+        "vehicles_count": 9,
+        "normalize": False,
+        "absolute": True,
+    },
+}
+ENVS = (IntersectionStraightEnv, IntersectionLeftEnv, LaneFollowEnv, LaneChangeEnv)
+
+
+class CLibrary:
+    """numpy with the C library's trigonometry: its own depends, in the last bit, on the processor."""
+
+    sin, cos, tan = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.tan)
+    arcsin, arctan, arctan2 = staticmethod(math.asin), staticmethod(math.atan), staticmethod(math.atan2)
+
+    def __getattr__(self, name):
+        return getattr(np, name)
+
+
+@pytest.fixture
+def c_library(monkeypatch):
+    """highway-env computes with the C library, as kernels do.
+
+    At less than 1 m/s the steering of meta-actions is unstable in highway-env, so that a last bit grows to metres.
+    """
+    for module in ("road.lane", "vehicle.controller", "vehicle.kinematics"):
+        monkeypatch.setattr(f"highway_env.{module}.np", CLibrary())
+
+
+class Driver:
+    """Random actions that get somewhere: along the route more or less, at some speed, with noise or without."""
+
+    def __init__(self, env, rng):
+        self.env, self.rng = env, rng
+        self.speed = rng.choice([0.0, 5.0, 9.0, 11.0])
+        self.noise = rng.choice([0.0, 0.1, 0.6])
+        self.dtype = rng.choice([np.float32, np.float64])
+        self.held = 0
+        self.action = env.action_space.sample()
+
+    def __call__(self):
+        kind, space = self.env.config["action"]["type"], self.env.action_space
+        if kind == "ContinuousAction":
+            action = self.towards_route()
+            action = action if len(action) == space.shape[0] else action[[int(self.env.action_type.lateral)]]
+            return (action + self.rng.normal(0, self.noise, space.shape)).astype(self.dtype)
+        if self.held == 0:
+            self.action, self.held = int(self.rng.integers(space.n)), int(self.rng.integers(1, 25))
+        self.held -= 1
+        return self.action
+
+    def towards_route(self):
+        ego, route = self.env.vehicle, self.env.logical.roadmap.ego_route
+        station, offset = route.project(*ego.position)
+        wanted = route.pose(station + 4.0)[2] - math.atan(offset / 6)
+        turn = math.remainder(wanted - ego.heading, 2 * math.pi)
+        return np.array([np.clip(self.speed - ego.speed, -1, 1), np.clip(turn, -0.5, 0.5)])
+
+
+def batch(space, actions):
+    return np.array(actions) if isinstance(space, gymnasium.spaces.Discrete) else np.stack(actions)
+
+
+class Comparison(NamedTuple):
+    ends: list[str]
+    worst: float  # deviation of all
+    terms: set[str]  # of the reward, that were not 0
+
+
+def compare(env_class, config, n_envs, seed, scenarios=None):
+    """Drive both to the end of every episode."""
+    rng = np.random.default_rng(seed)
+    vector = vector_env(env_class)(n_envs, config, autoreset_mode="Disabled")
+    singles = [env_class(config) for _ in range(n_envs)]
+    scenarios = scenarios or [None] * n_envs
+    observations, infos = vector.reset(seed=seed, options={"scenarios": scenarios})
+    worst, terms = 0.0, set()
+    for b, env in enumerate(singles):
+        observation, info = env.reset(seed=seed + b, options={"scenario": scenarios[b]})
+        assert infos["scenario"][b] == info["scenario"]
+        worst = max(worst, np.abs(observation - observations[b]).max())
+    drivers = [Driver(env, rng) for env in singles]
+    actions = [driver() for driver in drivers]
+    ends = [None] * n_envs
+    while None in ends:
+        actions = [
+            driver() if end is None else action for driver, end, action in zip(drivers, ends, actions, strict=True)
+        ]
+        observations, rewards, terminated, truncated, infos = vector.step(batch(vector.single_action_space, actions))
+        for b, env in enumerate(singles):
+            if ends[b] is not None:
+                assert rewards[b] == 0
+                continue
+            observation, reward, *done, info = env.step(batch(vector.single_action_space, actions)[b])
+            assert done == [terminated[b], truncated[b]]
+            worst = max(worst, deviation(observation, observations[b]), abs(reward - rewards[b]))
+            worst = max(worst, abs(info["speed"] - infos["speed"][b]))
+            worst = max(worst, *(abs(value - infos["rewards"][name][b]) for name, value in info["rewards"].items()))
+            terms |= {name for name, value in info["rewards"].items() if value}
+            if any(done):
+                ends[b] = info["end"]
+                assert infos["end"][b] == info["end"]
+                worst = max(worst, compare_traces(info["trace"], infos["trace"][b]))
+    return Comparison(ends, worst, terms)
+
+
+def deviation(observation, other):
+    """Single precision is compared in steps of its own: a last bit may be rounded either way."""
+    if observation.dtype == np.float32:
+        return 0.0 if np.all(np.abs(observation - other) <= np.spacing(np.abs(observation))) else np.inf
+    return np.abs(observation - other).max()
+
+
+def compare_traces(single, vector):
+    assert single.end == vector.end
+    for name in ("time", "size", "actions", "action_frame", "route", "destination", "illegal_lines"):
+        assert np.array_equal(getattr(single, name), getattr(vector, name)), name
+    for name in ("position", "heading", "velocity"):
+        assert np.array_equal(getattr(single, name)[:, 1:], getattr(vector, name)[:, 1:]), f"{name} of the NPCs"
+    motion = [
+        np.abs(getattr(single, name) - getattr(vector, name)).max() for name in ("position", "heading", "velocity")
+    ]
+    return max(0.0, *(gap - 1.01 * RESOLUTION for gap in motion))  # either side of a half is rounded to its own
+
+
+@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
+@pytest.mark.parametrize("env_class", [IntersectionLeftEnv, LaneChangeEnv])
+def test_every_action_type_is_the_single_environment_s(c_library, env_class, action):
+    config = {"action": action, "observation": {"type": "Scene"}, "duration": 40.0}
+    assert compare(env_class, config, 3, seed=1).worst < TOLERANCE
+
+
+@pytest.mark.parametrize("observation", OBSERVATIONS.values(), ids=OBSERVATIONS)
+@pytest.mark.parametrize("action", ["continuous", "meta"])
+def test_every_observation_is_the_single_environment_s(c_library, action, observation):
+    config = {"action": ACTIONS[action], "observation": observation, "duration": 15.0}
+    assert compare(IntersectionStraightEnv, config, 3, seed=2).worst < TOLERANCE
+
+
+@pytest.mark.parametrize("config", [{"simulation_frequency": 15, "policy_frequency": 5}, {"logical": {"n_npcs": 2}}])
+def test_other_configurations_are_the_single_environment_s(config):
+    config = {**config, "duration": 8.03, "reward": {"progress": 3.0}}
+    assert compare(LaneFollowEnv, config, 3, seed=3).worst < TOLERANCE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
+@pytest.mark.parametrize("env_class", ENVS)
+def test_thousands_of_scenarios_are_the_single_environment_s(c_library, env_class, action):
+    seen = set()
+    for seed in range(6):
+        config = {"action": action, "observation": {"type": "Scene"}, "duration": 60.0}
+        compared = compare(env_class, config, 16, seed=100 * seed)
+        assert compared.worst < TOLERANCE
+        seen |= set(compared.ends)
+    assert len(seen) >= 2
+
+
+def test_npcs_are_the_same_bit_by_bit():
+    env = vector_env(IntersectionLeftEnv)(4, {"observation": {"type": "Scene"}}, autoreset_mode="Disabled")
+    observations, infos = env.reset(seed=8)
+    hold = np.zeros((4, 2))
+    for frame in range(0, 500, 2):
+        time = np.array([frame / 20])
+        for row, scenario in zip(observations, infos["scenario"], strict=True):
+            table = motion_table(scenario, env.logical.roadmap, time)[0]
+            assert np.array_equal(row[1:, 1:6], table)
+        observations, _, terminated, *_ = env.step(hold)
+        assert not terminated.any()
+
+
+def chaser(position, speed, slow_at):
+    """A car behind the ego, at one speed up to a place and slowly from there."""
+    logical = IntersectionStraightEnv.logical
+    ranges = logical.position_ranges(logical.roadmap.routes["south-inner-straight"])
+    positions = np.maximum.accumulate([max(low, position) for low, _ in ranges])
+    speeds = np.where(positions < slow_at, speed, 0.2)
+    speeds[-1] = 0.0
+    waypoints = tuple(Waypoint(float(s), float(v)) for s, v in zip(positions, speeds, strict=True))
+    return Scenario("intersection-straight", (NPC("suv", "south-inner-straight", waypoints),))
+
+
+def test_who_ran_into_whom_is_the_single_environment_s():
+    rng = np.random.default_rng(0)
+    config = {"observation": {"type": "Scene"}, "action": ACTIONS["continuous"], "duration": 40.0}
+    scenarios = [chaser(rng.uniform(2.5, 5.0), rng.uniform(3, 11), rng.choice([0, 500])) for _ in range(8)]
+    compared = compare(IntersectionStraightEnv, config, 8, seed=1, scenarios=scenarios)
+    assert compared.worst < TOLERANCE
+    assert {"rear_end", "progress"} <= compared.terms
+
+
+def same(ours, theirs):
+    """Whether infos have the same keys and nearly the same values, however nested."""
+    assert ours.keys() == theirs.keys()
+    for key, value in theirs.items():
+        if isinstance(value, dict):
+            same(ours[key], value)
+        elif value.dtype != object:
+            assert ours[key] == pytest.approx(value, abs=TOLERANCE), key
+        else:
+            assert [type(item) for item in ours[key]] == [type(item) for item in value], key
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_autoreset_is_gymnasium_s(mode):
+    config = {"observation": {"type": "Scene"}, "duration": 1.0}
+    ours = vector_env(LaneFollowEnv)(3, config, autoreset_mode=mode)
+    theirs = SyncVectorEnv([lambda: LaneFollowEnv(config)] * 3, autoreset_mode=mode)
+    assert ours.metadata["autoreset_mode"] is mode
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    observations, infos = ours.reset(seed=7)
+    expected, expected_infos = theirs.reset(seed=7)
+    assert np.array_equal(observations, expected)
+    same(infos, expected_infos)
+    ours.action_space.seed(0)
+    for step in range(35):
+        if step in (4, 15):
+            mask = np.array([False, True, False])
+            observations, infos = ours.reset(options={"reset_mask": mask})
+            expected, expected_infos = theirs.reset(options={"reset_mask": mask.copy()})
+            assert observations == pytest.approx(expected, abs=TOLERANCE)
+            same(infos, expected_infos)
+        actions = ours.action_space.sample()
+        *results, infos = ours.step(actions)
+        *expected_results, expected_infos = theirs.step(actions)
+        for result, expected in zip(results, expected_results, strict=True):
+            assert result == pytest.approx(expected, abs=TOLERANCE)
+            assert result.dtype == expected.dtype
+        same(infos, expected_infos)
+        for b in np.flatnonzero(infos.get("_final_obs", [])):
+            assert infos["final_obs"][b] == pytest.approx(expected_infos["final_obs"][b], abs=TOLERANCE)
+
+
+def test_without_autoreset_the_ended_rest():
+    env = vector_env(LaneFollowEnv)(2, {"duration": 1.0}, autoreset_mode=AutoresetMode.DISABLED)
+    env.reset(seed=1)
+    for _ in range(9):
+        env.step(env.action_space.sample())
+    env.reset(options={"reset_mask": np.array([False, True])})
+    last, _, _, truncated, infos = env.step(env.action_space.sample())
+    assert truncated.tolist() == [True, False]
+    assert infos["_trace"].tolist() == [True, False]
+    observations, rewards, _, truncated, infos = env.step(env.action_space.sample())
+    assert truncated.tolist() == [True, False]
+    assert rewards[0] == 0
+    assert np.array_equal(observations[0], last[0])
+    assert "trace" not in infos
+    assert infos["_speed"].tolist() == [False, True]
+
+
+def test_given_scenarios_are_run():
+    env = vector_env(LaneFollowEnv)(3, {"duration": 0.2}, autoreset_mode="SameStep")
+    scenarios = [env.logical.sample(np.random.default_rng(seed)) for seed in range(3)]
+    _, infos = env.reset(seed=0, options={"scenarios": [scenarios[0], None, scenarios[1]]})
+    assert infos["scenario"][0] is scenarios[0]
+    assert infos["scenario"][2] is scenarios[1]
+    assert infos["scenario"][1] == env.logical.sample(gymnasium.utils.seeding.np_random(1)[0])
+    _, infos = env.reset(options={"scenario": scenarios[2]})
+    assert list(infos["scenario"]) == [scenarios[2]] * 3
+    empty = Scenario("lane-follow", ())
+    _, infos = env.reset(options={"scenario": empty, "reset_mask": np.array([True, False, False])})
+    assert infos["_scenario"].tolist() == [True, False, False]
+    for _ in range(2):
+        *_, infos = env.step(env.action_space.sample())
+    assert infos["final_info"]["trace"][0].size.shape == (1, 2)
+    assert infos["final_info"]["trace"][1].size.shape == (7, 2)
+    assert infos["_scenario"].all()  # that follow are sampled
+
+
+def test_one_seed_for_each():
+    env = vector_env(LaneFollowEnv)(2)
+    _, infos = env.reset(seed=[5, 5])
+    assert infos["scenario"][0] == infos["scenario"][1]
+    _, again = env.reset(seed=4)
+    assert again["scenario"][1] == infos["scenario"][0]
+
+
+class OwnRule(LaneFollowEnv):
+    def _find_end(self):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("env_class", "config", "message"),
+    [
+        (LaneFollowEnv, {"observation": {"type": "OccupancyGrid"}}, "OccupancyGridObservation"),
+        (LaneFollowEnv, {"observation": {"type": "Kinematics", "order": "shuffled"}}, "'shuffled'"),
+        (LaneFollowEnv, {"action": {"type": "ContinuousAction", "dynamical": True}}, "dynamical vehicles"),
+        (OwnRule, {}, "OwnRule._find_end"),
+    ],
+)
+def test_what_is_not_supported_is_refused_by_name(env_class, config, message):
+    with pytest.raises(InputError, match=f"does not support .*{message}.*gymnasium.make"):
+        vector_env(env_class)(2, config)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"num_envs": 0}, "at least 1"),
+        ({"config": {"duratio": 3}}, "did you mean 'duration'"),
+        ({"render_mode": "human"}, "cannot render"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        vector_env(LaneFollowEnv)(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"options": {"scenari": None}}, "did you mean 'scenario'"),
+        ({"options": {"scenarios": [None]}}, "expected 2, got 1"),
+        ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.scenario.Scenario"),
+        ({"options": {"scenarios": [None, Scenario("intersection-left", ())]}}, "not of 'lane-follow'"),
+        ({"options": {"reset_mask": [True, False]}}, "expected an array of 2 booleans"),
+        ({"options": {"reset_mask": np.zeros(2, dtype=bool)}}, "at least one"),
+        ({"seed": [1]}, "expected one or 2, got 1"),
+    ],
+)
+def test_wrong_resets_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        vector_env(LaneFollowEnv)(2).reset(**arguments)
+
+
+def test_steps_need_a_reset_and_an_action_for_each():
+    env = vector_env(LaneFollowEnv)(2)
+    with pytest.raises(InputError, match="Call reset"):
+        env.step(env.action_space.sample())
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="expected 2, one for each"):
+        env.step(np.zeros((1, 2)))
+
+
+def test_gymnasium_makes_it():
+    gymnasium.register("test/lane-follow-v0", entry_point=LaneFollowEnv, vector_entry_point=vector_env(LaneFollowEnv))
+    env = gymnasium.make_vec(
+        "test/lane-follow-v0", num_envs=3, vectorization_mode="vector_entry_point", config={"duration": 5.0}
+    )
+    observations, _ = env.reset(seed=2)
+    assert env.observation_space.contains(observations)
+    assert env.step(env.action_space.sample())[0] is not env.step(env.action_space.sample())[0]
+    assert isinstance(env, gymnasium.vector.VectorEnv)
+    assert issubclass(type(env).env_class, DrivingEnv)
+    env.close()
+    del gymnasium.registry["test/lane-follow-v0"]

@@ -1,0 +1,97 @@
+"""The compiled geometry of the vector environment: that of the package, and of highway-env's road network."""
+
+import numpy as np
+import pytest
+from highway_env.road.road import RoadNetwork
+
+from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
+from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.network import road_network
+from behavexplor.envs.vector.contact import boxes_touch, corners, line_meets_box, touches_line
+from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, lane_point, next_lane
+from behavexplor.envs.vector.world import make_world
+from behavexplor.geometry import box_corners, boxes_overlap, segment_meets_box
+from behavexplor.logical import EGO_SIZE
+
+ENVS = [IntersectionLeftEnv, LaneChangeEnv]
+
+
+def random_box(rng):
+    return (*rng.uniform(-6, 6, 2), rng.uniform(-4, 4), *rng.uniform(0.5, 9, 2))
+
+
+def as_array(box):
+    x, y, heading, *size = box
+    return box_corners(np.array([x, y]), np.array(heading), np.array(size))
+
+
+def test_boxes_touch_where_geometry_says_so():
+    rng = np.random.default_rng(0)
+    found = set()
+    for _ in range(500):
+        a, b = random_box(rng), random_box(rng)
+        assert pytest.approx(as_array(a), abs=1e-12) == np.array(corners(*a)).T
+        touch = boxes_touch(corners(*a), corners(*b))
+        assert touch == boxes_overlap(as_array(a), as_array(b))
+        found.add(touch)
+    assert found == {True, False}
+
+
+def test_lines_meet_boxes_where_geometry_says_so():
+    rng = np.random.default_rng(1)
+    found = set()
+    for _ in range(500):
+        box, line = random_box(rng), rng.uniform(-8, 8, 4)
+        meet = line_meets_box(corners(*box), *line)
+        assert meet == segment_meets_box(as_array(box), line.reshape(2, 2))
+        found.add(meet)
+    assert found == {True, False}
+
+
+@pytest.mark.parametrize("env_class", ENVS)
+def test_no_illegal_line_is_overlooked(env_class):
+    lines = env_class.logical.roadmap.illegal_lines
+    rng = np.random.default_rng(2)
+    found = set()
+    for _ in range(500):
+        position = lines[rng.integers(len(lines)), 0] + rng.uniform(-12, 12, 2)
+        heading = rng.uniform(-4, 4)
+        touched = touches_line(lines.reshape(-1, 4), *position, heading)
+        assert touched == segment_meets_box(as_array((*position, heading, *EGO_SIZE)), lines).any()
+        found.add(touched)
+    assert found == {True, False}
+
+
+@pytest.mark.parametrize("env_class", ENVS)
+def test_lanes_are_highway_env_s(env_class):
+    env = env_class()
+    network, world = road_network(env.logical.roadmap), make_world(env)
+    rng = np.random.default_rng(3)
+    low, high = (-100, 100) if env_class is IntersectionLeftEnv else ((-20, -10), (350, 25))
+    for _ in range(200):
+        position, heading = rng.uniform(low, high, 2), rng.uniform(-7, 7)
+        closest = closest_lane(world.network.lanes, *position, heading)
+        assert network._indexes[closest] == network.get_closest_lane_index(position, heading)
+        for i, lane in enumerate(network.lanes_list()):
+            station, offset = lane_coordinates(world.network.lanes, i, *position)
+            assert (station, offset) == pytest.approx(lane.local_coordinates(position), abs=1e-9)
+            assert lane_heading(world.network.lanes, i, station) == pytest.approx(lane.heading_at(station))
+            assert lane_point(world.network.lanes, i, station) == pytest.approx(lane.position(station, 0), abs=1e-9)
+
+
+@pytest.mark.parametrize("env_class", ENVS)
+def test_the_next_lane_is_highway_env_s(env_class):
+    """On the route and off it, in any place, also where the map ends."""
+    env = env_class()
+    network, world = road_network(env.logical.roadmap), make_world(env)
+    rng = np.random.default_rng(4)
+    route = network.indexes(env.logical.roadmap.ego_route)
+    for _ in range(500):
+        lane, done = int(rng.integers(len(network._indexes))), int(rng.integers(len(route) + 1))
+        end = network.lanes_list()[lane].position(network.lanes_list()[lane].length, 0)
+        position = end + rng.normal(0, 4, 2)
+        left = route[done:]
+        expected = RoadNetwork.next_lane(network, network._indexes[lane], left, position, np.random.default_rng(0))
+        following, done = next_lane(world.network, done, lane, *position)
+        assert network._indexes[following] == tuple(expected)
+        assert route[done:] == left
