@@ -11,6 +11,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from behavexplor.errors import InputError, unknown_name
 
+CONFIG = "config.yaml"  # in a run folder
 MAX_FILE_SIZE = 100_000  # bytes; a campaign's file has a few hundred
 T = TypeVar("T")
 
@@ -92,6 +93,9 @@ def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
     Raises:
         InputError: naming the first value that is unknown, of a wrong type or out of range.
     """
+    budget = values.get("budget")
+    if isinstance(budget, int) and not isinstance(budget, bool):  # as YAML reads `budget: 750`
+        values = {**values, "budget": str(budget)}
     return checked(CampaignConfig, values, "configuration")
 
 
@@ -133,6 +137,25 @@ def read_config(name: str) -> dict[str, Any]:
     if not path.is_file():
         presets = [preset.stem for preset in _presets().glob("*.yaml")]
         raise unknown_name("configuration (neither a file nor a preset)", name, presets)
+    return _read_yaml(path)
+
+
+def stored_config(run: Path) -> CampaignConfig:
+    """The configuration of the campaign in a run folder.
+
+    Raises:
+        InputError: if it is missing or damaged.
+    """
+    path = run / CONFIG
+    if not path.is_file():
+        raise InputError(f"{run} is not a run folder: it has no {CONFIG}")
+    values = _read_yaml(path)
+    if not values:
+        raise InputError(f"{path} is empty: the configuration of the run is lost")
+    return campaign_config(values)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         data = path.read_bytes()
         if len(data) > MAX_FILE_SIZE:

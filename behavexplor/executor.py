@@ -10,6 +10,8 @@ import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import suppress
+from multiprocessing.connection import wait
+from threading import Thread
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -44,7 +46,10 @@ def evaluate(scenario: bytes) -> bytes:
     Returns:
         The trace, as `Trace.to_bytes` gives it.
     """
-    return _simulation[0].run(Scenario.from_json(scenario.decode())).to_bytes()
+    try:
+        return _simulation[0].run(Scenario.from_json(scenario.decode())).to_bytes()
+    except SystemExit as error:  # or an ADS that calls sys.exit would end the campaign, and look like a success
+        raise RuntimeError(f"the ADS or its environment called sys.exit({error.code!r})") from error
 
 
 class InProcessExecutor(Executor):
@@ -92,7 +97,17 @@ def available_cores() -> int:
 
 
 def _begin_worker(env: str, ads: str) -> None:
-    """Workers leave Ctrl-C to the campaign, and use one thread each."""
+    """Workers leave Ctrl-C to the campaign, use one thread each, and do not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threadpool_limits(1)
+    Thread(target=_end_with_campaign, daemon=True).start()
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     begin(env, ads)
+    threadpool_limits(1)  # of what the ADS has loaded, too
+
+
+def _end_with_campaign() -> None:
+    """End this process when the campaign's process has ended, however it did."""
+    campaign = multiprocessing.parent_process()
+    if campaign is not None:
+        wait([campaign.sentinel])
+        os._exit(1)

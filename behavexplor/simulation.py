@@ -72,7 +72,7 @@ def _logical(name: str) -> LogicalScenario:
     """The logical scenario of an environment."""
     try:
         env = gymnasium.make(name, disable_env_checker=True)
-    except (gymnasium.error.Error, ImportError) as error:
+    except Exception as error:  # gymnasium's own errors, and whatever the environment's package raises
         raise InputError(f"The environment {name!r} cannot be made: {error}") from error
     logical = getattr(env.unwrapped, "logical", None)
     env.close()

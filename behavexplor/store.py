@@ -9,16 +9,24 @@ import os
 import sqlite3
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
+from behavexplor.config import CONFIG
 from behavexplor.errors import InputError
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
+
 FORMAT = 1
-DATABASE, CONFIG, FAILURES = "campaign.db", "config.yaml", "failures"
+DATABASE, FAILURES, LOCK = "campaign.db", "failures", "campaign.lock"
+_COLUMNS = "id, record, trace, elapsed, checksum"
 
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -71,9 +79,10 @@ class Store:
     Use `create`, `reopen` or `read`. Rows that were added count only once they are committed.
     """
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection) -> None:
+    def __init__(self, folder: Path, connection: sqlite3.Connection, lock: IO[str] | None = None) -> None:
         self.folder = folder
         self._connection = connection
+        self._lock = lock  # of the one who writes
         self._pending: list[Execution] = []
 
     @classmethod
@@ -95,7 +104,7 @@ class Store:
                 )
             _write_durably(folder / CONFIG, config)
             (folder / FAILURES).mkdir()
-            store = cls(folder, _connect(folder, "rwc"))
+            store = cls(folder, _connect(folder, "rwc"), _lock(folder))
         except OSError as error:
             raise InputError(f"The run folder {folder} cannot be written: {error.strerror}") from None
         store._connection.executescript(_SCHEMA)
@@ -110,7 +119,13 @@ class Store:
         Raises:
             InputError: if the folder holds no run that this version can go on with.
         """
-        return cls._open(folder, "rw")
+        if not (folder / DATABASE).is_file():
+            raise InputError(f"{folder} is not a run folder: it has no {DATABASE}")
+        try:
+            lock = _lock(folder)
+        except OSError as error:
+            raise InputError(f"The run folder {folder} cannot be written: {error.strerror}") from None
+        return cls._open(folder, "rw", lock)
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -119,10 +134,10 @@ class Store:
         Raises:
             InputError: if the folder holds no run that this version can read.
         """
-        return cls._open(folder, "ro")
+        return cls._open(folder, "ro" if os.access(folder, os.W_OK) else "ro&immutable=1")
 
     @classmethod
-    def _open(cls, folder: Path, mode: str) -> Self:
+    def _open(cls, folder: Path, mode: str, lock: IO[str] | None = None) -> Self:
         if not (folder / DATABASE).is_file():
             raise InputError(f"{folder} is not a run folder: it has no {DATABASE}")
         try:
@@ -133,18 +148,7 @@ class Store:
         if row is None or row[0] != str(FORMAT):
             found = "none" if row is None else row[0]
             raise InputError(f"{folder / DATABASE} has format {found}; this version reads format {FORMAT}")
-        return cls(folder, connection)
-
-    def config(self) -> str:
-        """The campaign's configuration as YAML.
-
-        Raises:
-            InputError: if it is missing.
-        """
-        try:
-            return (self.folder / CONFIG).read_text()
-        except (OSError, ValueError) as error:
-            raise InputError(f"{self.folder / CONFIG} cannot be read: {error}") from None
+        return cls(folder, connection, lock)
 
     def write_config(self, config: str) -> None:
         """Replace the configuration: a resumed campaign may have a larger budget."""
@@ -201,9 +205,8 @@ class Store:
         Raises:
             InputError: if one is damaged; those before it have been given.
         """
-        columns = "id, record, trace, elapsed, checksum"
         try:
-            for row in self._connection.execute(f"SELECT {columns} FROM executions ORDER BY id"):  # noqa: S608
+            for row in self._connection.execute(f"SELECT {_COLUMNS} FROM executions ORDER BY id"):  # noqa: S608
                 yield self._execution(row)
         except sqlite3.DatabaseError as error:
             raise InputError(f"{self.folder / DATABASE} is damaged: {error}") from None
@@ -214,9 +217,8 @@ class Store:
         Raises:
             InputError: if there is none of that number, or it is damaged.
         """
-        row = self._connection.execute(
-            "SELECT id, record, trace, elapsed, checksum FROM executions WHERE id = ?", (number,)
-        ).fetchone()
+        query = f"SELECT {_COLUMNS} FROM executions WHERE id = ?"  # noqa: S608 - constants
+        row = self._connection.execute(query, (number,)).fetchone() if abs(number) < 2**63 else None
         if row is None:
             raise InputError(f"{self.folder} has no execution {number}: it has {len(self)}, numbered from 0")
         return self._execution(row)
@@ -228,17 +230,37 @@ class Store:
         return Execution(json.loads(record), trace, elapsed)
 
     def close(self) -> None:
-        """Release the file."""
+        """Release the file; what was written is then a single one, which needs no writing to be read."""
+        if self._lock is not None:
+            with suppress(sqlite3.Error):  # somebody reads it right now
+                self._connection.execute("PRAGMA journal_mode = DELETE")
+            self._lock.close()
         self._connection.close()
 
 
 def _connect(folder: Path, mode: str) -> sqlite3.Connection:
     uri = f"{(folder / DATABASE).resolve().as_uri()}?mode={mode}"
     connection = sqlite3.connect(uri, uri=True, timeout=30)
-    if mode != "ro":
+    if not mode.startswith("ro"):
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
     return connection
+
+
+def _lock(folder: Path) -> IO[str]:
+    """Keep other campaigns out of a run folder until the file that is returned is closed.
+
+    Raises:
+        InputError: if another campaign is in it.
+    """
+    file = (folder / LOCK).open("w")
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise InputError(f"{folder} is being written by another campaign: wait for its end, or stop it") from None
+    return file
 
 
 def _checksum(number: int, record: str, trace: bytes) -> int:

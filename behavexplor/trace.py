@@ -102,6 +102,12 @@ class Trace:
         if self.end not in ENDS:
             raise InputError(f"end: expected one of {', '.join(ENDS)}, got {self.end!r}")
 
+    def __deepcopy__(self, memo: object) -> Self:
+        return self  # nothing in it can change
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).from_bytes, (self.to_bytes(),)
+
     @property
     def duration(self) -> float:
         """Simulated time [s]."""

@@ -1,8 +1,10 @@
 """Systems under test for the tests: they keep their lane and see nothing."""
 
 import os
+import sys
 
 import numpy as np
+from threadpoolctl import threadpool_info
 
 
 class Cruiser:
@@ -44,6 +46,28 @@ class Dying(Cruiser):
         return super().predict(observation, state)
 
 
+class Leaver(Cruiser):
+    """Calls it a day."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        sys.exit(0)
+
+
+class Threads(Cruiser):
+    """Refuses to drive where numerical libraries may use more than one thread."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        assert all(pool["num_threads"] == 1 for pool in threadpool_info())
+        return super().predict(observation, state)
+
+
+class Settable(Cruiser):
+    """A parameter that is no road map keeps its default."""
+
+    def __init__(self, speed=10.0):
+        assert speed == 10.0
+
+
 cruiser = Cruiser()
 
 
@@ -53,5 +77,5 @@ def make_cruiser(roadmap):
     return Cruiser()
 
 
-def make_nothing(_roadmap):
+def make_nothing():
     return 3

@@ -94,7 +94,8 @@ def test_candidates_in_flight_are_bounded_by_the_batch(tmp_path):
         told = [0]
         folder = tmp_path / str(batch)
         config = CampaignConfig(budget="30", batch=batch)
-        campaign = Campaign(config, search_method(config, LOGICAL), Store.create(folder, ""), Watched())
+        store = Store.create(folder, "")
+        campaign = Campaign(config, search_method(config, LOGICAL), store, Watched())
         tell = campaign._method.tell
 
         def counted(*arguments, tell=tell, told=told):
@@ -103,6 +104,7 @@ def test_candidates_in_flight_are_bounded_by_the_batch(tmp_path):
 
         campaign._method.tell = counted
         campaign.run(lambda _: None)
+        store.close()
         assert max(in_flight) == batch - 1
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 from behavexplor.commands import main
+from behavexplor.errors import InputError
 from behavexplor.store import Store
 
 ROOT = Path(__file__).parent.parent
@@ -85,7 +87,9 @@ def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
     assert "violates collision" in result.stdout
     assert "gave the same trace" in result.stdout
     with Image.open(tmp_path / f"{number:06d}.gif") as animation:
-        duration = Store.read(folder).execution(number).load_trace().duration
+        store = Store.read(folder)
+        duration = store.execution(number).load_trace().duration
+        store.close()
         assert animation.n_frames == pytest.approx(duration / 0.1, abs=3)
     with Image.open(tmp_path / f"{number:06d}.png") as picture:
         assert picture.size == (600, 600)
@@ -95,9 +99,11 @@ def test_a_replay_that_differs_is_said_to(finished, tmp_path):
     folder, _ = finished
     copy = tmp_path / "copy"
     store = Store.read(folder)
-    other = Store.create(copy, store.config().replace("cruiser", "Swerver"))
+    other = Store.create(copy, (folder / "config.yaml").read_text().replace("cruiser", "Swerver"))
     other.add(store.execution(0))
     other.commit()
+    other.close()
+    store.close()
     result = run("replay", copy, 0)
     assert result.returncode == 1
     assert "ANOTHER trace" in result.stderr
@@ -109,7 +115,7 @@ def test_violations_fail_a_check_only_when_asked(tmp_path):
     assert run(*arguments, "--out", tmp_path / "b", "--fail-on-violation").returncode == 1
 
 
-@pytest.mark.parametrize("ads", ["tests.drivers:Cruiser", "tests.drivers:make_cruiser"])
+@pytest.mark.parametrize("ads", ["tests.drivers:Cruiser", "tests.drivers:make_cruiser", "tests.drivers:Settable"])
 def test_a_class_or_function_makes_the_ads(tmp_path, ads):
     result = run(*FUZZ, "--ads", ads, "--budget", 2, "--out", tmp_path / "a")
     assert result.returncode == 0
@@ -133,9 +139,11 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
         (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
         (["fuzz", "--resume", "tests"], "is not a run folder"),
-        (["fuzz", "--resume", "tests", "--config", "paper"], "--config cannot be given with --resume"),
+        (["fuzz", "--resume", "tests", "--config", "paper"], "--config and --out cannot be given with --resume"),
         (["records", "nowhere"], "is not a run folder"),
         (["replay", "nowhere", "0"], "is not a run folder"),
+        (["fuzz", "--env", ":"], "cannot be made"),
+        (["fuzz", "--ads", "tests.broken_driver:ads"], "cannot be imported: ZeroDivisionError"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -184,6 +192,17 @@ def test_an_ads_that_kills_its_worker_ends_the_campaign(tmp_path):
     assert "Traceback" not in result.stderr
 
 
+def test_workers_use_one_thread_each(tmp_path):
+    result = run(*FUZZ, "--ads", "tests.drivers:Threads", "--budget", 4, "--workers", 2, "--out", tmp_path / "a")
+    assert result.returncode == 0, result.stderr
+
+
+def test_an_ads_that_exits_is_no_success(tmp_path):
+    result = run(*FUZZ, "--ads", "tests.drivers:Leaver", "--budget", 4, "--workers", 2, "--out", tmp_path / "a")
+    assert result.returncode == 3
+    assert "called sys.exit(0)" in result.stderr
+
+
 def start(folder, *arguments):
     """A campaign in the background, once it has stored something."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -200,9 +219,12 @@ def start(folder, *arguments):
 
 def stored(folder):
     try:
-        return len(Store.read(folder))
-    except Exception:  # it is being made right now
+        store = Store.read(folder)
+    except InputError:  # it is being made right now
         return 0
+    count = len(store)
+    store.close()
+    return count
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
@@ -234,6 +256,55 @@ def test_after_sigkill_nothing_counted_is_lost_and_the_campaign_goes_on(tmp_path
     whole = tmp_path / "whole"
     assert run(*FUZZ, "--budget", total, "--out", whole).returncode == 0
     assert records(folder) == records(whole)
+
+
+def test_workers_end_with_the_campaign(tmp_path):
+    process = start(tmp_path / "a", "--workers", "2")
+    group = subprocess.run(["pgrep", "-f", str(tmp_path)], capture_output=True, text=True, check=False).stdout.split()
+    assert str(process.pid) in group
+    children = _descendants(process.pid)
+    assert len(children) >= 2
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 15
+    while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+
+
+def _descendants(pid):
+    listed = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False).stdout.split()
+    return [*listed, *(grandchild for child in listed for grandchild in _descendants(child))]
+
+
+def test_a_run_folder_belongs_to_one_campaign_at_a_time(tmp_path):
+    folder = tmp_path / "a"
+    process = start(folder)
+    result = run("fuzz", "--resume", folder)
+    process.kill()
+    process.communicate()
+    assert result.returncode == 2
+    assert "is being written by another campaign" in result.stderr
+
+
+def test_a_smaller_budget_is_refused_on_resuming(finished):
+    folder, _ = finished
+    result = run("fuzz", "--resume", folder, "--budget", 5)
+    assert result.returncode == 2
+    assert "--budget 5 is less than the 12 executions" in result.stderr
+    assert "budget: '12'" in (folder / "config.yaml").read_text()
+
+
+@pytest.mark.parametrize("text", ["{{{", "", "[1, 2]", "env: 3"])
+def test_a_damaged_configuration_is_one_sentence(finished, tmp_path, text):
+    folder, _ = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    (copy / "config.yaml").write_text(text)
+    for arguments in (["replay", copy, 0], ["fuzz", "--resume", copy]):
+        result = run(*arguments)
+        assert "Traceback" not in result.stderr
+        assert result.returncode == 2
 
 
 def test_only_the_budget_changes_on_resuming(finished):

@@ -86,3 +86,40 @@ def test_an_environment_of_another_package():
         del gymnasium.registry["elsewhere/crossing-v3"]
     assert isinstance(trace, Trace)
     assert trace.end == "arrived"
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (np.zeros((1, 2)), "must return a pair"),
+        ((np.zeros(2), None), r"of shape \(1, 2\), got \(2,\)"),
+        ((np.zeros((1, 3)), None), r"of shape \(1, 2\), got \(1, 3\)"),
+        ((np.array([[np.nan, 0.0]]), None), "must return finite numbers"),
+        ((np.array([["a", "b"]]), None), "must return finite numbers"),
+    ],
+)
+def test_an_answer_that_is_no_action_is_named_at_once(answer, message):
+    class Odd(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return answer
+
+    env = gymnasium.make(environment_id("intersection-straight"), config={"action": Odd.action})
+    with pytest.raises(ValueError, match=message):
+        rollout(env, Odd(), SCENARIOS[0])
+
+
+def test_a_meta_action_out_of_range_is_named():
+    class Wild(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.array([7]), state
+
+    env = gymnasium.make(environment_id("lane-follow"), config={"action": {"type": "DiscreteMetaAction"}})
+    with pytest.raises(ValueError, match=r"actions of Discrete\(5\), got 7"):
+        rollout(env, Wild(), env.unwrapped.logical.sample(np.random.default_rng(0)))
+
+
+def test_an_ads_that_exits_is_an_error_of_its_execution():
+    begin("intersection-straight", "tests.drivers:Leaver")
+    future = InProcessExecutor().submit(evaluate, SCENARIOS[0].to_json().encode())
+    with pytest.raises(RuntimeError, match=r"called sys.exit\(0\)"):
+        future.result()

@@ -44,7 +44,7 @@ def test_executions_come_back_as_they_were(store):
     assert list(store.executions()) == [execution(0), execution(1), execution(2)]
     assert store.execution(1) == execution(1)
     assert store.execution(1).load_trace().to_bytes() == TRACES[1]
-    assert store.config() == "env: x\n"
+    assert (store.folder / "config.yaml").read_text() == "env: x\n"
 
 
 def test_what_is_not_committed_does_not_count(store):

@@ -1,5 +1,7 @@
 """Traces: validated, read-only, and restored exactly from their files."""
 
+import copy
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -114,3 +116,9 @@ def test_nothing_is_unpickled(tmp_path):
     np.savez(path, time=np.array([object()], dtype=object))
     with pytest.raises(InputError):
         Trace.load(path)
+
+
+def test_traces_are_copied_and_sent_to_other_processes():
+    """As vector environments do with what `info` holds."""
+    assert copy.deepcopy({"trace": TRACE})["trace"] is TRACE
+    assert pickle.loads(pickle.dumps(TRACE)).to_bytes() == TRACE.to_bytes()

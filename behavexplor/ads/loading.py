@@ -19,8 +19,8 @@ def load_ads(name: str, roadmap: RoadMap) -> ADS:
     Args:
         name: one of `SYSTEMS`, with a variant behind a colon or without, such as "rule" or "rule:hardened"; or
             any "package.module:attribute": an object with a `predict` method (see
-            `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it takes
-            an argument.
+            `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it has a
+            parameter `roadmap`.
         roadmap: the map that the system may drive by.
 
     Raises:
@@ -32,12 +32,12 @@ def load_ads(name: str, roadmap: RoadMap) -> ADS:
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
         return ads
     if not separator:
-        raise unknown_name("ADS", name, SYSTEMS)
+        raise unknown_name('ADS (a name, or "module:attribute" of your own)', name, SYSTEMS)
     module_name, attribute = system, variant
     try:
         found = getattr(import_module(module_name), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"The ADS {name!r} cannot be imported: {error}") from error
+    except Exception as error:  # a module can raise anything when it is imported
+        raise InputError(f"The ADS {name!r} cannot be imported: {type(error).__name__}: {error}") from error
     return _made(name, found, roadmap)
 
 
@@ -54,13 +54,12 @@ def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:
 
 
 def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap) -> Any:
-    """What a class or function makes, given the road map if it takes an argument."""
+    """What a class or function makes, given the road map if it has a parameter of that name."""
     try:
-        signature(factory).bind(roadmap)
-        arguments = [roadmap]
+        wants_map = "roadmap" in signature(factory).parameters
     except (TypeError, ValueError):
-        arguments = []
+        wants_map = False
     try:
-        return factory(*arguments)
+        return factory(roadmap=roadmap) if wants_map else factory()
     except Exception as error:
         raise InputError(f"The ADS {name!r} cannot be made: {type(error).__name__}: {error}") from error

@@ -1,18 +1,19 @@
 """The commands. Only here are arguments parsed and is anything printed.
 
 Exit codes: 0 the budget was used (violations are the product), 1 a check failed, 2 the input is wrong, 3 the ADS or
-its environment failed, 130 interrupted.
+its environment failed, 70 a bug of ours, 130 interrupted.
 """
 
 import os
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from behavexplor.errors import InputError
 
-OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERRUPTED = 0, 1, 2, 3, 130
+OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,6 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
+    except Exception:
+        traceback.print_exc()
+        print(f"{program()}: This is a bug in behavexplor or in an extension of it; please report it.", file=sys.stderr)
+        return INTERNAL_ERROR
     return code
 
 

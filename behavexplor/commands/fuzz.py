@@ -10,37 +10,45 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-import yaml
 
 from behavexplor.campaign import Campaign, ExecutionError, run_folder, search_method
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
-from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config
+from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
 from behavexplor.errors import InputError
 from behavexplor.executor import available_cores, begin, make_executor, warm_up
+from behavexplor.fuzz.methods import METHODS, describe_method
 from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
 _MAX_WORKERS = 64
 
 
-def _flag(metavar: str, default: object) -> Any:
+def _flag(metavar: str, default: object, text: str | None = None) -> Any:
     """A flag that may be left to the configuration."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+    return tyro.conf.arg(
+        metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "", help=text
+    )
+
+
+def _methods() -> str:
+    """The search methods, a line each."""
+    lines = [f"{name}: {describe_method(name)}" for name in METHODS]
+    return "\n".join(["Search method, or package.module:attribute of your own:", *lines])
 
 
 def fuzz(  # noqa: PLR0913 - one argument for each flag
     *,
     env: Annotated[str | None, _flag("NAME", _DEFAULTS.env)] = None,
     ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads)] = None,
-    method: Annotated[str | None, _flag("NAME", _DEFAULTS.method)] = None,
-    config: Annotated[str | None, _flag("FILE", "none")] = None,
+    method: Annotated[str | None, _flag("NAME", _DEFAULTS.method, _methods())] = None,
+    config: Annotated[str | None, _flag("FILE", None)] = None,
     budget: Annotated[str | None, _flag("N|TIME", _DEFAULTS.budget)] = None,
     seed: Annotated[int | None, _flag("N", _DEFAULTS.seed)] = None,
     batch: Annotated[int | None, _flag("N", _DEFAULTS.batch)] = None,
     workers: Annotated[int | None, _flag("N", "the available cores")] = None,
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
-    resume: Annotated[Path | None, _flag("RUN", "none")] = None,
+    resume: Annotated[Path | None, _flag("RUN", None)] = None,
     quiet: bool = False,
     fail_on_violation: bool = False,
 ) -> int:
@@ -49,7 +57,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     Args:
         env: Environment: a functional scenario, or a gymnasium id.
         ads: System under test: "rule", or "package.module:attribute" of anything with a predict method.
-        method: Search method: "behavexplor", "uniform", or "package.module:attribute".
+        method: Search method.
         config: Campaign as a YAML file, or the name of a preset such as "paper"; flags override it.
         budget: Executions (750), or a time (90s, 30m, 1h30m).
         seed: The same seed gives the same records.
@@ -63,7 +71,9 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     flags = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers)
-    chosen = _resumed_config(resume, given, config) if resume else _new_config(given, config)
+    if resume and (config or out):
+        raise InputError("--config and --out cannot be given with --resume: the run folder has its configuration")
+    chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     simulation = begin(chosen.env, chosen.ads)
@@ -72,10 +82,11 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
     executor = make_executor(workers, chosen.env, chosen.ads)
     try:
-        with display.patience("The ADS is being compiled, once after each installation; this may take a minute ..."):
-            warm_up(executor, simulation.logical)
         campaign = Campaign(chosen, search, store, executor)
-        return _run(campaign, store, display, fail_on_violation=fail_on_violation)
+        with _stopped_by_signals(campaign, display):
+            with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
+                warm_up(executor, simulation.logical)
+            return _run(campaign, store, display, fail_on_violation=fail_on_violation)
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
         store.close()
@@ -83,7 +94,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
 
 def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violation: bool) -> int:
     code, failure = OK, None
-    with _stopped_by_signals(campaign), display:
+    with display:
         try:
             ended = campaign.run(display.show)
         except ExecutionError as error:
@@ -92,7 +103,8 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
             code, failure = EXECUTION_FAILED, f"The run folder cannot be written any more: {error}"
         else:
             failure = ended
-    print(summary(campaign.progress, store, program()))
+    if campaign.progress.executions:
+        print(summary(campaign.progress, store, program()))
     if failure:
         print(f"{program()}: {failure}", file=sys.stderr)
     if campaign.stopping:
@@ -115,17 +127,20 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     return campaign_config({**(read_config(file) if file else {}), **given})
 
 
-def _resumed_config(run: Path, given: dict[str, Any], file: str | None) -> CampaignConfig:
+def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     """The configuration in a run folder; only its budget may be changed."""
-    if file is not None:
-        raise InputError("--config cannot be given with --resume: the run folder has its configuration")
+    stored = stored_config(run)
     store = Store.read(run)
-    stored = campaign_config(yaml.safe_load(store.config()))
+    count = len(store)
     store.close()
     for name, value in given.items():
         if name != "budget" and value != getattr(stored, name):
             raise InputError(f"--{name} cannot be changed on --resume: the run has {getattr(stored, name)!r}")
-    return replace(stored, budget=given.get("budget", stored.budget))
+    resumed = replace(stored, budget=given.get("budget", stored.budget))
+    executions = Budget.parse(resumed.budget).executions
+    if executions is not None and executions < count:
+        raise InputError(f"--budget {executions} is less than the {count} executions that {run} has already")
+    return resumed
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:
@@ -135,11 +150,12 @@ def _reopened(run: Path, config: CampaignConfig) -> Store:
 
 
 @contextmanager
-def _stopped_by_signals(campaign: Campaign) -> Iterator[None]:
+def _stopped_by_signals(campaign: Campaign, display: Display) -> Iterator[None]:
     """The first Ctrl-C (or SIGTERM) ends the campaign cleanly, the second at once."""
 
     def stop(number: int, _frame: object) -> None:
         campaign.stop()
+        display.say("Stopping after the execution that is running; once more to stop at once.")
         signal.signal(number, signal.SIG_DFL)
 
     previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-import yaml
 
-from behavexplor.commands import CHECK_FAILED, OK
-from behavexplor.config import campaign_config
+from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
+from behavexplor.config import stored_config
 from behavexplor.drawing import decisive_frame, draw, save_animation
+from behavexplor.errors import InputError
 from behavexplor.simulation import Simulation
 from behavexplor.store import Execution, Store
 
@@ -33,13 +33,20 @@ def replay(
     """
     store = Store.read(run)
     execution = store.execution(number)
-    config = campaign_config(yaml.safe_load(store.config()))
     store.close()
+    config = stored_config(run)
     simulation = Simulation(config.env, config.ads)
     trace = execution.load_trace()
-    again = simulation.run(execution.scenario)
+    try:
+        again = simulation.run(execution.scenario)
+    except Exception as error:  # of the ADS
+        print(f"{program()}: The ADS failed on running it again, {type(error).__name__}: {error}", file=sys.stderr)
+        return EXECUTION_FAILED
     folder = out or run / "replays"
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder {folder} cannot be made: {error.strerror}") from None
     animation, picture = folder / f"{number:06d}.gif", folder / f"{number:06d}.png"
     roadmap = simulation.logical.roadmap
     caption = _verdict(execution)

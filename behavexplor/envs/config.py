@@ -1,6 +1,7 @@
 """The configuration of the environments: highway-env's with a few keys of ours, and every value checked."""
 
 import inspect
+import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from types import MappingProxyType
@@ -32,7 +33,10 @@ ACTIONS = MappingProxyType(
         "DiscreteMetaAction": actions.DiscreteMetaAction,
     }
 )
-_UNREAD_KEYS = {"flatten", "target_speeds"}  # highway-env's own configurations have them, though nothing reads them
+_UNREAD_KEYS = {
+    "observation": {"flatten"},
+    "action": {"target_speeds"},
+}  # in highway-env's own, though nothing reads them
 _LOGICAL_KEYS = {entry.name for entry in fields(LogicalScenario)} - {"name", "roadmap"}
 
 
@@ -79,7 +83,7 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     if changed["observation"]["type"] == "TimeToCollision" and changed["action"]["type"] != "DiscreteMetaAction":
         raise InputError("The observation type TimeToCollision needs the action type DiscreteMetaAction")
     for name, weight in changed["reward"].items():
-        if not isinstance(weight, int | float):
+        if not isinstance(weight, int | float) or isinstance(weight, bool) or not math.isfinite(weight):
             raise InputError(f"reward.{name}: expected a number, got {weight!r:.80}")
     _check_times(changed)
     return changed
@@ -95,6 +99,8 @@ def changed_logical(logical: LogicalScenario, changes: Mapping[str, Any]) -> Log
         return logical
     for name, value in changes.items():
         if name == "vehicle_types":
+            if not isinstance(value, list | tuple):
+                raise InputError(f"logical.vehicle_types: expected a list of types, got {value!r:.80}")
             _check_keys("logical.vehicle_types", dict.fromkeys(value), logical.vehicle_types)
         elif not isinstance(value, int | float) or isinstance(value, bool) or value < 0:
             raise InputError(f"logical.{name}: expected a number >= 0, got {value!r:.80}")
@@ -118,6 +124,9 @@ def _check_times(config: Mapping[str, Any]) -> None:
         if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value <= 10_000:
             raise InputError(f"{name}: expected a number above 0 and up to 10000, got {value!r:.80}")
     simulation, policy = config["simulation_frequency"], config["policy_frequency"]
+    for name, value in (("simulation_frequency", simulation), ("policy_frequency", policy)):
+        if not isinstance(value, int):
+            raise InputError(f"{name}: expected a whole number, got {value!r}")
     if simulation % policy:
         raise InputError(
             f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}, "
@@ -133,7 +142,7 @@ def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> 
         raise unknown_name(f"{what} type", str(kind), types)
     bases = types[kind].__mro__ if types[kind] else ()  # type: ignore[union-attr]
     known = {name for base in bases for name in inspect.signature(base).parameters} if bases else set()
-    _check_keys(what, settings, (known - {"env", "args", "kwargs"}) | {"type"} | _UNREAD_KEYS)
+    _check_keys(what, settings, (known - {"env", "args", "kwargs"}) | {"type"} | _UNREAD_KEYS[what])
 
 
 def _check_keys(what: str, values: Mapping[str, Any], known: object) -> None:

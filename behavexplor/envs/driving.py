@@ -165,7 +165,9 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         for key in options:
             if key != "scenario":
                 raise unknown_name("reset option", str(key), ["scenario"])
-        scenario = options.get("scenario") or self.logical.sample(self.np_random)
+        scenario = options.get("scenario")
+        if scenario is None:
+            scenario = self.logical.sample(self.np_random)
         if not isinstance(scenario, Scenario):
             raise InputError(f"options['scenario'] must be a behavexplor.scenario.Scenario, got {scenario!r:.80}")
         self.logical.check(scenario)
@@ -205,6 +207,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     def _simulate(self, action: Any = None) -> None:
         """Simulate until the next decision, or until the episode ends."""
+        if self._end is not None:
+            raise gymnasium.error.ResetNeeded("The episode has ended: call reset before step")
         self._recorder.action(action)
         self.action_type.act(action)
         substeps = self.config["simulation_frequency"] // self.config["policy_frequency"]

@@ -79,8 +79,7 @@ def road_network(roadmap: RoadMap) -> MapNetwork:
 def _columns(lanes: list[AbstractLane], kind: type[AbstractLane], *names: str) -> Floats:
     """Attributes of the lanes of one kind, flattened, shape (values, lanes)."""
     rows = [np.hstack([getattr(lane, name) for name in names]) for lane in lanes if isinstance(lane, kind)]
-    width = {StraightLane: 5, CircularLane: 5}[kind]
-    return np.array(rows, dtype=np.float64).reshape(-1, width).T
+    return np.array(rows, dtype=np.float64).reshape(-1, 5).T
 
 
 def _simulator_lane(lane: Lane, roadmap: RoadMap) -> AbstractLane:

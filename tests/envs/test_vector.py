@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from behavexplor.envs.driving import DrivingEnv
+import behavexplor
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.npc import motion_table
-from behavexplor.envs.vector import vector_env
+from behavexplor.envs.vector import DrivingVectorEnv, vector_env
 from behavexplor.errors import InputError
 from behavexplor.scenario import NPC, Scenario, Waypoint
 from behavexplor.trace import RESOLUTION
@@ -377,15 +377,15 @@ def test_steps_need_a_reset_and_an_action_for_each():
         env.step(np.zeros((1, 2)))
 
 
-def test_gymnasium_makes_it():
-    gymnasium.register("test/lane-follow-v0", entry_point=LaneFollowEnv, vector_entry_point=vector_env(LaneFollowEnv))
+@pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
+def test_gymnasium_makes_it(name):
+    config = {"duration": 5.0}
     env = gymnasium.make_vec(
-        "test/lane-follow-v0", num_envs=3, vectorization_mode="vector_entry_point", config={"duration": 5.0}
+        f"behavexplor/{name}-v0", num_envs=3, vectorization_mode="vector_entry_point", config=config
     )
+    assert isinstance(env, DrivingVectorEnv)
+    assert env.logical.name == name
     observations, _ = env.reset(seed=2)
     assert env.observation_space.contains(observations)
     assert env.step(env.action_space.sample())[0] is not env.step(env.action_space.sample())[0]
-    assert isinstance(env, gymnasium.vector.VectorEnv)
-    assert issubclass(type(env).env_class, DrivingEnv)
     env.close()
-    del gymnasium.registry["test/lane-follow-v0"]
