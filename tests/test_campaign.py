@@ -42,8 +42,9 @@ class FakeThreads(ThreadPoolExecutor):
 
 def run(folder, executor=None, observe=lambda _: None, **config):
     config = CampaignConfig(**{"budget": "40", "seed": 3, **config})
+    method = search_method(config, LOGICAL)
     store = Store.reopen(folder) if folder.exists() else Store.create(folder, config.to_yaml())
-    campaign = Campaign(config, search_method(config, LOGICAL), store, executor or FakeExecutor())
+    campaign = Campaign(config, method, store, executor or FakeExecutor())
     try:
         campaign.run(observe)
     finally:
