@@ -132,8 +132,9 @@ def test_a_missing_execution_is_named(store):
 
 def test_a_run_can_be_reopened(store):
     filled(store)
+    store.close()
     again = Store.reopen(store.folder)
     again.add(execution(3))
     again.commit()
+    assert len(again) == 4
     again.close()
-    assert len(store) == 4
