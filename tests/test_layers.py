@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "behavexplor"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
+GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
 EXECUTION = {"rollout", "simulation", "executor"}
 CAMPAIGN = {"config", "store", "campaign", "drawing"}
@@ -32,7 +32,7 @@ HEAVY = {  # where the heavy libraries may be imported
     "torch": {"ads"},
     "stable_baselines3": {"ads", "envs.sb3"},
     "sb3_contrib": {"ads"},
-    "numba": {"envs", "ads", "fuzz"},
+    "numba": {"compiled"},
     "sklearn": {"fuzz"},
     "rich": {"commands"},
     "tyro": {"commands"},

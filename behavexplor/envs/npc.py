@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.roadmap import RoadMap, Route
 from behavexplor.scenario import NPC, Scenario
 

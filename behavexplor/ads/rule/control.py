@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, pose_on_path
+from behavexplor.compiled import kernel
 from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 
 Floats = NDArray[np.float64]

@@ -2,11 +2,11 @@
 
 from typing import Final
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.speed import SpeedPlan
 from behavexplor.ads.rule.station_time import INTERVAL, LEADS, N_INTERVALS, SOFT_LOW, StationTime
+from behavexplor.compiled import kernel
 
 CRUISE: Final = 0  # drives as on a free road
 FOLLOW: Final = 1  # adapts its speed to others

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.roadmap import Lane
 
 Floats = NDArray[np.float64]

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.lanes import LENGTH, lane_array, pose_on_lane, project_on_lane
 from behavexplor.ads.rule.parameters import Parameters
+from behavexplor.compiled import kernel
 from behavexplor.roadmap import Lane, RoadMap
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.control import ACCELERATION_RANGE, PERIOD, STEERING_RANGE, accelerate, steer
 from behavexplor.ads.rule.decision import (
     EMERGENCY,
@@ -24,6 +23,7 @@ from behavexplor.ads.rule.path import Path, ego_path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed import Nodes, Situation, empty_nodes, plan_speed
 from behavexplor.ads.rule.station_time import INTERVAL, StationTime, empty_station_time, project_obstacles
+from behavexplor.compiled import kernel
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
 from behavexplor.scene import EGO, LENGTH, N_COLUMNS, SPEED, X, Y

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.lanes import (
     COS,
     CURVATURE,
@@ -21,6 +20,7 @@ from behavexplor.ads.rule.lanes import (
     project_on_lane,
 )
 from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.compiled import kernel
 from behavexplor.roadmap import Lane, Route
 
 Floats = NDArray[np.float64]

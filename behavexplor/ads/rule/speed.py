@@ -6,7 +6,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, limit_at
 from behavexplor.ads.rule.station_time import (
@@ -21,6 +20,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
+from behavexplor.compiled import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -6,12 +6,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.compiled import kernel
 from behavexplor.ads.rule.lanes import LENGTH as LANE_LENGTH
 from behavexplor.ads.rule.lanes import pose_on_lane
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
+from behavexplor.compiled import kernel
 from behavexplor.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.logical import EGO_SIZE
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.envs.vector.lanes import (
     COUNT,
     FIRST,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor import scene
-from behavexplor.envs.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.envs.kinematics import FEATURES, RELATIVE, Kinematics
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, wrap_to_pi
 from behavexplor.envs.vector.slots import (

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.envs.npc import (
     BEGIN,
     N_COLUMNS,

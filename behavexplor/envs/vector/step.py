@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.compiled import kernel
+from behavexplor.compiled import kernel
 from behavexplor.envs.reward import REAR_END_ANGLE
 from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
 from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle

@@ -1,0 +1,85 @@
+"""Machine code that is kept is dropped when what it was made from changes."""
+
+import numpy as np
+import pytest
+
+from behavexplor import compiled
+
+SOURCES = {
+    "constants.py": "LIMIT = 1\n",
+    "other.py": "UNUSED = 1\n",
+    "rooms/first.py": "from behavexplor.constants import LIMIT\n\n\n@kernel\ndef f(x): ...\n",
+    "rooms/second.py": "from behavexplor.rooms import (\n    first,\n)\n\n\n@kernel\ndef g(x): ...\n",
+    "rooms/third.py": "import behavexplor.other\n\n\n@kernel\ndef h(x): ...\n",
+}
+KERNELS = ("first.f", "second.g", "third.h")
+
+
+def put(package, sources):
+    compiled._source.cache_clear()
+    for name, text in sources.items():
+        (package / name).parent.mkdir(parents=True, exist_ok=True)
+        (package / name).write_text(text)
+
+
+def compile_all(package):
+    folder = package / "rooms" / "__pycache__"
+    folder.mkdir(exist_ok=True)
+    for name in KERNELS:
+        (folder / f"{name}-1.py311.nbi").touch()
+
+
+def kept(package):
+    return {path.name.removesuffix("-1.py311.nbi") for path in (package / "rooms/__pycache__").glob("*.nbi")}
+
+
+@pytest.fixture
+def package(tmp_path):
+    package = tmp_path / "behavexplor"
+    put(package, SOURCES)
+    compiled.drop_stale_code(package)
+    compile_all(package)
+    yield package
+    compiled._source.cache_clear()
+
+
+def test_nothing_is_dropped_while_nothing_changes(package):
+    compiled.drop_stale_code(package)
+    assert kept(package) == set(KERNELS)
+
+
+@pytest.mark.parametrize(
+    ("changed", "left"),
+    [
+        ("rooms/first.py", {"third.h"}),
+        ("constants.py", {"third.h"}),
+        ("rooms/second.py", {"first.f", "third.h"}),
+        ("other.py", {"first.f", "second.g"}),
+    ],
+)
+def test_a_change_drops_the_kernels_that_rest_on_it(package, changed, left):
+    put(package, {changed: SOURCES[changed] + "NEW = 2\n"})
+    compiled.drop_stale_code(package)
+    assert kept(package) == left
+
+
+@pytest.mark.parametrize("text", ["", "[1", "[1, 2]", "null"])
+def test_a_stamp_that_cannot_be_read_drops_everything(package, text):
+    (package / "__pycache__/kernels.json").write_text(text)
+    compiled.drop_stale_code(package)
+    assert kept(package) == set()
+
+
+def test_a_kernel_computes_what_its_python_source_says():
+    @compiled.kernel
+    def mean_of_positive(values):
+        total, count = 0.0, 0
+        for value in values:
+            if value > 0.0:
+                total += value
+                count += 1
+        return total / count
+
+    values = np.random.default_rng(0).normal(size=50)
+    assert mean_of_positive(values) == mean_of_positive.py_func(values)
+    assert np.isnan(mean_of_positive(np.array([-1.0])))  # as numpy divides, where Python raises
