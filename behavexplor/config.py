@@ -53,12 +53,14 @@ class CampaignConfig:
 
     Attributes:
         env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
-        ads: system under test: "rule", or "package.module:attribute" of anything with a `predict` method.
+        ads: system under test: "rule", a policy's file, or "package.module:attribute" of anything with a
+            `predict` method.
         method: search method: "behavexplor", "uniform", or "package.module:attribute".
         budget: executions, such as "750", or a time, such as "30m".
         seed: the same seed gives the same campaign.
         batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the
             paper's sequential loop.
+        trust: digests ("sha256:...") of policies' files that may run code of their own while they are loaded.
         options: of the search method; see its `Options`.
 
     Raises:
@@ -73,6 +75,7 @@ class CampaignConfig:
     budget: str = "750"
     seed: int = 0
     batch: int = 8
+    trust: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -81,10 +84,13 @@ class CampaignConfig:
             raise InputError(f"The seed {self.seed} must be a whole number from 0 to 2^63 - 1")
         if not 1 <= self.batch <= 10_000:
             raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
+        for digest in self.trust:
+            if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
+                raise InputError(f"--trust {digest!r} must be sha256: and 64 hexadecimal digits, of a policy's file")
 
     def to_yaml(self) -> str:
         """The whole configuration; a campaign that is given this file is the same campaign."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
+        return yaml.safe_dump({**asdict(self), "trust": list(self.trust)}, sort_keys=False)
 
 
 def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:

@@ -4,10 +4,11 @@ An executor is a `concurrent.futures.Executor` to which `evaluate` is submitted:
 whatever stands between. Results do not depend on the executor.
 """
 
+import logging
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import wait
@@ -27,13 +28,13 @@ T = TypeVar("T")
 _simulation: list[Simulation] = []  # the one of this process, once it has begun to evaluate
 
 
-def begin(env: str, ads: str) -> Simulation:
-    """Make this process ready to evaluate scenarios.
+def begin(env: str, ads: str, trust: Collection[str] = ()) -> Simulation:
+    """Make this process ready to evaluate scenarios; see `Simulation`.
 
     Raises:
         InputError: see `Simulation`.
     """
-    _simulation[:] = [Simulation(env, ads)]
+    _simulation[:] = [Simulation(env, ads, trust)]
     return _simulation[0]
 
 
@@ -65,13 +66,14 @@ class InProcessExecutor(Executor):
         return future
 
 
-def make_executor(workers: int, env: str, ads: str) -> Executor:
+def make_executor(workers: int, env: str, ads: str, trust: Collection[str] = ()) -> Executor:
     """An executor for `evaluate`; this process must have begun already if there are no other workers.
 
     Args:
         workers: how many processes run scenarios; with 1 it is this one.
         env: see `Simulation`.
         ads: see `Simulation`.
+        trust: see `Simulation`.
     """
     if workers == 1:
         return InProcessExecutor()
@@ -79,7 +81,7 @@ def make_executor(workers: int, env: str, ads: str) -> Executor:
     context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if context.get_start_method() == "forkserver":
         context.set_forkserver_preload(["behavexplor.executor"])
-    return ProcessPoolExecutor(workers, context, _begin_worker, (env, ads))
+    return ProcessPoolExecutor(workers, context, _begin_worker, (env, ads, trust))
 
 
 def warm_up(executor: Executor, logical: LogicalScenario) -> None:
@@ -96,12 +98,13 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-def _begin_worker(env: str, ads: str) -> None:
+def _begin_worker(env: str, ads: str, trust: Collection[str]) -> None:
     """Workers leave Ctrl-C to the campaign, use one thread each, and do not outlive it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_campaign, daemon=True).start()
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    begin(env, ads)
+    logging.getLogger("behavexplor").setLevel(logging.ERROR)  # the campaign's own process has warned already
+    begin(env, ads, trust)
     threadpool_limits(1)  # of what the ADS has loaded, too
 
 

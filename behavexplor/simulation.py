@@ -1,11 +1,13 @@
 """An environment with an ADS in it: concrete scenarios go in, traces come out."""
 
+from collections.abc import Collection
 from typing import Any
 
 import gymnasium
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.logical import LogicalScenario
 from behavexplor.rollout import rollout
@@ -37,17 +39,18 @@ class Simulation:
         env: see `environment_id`; the environment takes `reset(options={"scenario": ...})`, says by `logical`
             which scenarios it can run, and ends an episode with `info["trace"]`.
         ads: see `behavexplor.ads.loading.load_ads`. What it declares (`observation`, `action`,
-            `policy_frequency`) is the configuration of the environment.
+            `policy_frequency`, `simulation_frequency`) is the configuration of the environment.
+        trust: digests of files that the ADS may run code from.
 
     Raises:
         InputError: if there is no such environment or ADS, or they do not fit each other.
     """
 
-    def __init__(self, env: str, ads: str) -> None:
+    def __init__(self, env: str, ads: str, trust: Collection[str] = ()) -> None:
         name = environment_id(env)
         self.logical = _logical(name)
-        self.ads = load_ads(ads, self.logical.roadmap)
-        declared = ("observation", "action", "policy_frequency")
+        self.ads = load_ads(ads, self.logical.roadmap, trust)
+        declared = ("observation", "action", "policy_frequency", "simulation_frequency")
         config = {key: getattr(self.ads, key) for key in declared if hasattr(self.ads, key)}
         try:
             self.env: gymnasium.Env[Any, Any] = gymnasium.make(name, config=config, disable_env_checker=True)
@@ -58,6 +61,7 @@ class Simulation:
             raise InputError(
                 f"The environment {name!r} cannot be made as the ADS {ads!r} wants it: {message}"
             ) from error
+        _check_spaces(self.env, name, self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
         """Run a scenario to its end."""
@@ -66,6 +70,34 @@ class Simulation:
     def close(self) -> None:
         """Release what the environment holds."""
         self.env.close()
+
+
+def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: str) -> None:
+    """Whether a policy, which says by its spaces what it observes and commands, can drive in an environment.
+
+    Raises:
+        InputError: saying what would make it fit, where the spaces tell.
+    """
+    if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
+        return
+    spaces = (ads.observation_space, ads.action_space)
+    if _alike(spaces[0], env.observation_space) and _alike(spaces[1], env.action_space):
+        return
+    raise InputError(
+        f"The policy {ads_name!r} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
+        f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. {how_to_fit(*spaces)}"
+    )
+
+
+def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
+    """Whether values of one space have the form of those of the other."""
+    if isinstance(policy, gymnasium.spaces.Discrete) and isinstance(env, gymnasium.spaces.Discrete):
+        return bool(policy.n == env.n)
+    return type(policy) is type(env) and policy.shape == env.shape
+
+
+def _brief(space: gymnasium.Space[Any]) -> str:
+    return f"Box{space.shape}" if isinstance(space, gymnasium.spaces.Box) else str(space)
 
 
 def _logical(name: str) -> LogicalScenario:

@@ -12,7 +12,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
-EXECUTION = {"rollout", "simulation", "executor"}
+EXECUTION = {"rollout", "simulation", "executor", "health"}
 CAMPAIGN = {"config", "store", "campaign", "drawing"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),

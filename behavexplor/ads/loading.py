@@ -1,8 +1,9 @@
 """Systems under test by name."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from importlib import import_module
 from inspect import signature
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -13,15 +14,17 @@ from behavexplor.roadmap import RoadMap
 SYSTEMS = MappingProxyType({"rule": "behavexplor.ads.rule:rule_planner"})
 
 
-def load_ads(name: str, roadmap: RoadMap) -> ADS:
+def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     """The system under test of a name.
 
     Args:
         name: one of `SYSTEMS`, with a variant behind a colon or without, such as "rule" or "rule:hardened"; or
+            a file or folder of a policy, see `behavexplor.ads.sb3.policy.load_policy`; or
             any "package.module:attribute": an object with a `predict` method (see
             `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it has a
             parameter `roadmap`.
         roadmap: the map that the system may drive by.
+        trust: digests ("sha256:...") of files that may run code of their own while they are loaded.
 
     Raises:
         InputError: if there is none of that name, or what is found cannot predict.
@@ -31,14 +34,28 @@ def load_ads(name: str, roadmap: RoadMap) -> ADS:
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
         return ads
+    if name.endswith(".zip") or Path(name).exists():
+        return _policy(Path(name), trust)
     if not separator:
-        raise unknown_name('ADS (a name, or "module:attribute" of your own)', name, SYSTEMS)
+        raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
     module_name, attribute = system, variant
     try:
         found = getattr(import_module(module_name), attribute)
     except Exception as error:  # a module can raise anything when it is imported
         raise InputError(f"The ADS {name!r} cannot be imported: {type(error).__name__}: {error}") from error
     return _made(name, found, roadmap)
+
+
+def _policy(path: Path, trust: Collection[str]) -> ADS:
+    try:
+        from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{path} needs {error.name}: install the extra `rl`, with pip install -c constraints.txt -e '.[rl]'"
+        ) from None
+    policy: Any = load_policy(path, trust)
+    ads: ADS = policy
+    return ads
 
 
 def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:

@@ -18,6 +18,7 @@ from behavexplor.config import Budget, CampaignConfig, campaign_config, read_con
 from behavexplor.errors import InputError
 from behavexplor.executor import available_cores, begin, make_executor, warm_up
 from behavexplor.fuzz.methods import METHODS, describe_method
+from behavexplor.health import health_warnings
 from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
@@ -47,6 +48,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     seed: Annotated[int | None, _flag("N", _DEFAULTS.seed)] = None,
     batch: Annotated[int | None, _flag("N", _DEFAULTS.batch)] = None,
     workers: Annotated[int | None, _flag("N", "the available cores")] = None,
+    trust: Annotated[str | None, _flag("DIGEST", None)] = None,
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, _flag("RUN", None)] = None,
     quiet: bool = False,
@@ -56,19 +58,21 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
 
     Args:
         env: Environment: a functional scenario, or a gymnasium id.
-        ads: System under test: "rule", or "package.module:attribute" of anything with a predict method.
+        ads: System under test: "rule", a policy's file, or package.module:attribute of anything with a predict method.
         method: Search method.
         config: Campaign as a YAML file, or the name of a preset such as "paper"; flags override it.
         budget: Executions (750), or a time (90s, 30m, 1h30m).
         seed: The same seed gives the same records.
         batch: Candidates in flight: each is chosen without the results of that many before it.
         workers: Processes that execute scenarios; the records do not depend on it.
+        trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
         out: Run folder, new or empty.
         resume: Go on with the campaign in this run folder; a larger --budget extends it.
         quiet: Only the summary.
         fail_on_violation: Exit with code 1 if any spec was violated, as a check in CI wants it.
     """
-    flags = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
+    flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
+    flags["trust"] = (trust,) if trust else None
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers)
     if resume and (config or out):
@@ -76,11 +80,13 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
-    simulation = begin(chosen.env, chosen.ads)
+    simulation = begin(chosen.env, chosen.ads, chosen.trust)
+    for warning in health_warnings(simulation) if not chosen.ads.startswith("rule") else ():
+        display.say(f"Beware: {warning}")
     search = search_method(chosen, simulation.logical)
     folder = resume or out or run_folder(chosen, Path("runs"))
     store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
-    executor = make_executor(workers, chosen.env, chosen.ads)
+    executor = make_executor(workers, chosen.env, chosen.ads, chosen.trust)
     try:
         campaign = Campaign(chosen, search, store, executor)
         with _stopped_by_signals(campaign, display):

@@ -35,7 +35,7 @@ def replay(
     execution = store.execution(number)
     store.close()
     config = stored_config(run)
-    simulation = Simulation(config.env, config.ads)
+    simulation = Simulation(config.env, config.ads, config.trust)
     trace = execution.load_trace()
     try:
         again = simulation.run(execution.scenario)

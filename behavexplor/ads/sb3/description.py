@@ -1,0 +1,154 @@
+"""What stands beside a model's file: what the policy observes and commands, and how its observations were prepared."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+import yaml
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
+from behavexplor.errors import InputError, unknown_name
+
+MAX_BYTES: Final = 1_000_000  # of a YAML file
+STATISTICS = "vecnormalize.pkl"
+_ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
+_ENVIRONMENT_KEYS = ("observation", "action", "policy_frequency", "simulation_frequency")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What a policy needs besides its network.
+
+    Attributes:
+        observation: highway-env's observation configuration; None for the environment's own.
+        action: highway-env's action configuration; None for the environment's own.
+        policy_frequency: [Hz]; None for the environment's own.
+        simulation_frequency: [Hz]; None for the environment's own.
+        frame_stack: how many observations are stacked along the last axis.
+        statistics: file of `VecNormalize`, None if observations were not normalised.
+        about: whatever else the author wants to say; not read.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    observation: Mapping[str, Any] | None = None
+    action: Mapping[str, Any] | None = None
+    policy_frequency: int | None = None
+    simulation_frequency: int | None = None
+    frame_stack: int = 1
+    statistics: Path | None = None
+    about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def find_model(path: Path) -> Path:
+    """The model's file: the path itself, or the one in a run folder of rl-zoo3.
+
+    Raises:
+        InputError: if there is none, or it is not clear which.
+    """
+    if path.is_file():
+        return path
+    if not path.is_dir():
+        raise InputError(f"There is no file or folder {path}")
+    models = sorted(path.glob("*.zip"))
+    named = [model for model in models if (path / model.stem / "args.yml").is_file()]
+    best = [model for model in models if model.name == "best_model.zip"]
+    chosen = named or best or models
+    if len(chosen) != 1:
+        listed = ", ".join(model.name for model in models) or "none"
+        raise InputError(f"{path} must hold one model's zip file, has {listed}: name the file")
+    return chosen[0]
+
+
+def describe(model: Path) -> Description:
+    """What stands beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and `vecnormalize.pkl`.
+
+    Raises:
+        InputError: if a file cannot be read, or asks for something that cannot be done here.
+    """
+    own = model.with_suffix(".yaml")
+    folders = [arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))]
+    if own.is_file():
+        description = _own(own)
+    elif len(folders) == 1:
+        description = _of_zoo(folders[0])
+    else:
+        description = Description()
+    beside = model.parent / STATISTICS
+    if description.statistics is None and beside.is_file():
+        return replace(description, statistics=beside)
+    return description
+
+
+def _own(path: Path) -> Description:
+    values = _read(path)
+    for key in values:
+        if key not in Description.__dataclass_fields__:
+            raise unknown_name(f"key of {path}", str(key), Description.__dataclass_fields__)
+    try:
+        description = TypeAdapter(Description).validate_python(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{place} in {path}: {first['msg']}, got {first['input']!r:.80}") from None
+    if description.frame_stack < 1:
+        raise InputError(f"frame_stack in {path} must be at least 1, got {description.frame_stack}")
+    if description.statistics is None:
+        return description
+    statistics = path.parent / description.statistics
+    if not statistics.is_file():
+        raise InputError(f"{path} names {description.statistics}, which is not there")
+    return replace(description, statistics=statistics)
+
+
+def _of_zoo(folder: Path) -> Description:
+    """What rl-zoo3 writes into a run's folder; it normalises observations first, then stacks them."""
+    arguments = _read(folder / "args.yml")
+    settings = _read(folder / "config.yml") if (folder / "config.yml").is_file() else {}
+    if settings.get("env_wrapper"):
+        raise InputError(
+            f"{folder / 'config.yml'}: the policy was trained in the wrapper {settings['env_wrapper']!r:.80}, which is "
+            "not applied here: make an object of your own that applies it, and name it as module:attribute"
+        )
+    config = _environment(arguments)
+    statistics = folder / STATISTICS
+    if settings.get("normalize") and not statistics.is_file():
+        raise InputError(
+            f"{folder / 'config.yml'} says that observations were normalised, but {STATISTICS} is missing there"
+        )
+    values = {key: config[key] for key in _ENVIRONMENT_KEYS if key in config}
+    stack = settings.get("frame_stack") or 1
+    return Description(frame_stack=int(stack), statistics=statistics if statistics.is_file() else None, **values)
+
+
+def _environment(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The configuration of the environment that a policy was trained in: highway-env's default with the changes."""
+    keywords = arguments.get("env_kwargs") or {}
+    changed = keywords.get("config") if isinstance(keywords, Mapping) else None
+    return {**HIGHWAY_ENVIRONMENTS.get(str(arguments.get("env")), {}), **(changed if isinstance(changed, dict) else {})}
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain values, and the ordered dictionaries in which rl-zoo3 wraps them."""
+
+
+_Loader.add_constructor(
+    _ORDERED_DICT,
+    lambda loader, node: dict(loader.construct_sequence(node, deep=True)[0]),  # type: ignore[arg-type]
+)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        data = path.read_bytes()[: MAX_BYTES + 1]
+        values = yaml.load(data.decode(), _Loader) if len(data) <= MAX_BYTES else "too long"  # noqa: S506 - it is safe
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError, yaml.YAMLError) as error:
+        raise InputError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+    if values is None:
+        return {}
+    if not isinstance(values, dict):
+        raise InputError(f"{path} must hold keys and values, such as `policy_frequency: 5`")
+    return values

@@ -1,0 +1,88 @@
+"""highway-env's configurations, as far as a policy's spaces tell which of them it was trained with."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import gymnasium
+import yaml
+
+# highway-env 1.12, `default_config` of its environments.
+_FEATURES = {axis: [-100, 100] for axis in ("x", "y")} | {axis: [-20, 20] for axis in ("vx", "vy")}
+_POSE = ["presence", "x", "y", "vx", "vy"]
+_CROSSING = {"type": "Kinematics", "features_range": _FEATURES, "absolute": True}
+_SPEEDS = [0, 4.5, 9]
+_ANGLE = 1.0471975511965976  # 60 degrees
+
+HIGHWAY_ENVIRONMENTS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "highway-v0": {
+            "observation": {"type": "Kinematics", "vehicles_count": 5},
+            "action": {"type": "DiscreteMetaAction"},
+            "policy_frequency": 1,
+            "simulation_frequency": 15,
+        },
+        "intersection-v0": {
+            "observation": {**_CROSSING, "vehicles_count": 15, "features": [*_POSE, "cos_h", "sin_h"]},
+            "action": {"type": "DiscreteMetaAction", "lateral": False, "target_speeds": _SPEEDS},
+            "policy_frequency": 1,
+            "simulation_frequency": 15,
+        },
+        "intersection-v1": {
+            "observation": {**_CROSSING, "vehicles_count": 5, "features": [*_POSE, "long_off", "lat_off", "ang_off"]},
+            "action": {"type": "ContinuousAction", "steering_range": [-_ANGLE, _ANGLE], "dynamical": True},
+            "policy_frequency": 1,
+            "simulation_frequency": 15,
+        },
+    }
+)
+_SPACES = {"highway-v0": ((5, 5), 5), "intersection-v0": ((15, 7), 3), "intersection-v1": ((5, 8), (2,))}
+_KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}
+
+
+def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> str:
+    """What the user of a policy with these spaces can do so that an environment has them, as a sentence."""
+    name, config = fitting_config(observation_space, action_space)
+    where = "in a YAML file beside the policy's (model.yaml beside model.zip), or as attributes of an object of yours"
+    if not config:
+        return f"Say what it observes and commands, by highway-env's `observation` and `action` configuration {where}"
+    hint = f" (those of highway-env's {name})" if name else ""
+    flow = yaml.safe_dump(config, default_flow_style=True, sort_keys=False, width=10_000).strip()
+    return f"What would fit{hint} can be said {where}: {flow}"
+
+
+def fitting_config(
+    observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]
+) -> tuple[str, dict[str, Any]]:
+    """Which configuration would have a policy's spaces.
+
+    Returns:
+        The environment of highway-env that has these spaces by default, "" if none has; and the keys `observation`,
+        `action` and, for an environment, frequencies, as far as they can be told.
+    """
+    commands = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else action_space.shape
+    for name, spaces in _SPACES.items():
+        if spaces == (observation_space.shape, commands):
+            return name, dict(HIGHWAY_ENVIRONMENTS[name])
+    guesses = {"observation": _observation(observation_space.shape or ()), "action": _action(commands)}
+    return "", {key: guess for key, guess in guesses.items() if guess}
+
+
+def _observation(shape: tuple[int, ...]) -> dict[str, Any]:
+    if len(shape) == 2 and shape[1] in _KINEMATICS:
+        return {"type": "Kinematics", "vehicles_count": shape[0], "features": _KINEMATICS[shape[1]]}
+    if len(shape) == 2 and shape[1] == 2:
+        return {"type": "LidarObservation", "cells": shape[0]}
+    if len(shape) == 3 and shape[0] == 3:
+        return {"type": "TimeToCollision"}
+    return {}
+
+
+def _action(commands: int | tuple[int, ...] | None) -> dict[str, Any]:
+    known: dict[Any, dict[str, Any]] = {
+        5: {"type": "DiscreteMetaAction"},
+        3: {"type": "DiscreteMetaAction", "lateral": False},
+        (2,): {"type": "ContinuousAction"},
+        (1,): {"type": "ContinuousAction", "longitudinal": False},
+    }
+    return known.get(commands, {})

@@ -1,0 +1,141 @@
+"""A policy trained with Stable-Baselines3 as a system under test."""
+
+import logging
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+
+from behavexplor.ads.sb3.archive import Archive, read_archive
+from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
+from behavexplor.ads.sb3.description import Description, describe, find_model
+from behavexplor.ads.sb3.inert import as_array
+from behavexplor.ads.sb3.statistics import Statistics
+from behavexplor.errors import InputError
+
+Floats = NDArray[np.float64]
+
+_LOG = logging.getLogger(__name__)
+
+
+class SB3Policy:
+    """A network of Stable-Baselines3, its observations prepared as they were when it was trained.
+
+    Attributes:
+        observation_space: of one observation from the environment, before it is scaled and stacked.
+        action_space: of one action.
+        last_trained_on: the observations at the end of its training, shape (n, ...); None if the file has none.
+
+    The observation and action configuration and the frequencies are attributes only where they are known.
+    """
+
+    def __init__(
+        self, network: BasePolicy, description: Description, statistics: Statistics | None, last: NDArray[Any] | None
+    ) -> None:
+        self._network = network
+        self._statistics = statistics
+        self._stack = description.frame_stack
+        self.observation_space = _unstacked(network.observation_space, self._stack)
+        self.action_space = network.action_space
+        self.last_trained_on = last
+        names = ("observation", "action", "policy_frequency", "simulation_frequency")
+        for name in names:
+            if (value := getattr(description, name)) is not None:
+                setattr(self, name, value)
+        if statistics is not None and statistics.mean.shape != self.observation_space.shape:
+            raise InputError(
+                f"{description.statistics} is of observations of shape {statistics.mean.shape}, "
+                f"the policy's have {self.observation_space.shape}"
+            )
+
+    def prepare(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """Observations scaled as they were in training, shape (B, ...)."""
+        return observation if self._statistics is None else self._statistics.scale(observation)
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        The state is a pair: the observations stacked so far, and the state of a recurrent network.
+        """
+        frames, memory = (None, None) if state is None else state
+        prepared = self.prepare(np.asarray(observation))
+        if self._stack > 1:
+            prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
+        actions, memory = self._network.predict(prepared, memory, episode_start, deterministic)
+        return actions, (frames, memory)
+
+
+def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
+    """Read a policy from a model's zip file, or from a run folder of rl-zoo3.
+
+    Nothing that the files contain is run, unless they are trusted.
+
+    Args:
+        path: of the file or folder; see `behavexplor.ads.sb3.description` for what may stand beside the file.
+        trust: digests ("sha256:...") of files whose code may be run.
+
+    Raises:
+        InputError: if it cannot be read, or only by running what it contains and it is not trusted.
+    """
+    model = find_model(path)
+    archive = read_archive(model)
+    description = describe(model)
+    statistics = Statistics.read(description.statistics) if description.statistics else None
+    for suspicion in (*archive.suspicions, *(statistics.suspicions if statistics else ())):
+        _LOG.warning("%s: %s, which was not run", model, suspicion)
+    return SB3Policy(_network(archive, trust), description, statistics, _last_observations(archive.settings))
+
+
+def _network(archive: Archive, trust: Collection[str]) -> BasePolicy:
+    if archive.digest in trust:
+        return build_trusted(archive)
+    try:
+        return build_policy(archive)
+    except UntrustedError as error:
+        raise InputError(
+            f"{archive.path} cannot be loaded without running code from it: {error}. "
+            f"If you know where it comes from, add --trust {archive.digest}"
+        ) from None
+
+
+def _last_observations(settings: Mapping[str, Any]) -> NDArray[Any] | None:
+    try:
+        return as_array(settings["_last_obs"])
+    except (KeyError, ValueError):  # a model that never trained, or one with other observations
+        return None
+
+
+def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
+    """The space of one frame of those that are stacked along the last axis."""
+    if stack == 1 or not isinstance(space, gymnasium.spaces.Box):
+        return space
+    width = space.shape[-1]
+    if width % stack:
+        raise InputError(f"The policy's observations have {width} columns, which are not {stack} stacked frames")
+    return gymnasium.spaces.Box(
+        space.low[..., -width // stack :], space.high[..., -width // stack :], dtype=space.dtype.type
+    )
+
+
+def _stacked(
+    newest: NDArray[Any], frames: NDArray[Any] | None, episode_start: NDArray[np.bool_] | None, stack: int
+) -> NDArray[Any]:
+    """The last frames along the last axis, the newest at its end; zeros before the episode."""
+    width = newest.shape[-1]
+    if frames is None:
+        frames = np.zeros((*newest.shape[:-1], stack * width), dtype=newest.dtype)
+    frames = np.roll(frames, -width, axis=-1)
+    if episode_start is not None:
+        frames[np.asarray(episode_start, dtype=bool)] = 0
+    frames[..., -width:] = newest
+    return frames

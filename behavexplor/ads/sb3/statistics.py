@@ -1,0 +1,75 @@
+"""The statistics by which `VecNormalize` scaled observations while a policy was trained."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.sb3.archive import suspicious_names
+from behavexplor.ads.sb3.inert import Inert, as_array, read_pickle
+from behavexplor.errors import InputError
+
+MAX_BYTES: Final = 50_000_000
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Scales observations as Stable-Baselines3's `VecNormalize` does.
+
+    Attributes:
+        mean: shape of an observation.
+        variance: shape of an observation.
+        clip: greatest absolute value afterwards.
+        epsilon: added to the variance.
+        suspicions: what loading the file with Stable-Baselines3 would call besides, each as a phrase.
+    """
+
+    mean: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    clip: float
+    epsilon: float
+    suspicions: tuple[str, ...] = ()
+
+    @classmethod
+    def read(cls, path: Path) -> Self | None:
+        """Read the file that `VecNormalize.save` writes, without running it.
+
+        Returns:
+            The statistics; None if it says that observations were not scaled.
+
+        Raises:
+            InputError: if it cannot be read.
+        """
+        try:
+            data = path.read_bytes()
+            if len(data) > MAX_BYTES:
+                raise InputError(f"{path} has {len(data)} bytes, which no statistics need")
+            saved, names = read_pickle(data)
+            state = _state(saved, "VecNormalize")
+            if not state.get("norm_obs", True):
+                return None
+            moments = _state(state["obs_rms"], "RunningMeanStd")
+            mean, variance = as_array(moments["mean"]), as_array(moments["var"])
+            clip, epsilon = float(as_array(state["clip_obs"])), float(as_array(state["epsilon"]))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path} holds no statistics of VecNormalize for an array: {error}") from None
+        if mean.shape != variance.shape or not np.isfinite([mean, variance]).all() or (variance < 0).any():
+            raise InputError(f"{path} holds no usable statistics: mean and variance must be finite and of one shape")
+        calls = tuple(f"{path.name} calls {name}" for name in suspicious_names(names))
+        return cls(mean.astype(np.float64), variance.astype(np.float64), clip, epsilon, calls)
+
+    def scale(self, observations: NDArray[Any]) -> NDArray[np.float32]:
+        """Observations as the policy saw them when it was trained, shape (B, ...)."""
+        scaled = (observations - self.mean) / np.sqrt(self.variance + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+
+def _state(value: Any, kind: str) -> dict[str, Any]:
+    """The attributes that an object of the kind would have been given."""
+    if not isinstance(value, Inert) or not value.name.endswith(f".{kind}") or not isinstance(value.state, dict):
+        raise ValueError(f"no {kind}")
+    return value.state

@@ -1,0 +1,315 @@
+"""Models of Stable-Baselines3 as systems under test: they drive as there, and their files run nothing."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import yaml
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
+
+from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.policy import load_policy
+from behavexplor.ads.sb3.statistics import Statistics
+from behavexplor.errors import InputError
+from tests.ads.sb3.models import ALGORITHMS, BOX, COMMANDS, Payload, Still, make_model, poison
+
+PLACES = ("lr_schedule", "_last_obs", "new_key", "policy_kwargs", "pytorch_variables.pth", "policy.optimizer.pth")
+
+
+class Halving(BaseFeaturesExtractor):
+    """A user's own extractor."""
+
+    def __init__(self, space):
+        super().__init__(space, 35)
+
+    def forward(self, observations):
+        return observations.flatten(1) / 2
+
+
+@pytest.fixture(scope="module")
+def observations():
+    return np.random.default_rng(0).normal(size=(6, 7, 5)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def ppo(tmp_path_factory):
+    path = tmp_path_factory.mktemp("ppo") / "model.zip"
+    make_model("PPO").save(path)
+    return path
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_every_algorithm_answers_as_in_its_library(name, observations, tmp_path):
+    model = make_model(name)
+    model.save(tmp_path / "model")
+    policy = load_policy(tmp_path / "model.zip")
+    np.testing.assert_array_equal(policy.predict(observations)[0], model.predict(observations, deterministic=True)[0])
+    assert (policy.observation_space, policy.action_space) == (BOX, model.action_space)
+
+
+def test_discrete_actions_do_not_depend_on_the_batch(tmp_path):
+    make_model("DQN").save(tmp_path / "model")
+    policy = load_policy(tmp_path / "model.zip")
+    many = np.random.default_rng(1).normal(size=(256, 7, 5)).astype(np.float32)
+    together = policy.predict(many)[0]
+    assert len(set(together)) > 1
+    np.testing.assert_array_equal(together, np.concatenate([policy.predict(one[None])[0] for one in many]))
+
+
+def test_a_recurrent_policy_carries_its_state_and_forgets_it_at_an_episode_start(tmp_path):
+    model = make_model("RecurrentPPO")
+    model.save(tmp_path / "model")
+    policy = load_policy(tmp_path / "model.zip")
+    drives = np.random.default_rng(2).normal(size=(8, 2, 7, 5)).astype(np.float32)
+    state, starts = None, np.ones(2, dtype=bool)
+    got = []
+    for step, observation in enumerate(drives):
+        starts = np.array([step == 0, step in (0, 5)])  # the second ego begins another episode at step 5
+        actions, state = policy.predict(observation, state, starts)
+        got.append(actions)
+    alone, memory = [], None
+    for step in range(5, 8):
+        action, memory = model.predict(drives[step, 1][None], memory, np.array([step == 5]), deterministic=True)
+        alone.append(action[0])
+    np.testing.assert_allclose([actions[1] for actions in got[5:]], alone, atol=1e-6)
+    blank = [model.predict(drives[step, 0][None], deterministic=True)[0][0] for step in range(1, 8)]
+    assert np.abs(np.array([actions[0] for actions in got[1:]]) - blank).max() > 1e-4
+
+
+def normalised(stack):
+    """Stable-Baselines3's own preparation of observations, its statistics those of some random steps."""
+    env = VecNormalize(DummyVecEnv([lambda: Still(gymnasium.spaces.Box(-3.0, 9.0, (7, 5), np.float32))]), clip_obs=1.5)
+    env.reset()
+    for _ in range(20):
+        env.step(np.zeros((1, 2)))
+    env.training = False
+    return env, (VecFrameStack(env, stack) if stack > 1 else env)
+
+
+@pytest.mark.parametrize("stack", [1, 3])
+def test_observations_are_prepared_as_in_training(stack, tmp_path):
+    statistics, env = normalised(stack)
+    model = make_model("PPO", env.observation_space)
+    model.save(tmp_path / "model")
+    statistics.save(str(tmp_path / "vecnormalize.pkl"))
+    (tmp_path / "model.yaml").write_text(f"frame_stack: {stack}\n")
+    policy = load_policy(tmp_path / "model.zip")
+    prepared = env.reset()
+    state, start = None, np.ones(1, dtype=bool)
+    for _ in range(6):
+        action, state = policy.predict(statistics.get_original_obs(), state, start)
+        np.testing.assert_allclose(action, model.predict(prepared, deterministic=True)[0], atol=1e-6)
+        prepared, *_ = env.step(action)
+        start = np.zeros(1, dtype=bool)
+
+
+def test_statistics_are_those_of_vecnormalize(tmp_path):
+    env, _ = normalised(1)
+    env.save(str(tmp_path / "saved.pkl"))
+    statistics = Statistics.read(tmp_path / "saved.pkl")
+    raw = np.random.default_rng(3).uniform(-30, 30, (50, 7, 5)).astype(np.float32)
+    np.testing.assert_array_equal(statistics.scale(raw), env.normalize_obs(raw))
+    assert statistics.suspicions == ()
+
+
+def test_statistics_that_leave_observations_alone_are_none(tmp_path):
+    env, _ = normalised(1)
+    env.norm_obs = False
+    env.save(str(tmp_path / "saved.pkl"))
+    assert Statistics.read(tmp_path / "saved.pkl") is None
+
+
+def test_statistics_of_other_observations_are_refused(tmp_path, ppo):
+    env = VecNormalize(DummyVecEnv([lambda: Still(gymnasium.spaces.Box(0.0, 1.0, (4, 5), np.float32))]))
+    (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
+    env.save(str(tmp_path / "vecnormalize.pkl"))
+    with pytest.raises(InputError, match=r"of shape \(4, 5\), the policy's have \(7, 5\)"):
+        load_policy(tmp_path / "model.zip")
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", b"\x80\x04N."])
+def test_rubbish_instead_of_statistics_is_refused(content, tmp_path, ppo):
+    (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
+    (tmp_path / "vecnormalize.pkl").write_bytes(content)
+    with pytest.raises(InputError, match=r"vecnormalize\.pkl holds no statistics"):
+        load_policy(tmp_path / "model.zip")
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_payload_does_nothing_and_is_named(place, tmp_path, ppo, caplog):
+    proof = tmp_path / "proof"
+    poisoned = poison(ppo, tmp_path / "poisoned.zip", place, proof)
+    try:
+        load_policy(poisoned)
+        named = caplog.text
+    except InputError as error:
+        named = str(error)
+    assert "posix.mkdir" in named
+    assert place in named or "needs" in named
+    assert not proof.exists()
+
+
+def test_a_payload_among_the_weights_does_nothing_and_is_named(tmp_path, ppo):
+    poisoned = poison(ppo, tmp_path / "poisoned.zip", "policy.pth", tmp_path / "proof")
+    with pytest.raises(InputError, match=r"weights hold more than weights.*not run"):
+        load_policy(poisoned)
+    assert "policy.pth calls posix.mkdir" in read_archive(poisoned).suspicions
+    assert not (tmp_path / "proof").exists()
+
+
+def test_a_payload_in_the_statistics_does_nothing_and_is_named(tmp_path, ppo, caplog):
+    env, _ = normalised(1)
+    env.extra = Payload(tmp_path / "proof")
+    env.save(str(tmp_path / "vecnormalize.pkl"))
+    (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
+    load_policy(tmp_path / "model.zip")
+    assert "vecnormalize.pkl calls posix.mkdir" in caplog.text
+    assert not (tmp_path / "proof").exists()
+
+
+def test_an_ordinary_file_is_not_suspected(ppo):
+    assert read_archive(ppo).suspicions == ()
+
+
+def test_code_of_the_users_own_needs_trust_in_that_very_file(tmp_path, observations):
+    model = make_model("PPO", policy_kwargs={"features_extractor_class": Halving})
+    model.save(tmp_path / "model")
+    with pytest.raises(InputError, match=r"Halving.*add --trust sha256:[0-9a-f]{64}") as refused:
+        load_policy(tmp_path / "model.zip")
+    digest = str(refused.value).rpartition(" ")[2]
+    with pytest.raises(InputError, match="add --trust"):
+        load_policy(tmp_path / "model.zip", trust=[f"sha256:{'0' * 64}"])
+    policy = load_policy(tmp_path / "model.zip", trust=[digest])
+    np.testing.assert_array_equal(policy.predict(observations)[0], model.predict(observations, deterministic=True)[0])
+
+
+def rewritten(source: Path, target: Path, **members) -> Path:
+    """A copy of a zip file with other members; None leaves one out."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            content = members.get(name.replace(".", "_"), old.read(name))
+            if content is not None:
+                new.writestr(name, content)
+    return target
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        ({"data": None}, "it has no data"),
+        ({"policy_pth": None}, r"it has no policy\.pth"),
+        ({"data": b"{"}, "damaged"),
+        ({"data": b"[]"}, "damaged"),
+        ({"data": b"{}"}, "cannot be loaded without running code"),
+        ({"policy_pth": b"rubbish"}, "damaged"),
+        ({"data": b" " * 50_000_000}, "which no model needs"),
+    ],
+)
+def test_a_file_that_is_no_model_is_refused(members, message, tmp_path, ppo):
+    with pytest.raises(InputError, match=message):
+        load_policy(rewritten(ppo, tmp_path / "model.zip", **members))
+
+
+def test_a_file_cut_short_is_refused_in_a_sentence(tmp_path, ppo):
+    data = ppo.read_bytes()
+    for length in range(0, len(data), 997):
+        (tmp_path / "model.zip").write_bytes(data[:length])
+        with pytest.raises(InputError, match=r"is no (zip file|model) of Stable-Baselines3"):
+            load_policy(tmp_path / "model.zip")
+
+
+def test_weights_of_another_network_are_refused(tmp_path, ppo):
+    make_model("PPO", policy_kwargs={"net_arch": [9]}).save(tmp_path / "other")
+    with zipfile.ZipFile(tmp_path / "other.zip") as other:
+        mixed = rewritten(ppo, tmp_path / "mixed.zip", policy_pth=other.read("policy.pth"))
+    with pytest.raises(InputError, match="weights and settings do not fit each other"):
+        load_policy(mixed)
+
+
+def zoo(folder: Path, model: Path, *, arguments=None, settings=None) -> Path:
+    """A run folder as rl-zoo3 writes it."""
+    inner = folder / "intersection-v1"
+    inner.mkdir(parents=True)
+    (folder / "intersection-v1.zip").write_bytes(model.read_bytes())
+    (folder / "best_model.zip").write_bytes(model.read_bytes())
+    tag = "!!python/object/apply:collections.OrderedDict\n"
+    arguments = {"algo": "ppo", "env": "intersection-v1", "env_kwargs": None} if arguments is None else arguments
+    for name, values in (("args.yml", arguments), ("config.yml", settings or {})):
+        (inner / name).write_text(tag + yaml.safe_dump([[[key, value] for key, value in values.items()]]))
+    return folder
+
+
+def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
+    model = make_model("PPO", gymnasium.spaces.Box(-np.inf, np.inf, (5, 16), np.float32), COMMANDS)
+    model.save(tmp_path / "model")
+    changed = {"env": "intersection-v1", "env_kwargs": {"config": {"policy_frequency": 5}}}
+    folder = zoo(tmp_path / "run", tmp_path / "model.zip", arguments=changed, settings={"frame_stack": 2})
+    for path in (folder, folder / "best_model.zip"):
+        policy = load_policy(path)
+        assert policy.observation["features"][-1] == "ang_off"
+        assert policy.action["type"] == "ContinuousAction"
+        assert (policy.policy_frequency, policy.simulation_frequency) == (5, 15)
+        assert policy.observation_space.shape == (5, 8)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"env_wrapper": "os.system"}, "trained in the wrapper 'os.system', which is not applied"),
+        ({"normalize": True}, r"observations were normalised, but vecnormalize\.pkl is missing"),
+    ],
+)
+def test_a_run_of_rl_zoo_that_cannot_be_repeated_is_refused(settings, message, tmp_path, ppo):
+    with pytest.raises(InputError, match=message):
+        load_policy(zoo(tmp_path / "run", ppo, settings=settings))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame_stak: 2", "did you mean 'frame_stack'"),
+        ("frame_stack: 0", "at least 1"),
+        ("policy_frequency: fast", "policy_frequency"),
+        ("statistics: gone.pkl", r"gone\.pkl, which is not there"),
+        ("- 1", "must hold keys and values"),
+        ("a: !!python/object/apply:os.mkdir [x]", "cannot be read"),
+        ("a: [", "cannot be read"),
+        ("frame_stack: 2", "5 columns, which are not 2 stacked frames"),
+    ],
+)
+def test_a_wrong_description_is_refused(text, message, tmp_path, ppo):
+    (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
+    (tmp_path / "model.yaml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_policy(tmp_path / "model.zip")
+
+
+def test_a_folder_without_one_model_is_refused(tmp_path, ppo):
+    with pytest.raises(InputError, match="has none: name the file"):
+        load_policy(tmp_path)
+    for name in ("a.zip", "b.zip"):
+        (tmp_path / name).write_bytes(ppo.read_bytes())
+    with pytest.raises(InputError, match=r"has a\.zip, b\.zip: name the file"):
+        load_policy(tmp_path)
+    with pytest.raises(InputError, match="There is no file or folder"):
+        load_policy(tmp_path / "c.zip")
+
+
+def test_the_last_observations_of_the_training_are_known(tmp_path):
+    model = make_model("A2C", n_steps=2)
+    model.learn(4)
+    model.save(tmp_path / "model")
+    np.testing.assert_array_equal(load_policy(tmp_path / "model.zip").last_trained_on, model._last_obs)
+
+
+def test_settings_without_pickles_suffice(tmp_path, ppo):
+    """Every pickle in the data that is not a space or a class may be missing."""
+    with zipfile.ZipFile(ppo) as file:
+        data = json.loads(file.read("data"))
+    kept = {key: data[key] for key in ("policy_class", "policy_kwargs", "observation_space", "action_space")}
+    policy = load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(kept).encode()))
+    assert policy.last_trained_on is None
