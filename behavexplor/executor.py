@@ -15,10 +15,9 @@ from multiprocessing.connection import wait
 from threading import Thread
 from typing import Any, ParamSpec, TypeVar
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from behavexplor.logical import LogicalScenario
+from behavexplor.health import health_warnings
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 
@@ -84,11 +83,20 @@ def make_executor(workers: int, env: str, ads: str, trust: Collection[str] = ())
     return ProcessPoolExecutor(workers, context, _begin_worker, (env, ads, trust))
 
 
-def warm_up(executor: Executor, logical: LogicalScenario) -> None:
-    """Run one scenario for nothing: what is compiled once and for all is ready afterwards, also for other workers."""
-    scenario = logical.sample(np.random.default_rng(0))
-    with suppress(Exception):  # an ADS that fails will do so again, in an execution that counts
-        executor.submit(evaluate, scenario.to_json().encode()).result()
+def examine() -> list[str]:
+    """What is wrong with the ADS of this process; see `behavexplor.health`."""
+    return health_warnings(_simulation[0])
+
+
+def warm_up(executor: Executor) -> list[str]:
+    """Examine the ADS where it will run; what is compiled once and for all is ready afterwards, also for other workers.
+
+    Returns:
+        What is wrong with the ADS, a sentence each.
+    """
+    with suppress(Exception):  # an ADS that takes its process down will do so again, in an execution that counts
+        return executor.submit(examine).result()
+    return []
 
 
 def available_cores() -> int:

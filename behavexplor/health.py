@@ -44,7 +44,7 @@ def health_warnings(simulation: Simulation) -> list[str]:
         scenario = simulation.logical.sample(generator)
         try:
             traces.append(rollout(simulation.env, witness, scenario))
-        except Exception as error:  # an ADS can raise anything
+        except (Exception, SystemExit) as error:  # an ADS can raise anything
             return [f"The ADS failed in its first scenarios, {type(error).__name__}: {error}"]
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
     seen = np.concatenate([prepare(observation) for observation in witness.observations])

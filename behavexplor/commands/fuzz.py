@@ -18,7 +18,6 @@ from behavexplor.config import Budget, CampaignConfig, campaign_config, read_con
 from behavexplor.errors import InputError
 from behavexplor.executor import available_cores, begin, make_executor, warm_up
 from behavexplor.fuzz.methods import METHODS, describe_method
-from behavexplor.health import health_warnings
 from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
@@ -81,8 +80,6 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     simulation = begin(chosen.env, chosen.ads, chosen.trust)
-    for warning in health_warnings(simulation) if not chosen.ads.startswith("rule") else ():
-        display.say(f"Beware: {warning}")
     search = search_method(chosen, simulation.logical)
     folder = resume or out or run_folder(chosen, Path("runs"))
     store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
@@ -91,7 +88,9 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         campaign = Campaign(chosen, search, store, executor)
         with _stopped_by_signals(campaign, display):
             with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
-                warm_up(executor, simulation.logical)
+                warnings = warm_up(executor)
+            for warning in warnings:
+                display.say(f"Beware: {warning}")
             return _run(campaign, store, display, fail_on_violation=fail_on_violation)
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
