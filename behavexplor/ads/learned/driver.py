@@ -1,0 +1,172 @@
+"""A learned policy as a system under test: its network's weights as plain arrays."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.learned.course import Course, make_course
+from behavexplor.ads.learned.features import N_FEATURES, see
+from behavexplor.ads.learned.tracker import (
+    ACCELERATION_RANGE,
+    N_ACTIONS,
+    N_MEMORIES,
+    PERIOD,
+    STARTED,
+    STEERING_RANGE,
+    WANTED,
+    begin,
+    track,
+)
+from behavexplor.compiled import kernel
+from behavexplor.errors import InputError
+from behavexplor.roadmap import RoadMap
+
+Floats = NDArray[np.float64]
+
+OBSERVATION: Final = MappingProxyType({"type": "Scene"})
+ACTION: Final = MappingProxyType(
+    {
+        "type": "ContinuousAction",
+        "acceleration_range": list(ACCELERATION_RANGE),
+        "steering_range": list(STEERING_RANGE),
+    }
+)
+POLICY_FREQUENCY: Final = round(1 / PERIOD)
+
+
+class LearnedDriver:
+    """Sees conflicts and gaps, decides by a network for an acceleration and a lane, and tracks these.
+
+    Attributes:
+        observation: `{"type": "Scene"}`, see `behavexplor.scene`.
+        action: acceleration and steering, each in [-1, 1] over its range.
+        policy_frequency: 5 Hz.
+
+    Args:
+        roadmap: the map that it drives by.
+        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer; tanh lies between them,
+            and the greatest output is the action.
+
+    Raises:
+        InputError: if the layers do not fit each other, or what a policy sees and commands.
+    """
+
+    observation: Mapping[str, Any] = OBSERVATION
+    action: Mapping[str, Any] = ACTION
+    policy_frequency: int = POLICY_FREQUENCY
+
+    def __init__(self, roadmap: RoadMap, layers: list[tuple[Floats, Floats]]) -> None:
+        self._course = make_course(roadmap)
+        self._layers = layers
+        widths = [N_FEATURES, *(len(bias) for _, bias in layers)]
+        shapes = [(weights.shape, bias.shape) for weights, bias in layers]
+        expected = [((after, before), (after,)) for before, after in pairwise(widths)]
+        if shapes != expected or widths[-1] != N_ACTIONS:
+            raise InputError(f"A network of {N_FEATURES} inputs and {N_ACTIONS} outputs is needed, got {shapes}")
+
+    def predict(
+        self,
+        observation: Floats,
+        state: Floats | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,  # noqa: ARG002
+    ) -> tuple[Floats, Floats]:
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        Args:
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
+            state: what the last call returned, shape (B, 3); None at first.
+            episode_start: whether a row begins an episode, shape (B,); None for no row.
+            deterministic: it always is.
+
+        Returns:
+            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state to hand in next time.
+        """
+        scenes = np.ascontiguousarray(observation, dtype=np.float64)
+        memory = np.zeros((len(scenes), N_MEMORIES)) if state is None else np.array(state, dtype=np.float64)
+        if episode_start is not None:
+            memory[np.asarray(episode_start, dtype=bool)] = 0.0
+        seen = see_batch(self._course, scenes, memory)
+        actions = np.array([self._decide(row) for row in seen], dtype=np.int64)
+        return track_batch(self._course, scenes, actions, memory), memory
+
+    def log(self, state: Floats) -> Mapping[str, Floats]:
+        """The lane that the ego wants, as its offset from the route [m], shape (B,)."""
+        return {"wanted_offset": state[:, WANTED]}
+
+    def _decide(self, values: Floats) -> int:
+        """One row at a time, so that no row's last bits depend on the batch."""
+        for weights, bias in self._layers[:-1]:
+            values = np.tanh(weights @ values + bias)
+        weights, bias = self._layers[-1]
+        return int(np.argmax(weights @ values + bias))
+
+
+def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
+    """What policies see, shape (B, N_FEATURES); rows of the memory that are zero begin an episode.
+
+    Args:
+        course: see `behavexplor.ads.learned.course`.
+        scenes: shape (B, 1 + n, 8), see `behavexplor.scene`.
+        memory: shape (B, 3), changed where an episode begins.
+    """
+    seen = np.empty((len(scenes), N_FEATURES))
+    _see_all(course, scenes, memory, seen)
+    return seen
+
+
+def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats) -> Floats:
+    """The commands for policies' actions, shape (B, 2), each in [-1, 1] over its range.
+
+    Args:
+        course: see `behavexplor.ads.learned.course`.
+        scenes: shape (B, 1 + n, 8), see `behavexplor.scene`.
+        actions: shape (B,).
+        memory: shape (B, 3), changed.
+    """
+    commands = np.empty((len(scenes), 2))
+    _track_all(course, scenes, actions, memory, commands)
+    low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
+    shares: Floats = 2 * (commands - low) / (high - low) - 1
+    return shares
+
+
+@kernel
+def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> None:
+    for i in range(len(scenes)):
+        if memory[i, STARTED] == 0.0:
+            begin(course, scenes[i], memory[i])
+        see(course, scenes[i], memory[i, WANTED], seen[i])
+
+
+@kernel
+def _track_all(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats, commands: Floats) -> None:
+    for i in range(len(scenes)):
+        commands[i, 0], commands[i, 1] = track(course, scenes[i], actions[i], memory[i])
+
+
+def read_layers(path: Path) -> list[tuple[Floats, Floats]]:
+    """The weights and biases in a file of `write_layers`.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            count = len(file.files) // 2
+            layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(count)]
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise InputError(f"{path} holds no network of this package: {error}") from None
+    return [(weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in layers]
+
+
+def write_layers(path: Path, layers: list[tuple[Floats, Floats]]) -> None:
+    """Write weights and biases as float32 arrays."""
+    arrays = {f"weights_{i}": weights.astype(np.float32) for i, (weights, _) in enumerate(layers)}
+    arrays |= {f"bias_{i}": bias.astype(np.float32) for i, (_, bias) in enumerate(layers)}
+    np.savez_compressed(path, allow_pickle=False, **arrays)

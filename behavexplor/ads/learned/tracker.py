@@ -1,0 +1,95 @@
+"""From what a policy decides, an acceleration and a lane, to the commands of the vehicle."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.learned.course import Course, pose_on_course, project_on_course
+from behavexplor.ads.learned.features import lanes_beside, row_at
+from behavexplor.compiled import kernel
+from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+
+Floats = NDArray[np.float64]
+
+PERIOD: Final = 0.2  # between decisions [s]
+ACCELERATIONS: Final = (-6.0, -3.0, -1.0, 0.0, 2.0)  # [m/s2]
+SIDES: Final = (0, -1, 1)  # keep the lane, one to the left, one to the right
+N_ACTIONS: Final = len(ACCELERATIONS) * len(SIDES)  # action a is acceleration a % 5 and side a // 5
+
+ACCELERATION_RANGE: Final = (-8.0, 4.0)  # of the commands [m/s2]
+STEERING_RANGE: Final = (-0.6, 0.6)  # of the commands [rad]
+
+SIDEWAYS: Final = 1.5  # speed at which the path moves from one lane to another [m/s]
+LAST_CHANGE: Final = 20.0  # least distance to the end of lanes side by side at which a change begins [m]
+LOOK_AHEAD: Final = 4.0  # of the steering [m],
+LOOK_AHEAD_TIME: Final = 0.3  # and what it grows by with the speed [s]
+
+WANTED: Final = 0  # offset of the wanted lane from the route [m]
+DRIVEN: Final = 1  # offset of the path that is driven, which moves towards it [m]
+STARTED: Final = 2  # 1 after the first decision of an episode
+N_MEMORIES: Final = 3
+
+
+@kernel
+def begin(course: Course, scene: Floats, memory: Floats) -> None:
+    """At the start of an episode the ego wants the lane of its route, and drives from where it stands."""
+    memory[WANTED] = 0.0
+    memory[DRIVEN] = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])[1]
+    memory[STARTED] = 1.0
+
+
+@kernel
+def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[float, float]:
+    """Acceleration [m/s2] and steering [rad] for an action.
+
+    Args:
+        course: see `behavexplor.ads.learned.course`.
+        scene: shape (1 + n, 8), see `behavexplor.scene`.
+        action: 0 to `N_ACTIONS` - 1.
+        memory: shape (N_MEMORIES,), changed.
+    """
+    station, offset = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])
+    row = row_at(course, station)
+    _choose_lane(course, row, offset, SIDES[action // len(ACCELERATIONS)], memory)
+    change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
+    memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
+    acceleration = _accelerate(course, scene, station, ACCELERATIONS[action % len(ACCELERATIONS)])
+    return acceleration, _steer(course, scene, station, memory[DRIVEN])
+
+
+@kernel
+def _choose_lane(course: Course, row: int, offset: float, side: int, memory: Floats) -> None:
+    """Take the lane beside if there is one; near a junction, only that of the route."""
+    if course.side_by_side[row] < LAST_CHANGE:
+        if course.junction_start < math.inf:
+            memory[WANTED] = 0.0
+        return
+    left, right = lanes_beside(course, row, offset)
+    centre = course.width * round(offset / course.width)
+    if side < 0 and left > 0:
+        memory[WANTED] = centre - course.width
+    elif side > 0 and right > 0:
+        memory[WANTED] = centre + course.width
+
+
+@kernel
+def _accelerate(course: Course, scene: Floats, station: float, wanted: float) -> float:
+    """Within the speed limit, that of curves too, and never into reverse."""
+    speed: float = scene[EGO, SPEED]
+    limit: float = course.limit[row_at(course, station + speed * PERIOD)]
+    wanted = min(wanted, max((limit - speed) / PERIOD, -3.0))
+    return max(wanted, -speed / PERIOD, ACCELERATION_RANGE[0])
+
+
+@kernel
+def _steer(course: Course, scene: Floats, station: float, offset: float) -> float:
+    """Pure pursuit of a point on the path; the circle through it is exact for highway-env's bicycle model."""
+    x, y, along = pose_on_course(course.path, course.bounds, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
+    dx = x - math.sin(along) * offset - scene[EGO, X]
+    dy = y + math.cos(along) * offset - scene[EGO, Y]
+    bearing = math.atan2(dy, dx) - scene[EGO, HEADING]
+    share = scene[EGO, LENGTH] / math.hypot(dx, dy)
+    wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
+    return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])
