@@ -143,7 +143,7 @@ def read_config(name: str) -> dict[str, Any]:
     if not path.is_file():
         presets = [preset.stem for preset in _presets().glob("*.yaml")]
         raise unknown_name("configuration (neither a file nor a preset)", name, presets)
-    return _read_yaml(path)
+    return read_yaml(path)
 
 
 def stored_config(run: Path) -> CampaignConfig:
@@ -155,13 +155,18 @@ def stored_config(run: Path) -> CampaignConfig:
     path = run / CONFIG
     if not path.is_file():
         raise InputError(f"{run} is not a run folder: it has no {CONFIG}")
-    values = _read_yaml(path)
+    values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty: the configuration of the run is lost")
     return campaign_config(values)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The keys and values in a YAML file.
+
+    Raises:
+        InputError: if it cannot be read, is too long, or holds no mapping.
+    """
     try:
         data = path.read_bytes()
         if len(data) > MAX_FILE_SIZE:

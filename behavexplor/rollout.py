@@ -1,11 +1,12 @@
-"""One episode: an ADS drives a concrete scenario in an environment."""
+"""Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from behavexplor.scenario import Scenario
@@ -29,8 +30,8 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
     done = False
     while not done:
         answer = ads.predict(np.asarray(observation)[None], state, start, deterministic=True)
-        action, state = _checked(answer, env.action_space)
-        observation, _, terminated, truncated, info = env.step(action)
+        actions, state = _checked(answer, env.action_space, 1)
+        observation, _, terminated, truncated, info = env.step(actions[0])
         start = np.zeros(1, dtype=bool)
         done = terminated or truncated
         if keeps_log:
@@ -39,8 +40,48 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
     return replace(trace, decisions=_stack(log))
 
 
-def _checked(answer: Any, space: gymnasium.Space[Any]) -> tuple[NDArray[Any], Any]:
-    """The one action and the state that an ADS has answered with.
+def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
+    """Run scenarios to their ends, as many at a time as there are sub-environments; see `rollout`.
+
+    Args:
+        envs: with autoreset disabled; takes `reset(options={"scenarios": ..., "reset_mask": ...})`.
+        ads: see `behavexplor.ads.interface.ADS`; asked for all sub-environments at once.
+        scenarios: the concrete scenarios.
+
+    Yields:
+        The number of a scenario, counted from 0, and its trace, as they end.
+
+    Raises:
+        ValueError: if what the ADS answers is no action of the environment.
+    """
+    waiting = enumerate(scenarios)
+    slots = range(envs.num_envs)
+    running = dict(zip(slots, waiting, strict=False))
+    logs: list[list[Mapping[str, Any]]] = [[] for _ in slots]
+    first = [running[slot][1] if slot in running else None for slot in slots]
+    observation, _ = envs.reset(options={"scenarios": first})
+    state, start = None, np.ones(len(slots), dtype=bool)
+    while running:
+        answer = ads.predict(observation, state, start, deterministic=True)
+        actions, state = _checked(answer, envs.single_action_space, len(slots))
+        observation, _, terminated, truncated, infos = envs.step(actions)
+        entries = ads.log(state) if hasattr(ads, "log") else {}
+        for slot in running if entries else ():
+            logs[slot].append({name: values[slot : slot + 1] for name, values in entries.items()})
+        start = np.zeros(len(slots), dtype=bool)
+        for slot in np.flatnonzero(terminated | truncated).tolist():
+            if slot not in running:
+                continue
+            yield running.pop(slot)[0], replace(infos["trace"][slot], decisions=_stack(logs[slot]))
+            if (following := next(waiting, None)) is not None:
+                running[slot], logs[slot], start[slot] = following, [], True
+        if start.any():
+            fresh = [running[slot][1] if start[slot] else None for slot in slots]
+            observation, _ = envs.reset(options={"scenarios": fresh, "reset_mask": start})
+
+
+def _checked(answer: Any, space: gymnasium.Space[Any], count: int) -> tuple[NDArray[Any], Any]:
+    """The actions and the state that an ADS has answered with.
 
     Raises:
         ValueError: saying what `predict` must return, if it returned something else.
@@ -48,14 +89,16 @@ def _checked(answer: Any, space: gymnasium.Space[Any]) -> tuple[NDArray[Any], An
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise ValueError(f"predict must return a pair (actions, state), got {answer!r:.80}")
     actions = np.asarray(answer[0])
-    expected = (1, *(space.shape or ()))
+    expected = (count, *(space.shape or ()))
     if actions.shape != expected:
         raise ValueError(f"predict must return actions of shape {expected}, got {actions.shape}")
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise ValueError(f"predict must return finite numbers as actions, got {actions!r:.80}")
-    if isinstance(space, gymnasium.spaces.Discrete) and not space.contains(actions[0]):
-        raise ValueError(f"predict must return actions of {space}, got {actions[0]}")
-    return actions[0], answer[1]
+    if isinstance(space, gymnasium.spaces.Discrete):
+        for action in actions:
+            if not space.contains(action):
+                raise ValueError(f"predict must return actions of {space}, got {action}")
+    return actions, answer[1]
 
 
 def _stack(log: list[Mapping[str, Any]]) -> dict[str, Any]:

@@ -1,16 +1,17 @@
 """An environment with an ADS in it: concrete scenarios go in, traces come out."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import gymnasium
+from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.logical import LogicalScenario
-from behavexplor.rollout import rollout
+from behavexplor.rollout import rollout, rollout_all
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
@@ -51,7 +52,7 @@ class Simulation:
         self.logical = _logical(name)
         self.ads = load_ads(ads, self.logical.roadmap, trust)
         declared = ("observation", "action", "policy_frequency", "simulation_frequency")
-        config = {key: getattr(self.ads, key) for key in declared if hasattr(self.ads, key)}
+        config = {key: _plain(getattr(self.ads, key)) for key in declared if hasattr(self.ads, key)}
         try:
             self.env: gymnasium.Env[Any, Any] = gymnasium.make(name, config=config, disable_env_checker=True)
         except InputError:
@@ -67,9 +68,47 @@ class Simulation:
         """Run a scenario to its end."""
         return rollout(self.env, self.ads, scenario)
 
+    def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
+        """Run scenarios to their ends, in lock-step where the vector environment can do what the ADS needs.
+
+        Args:
+            scenarios: the concrete scenarios.
+            batch: how many run at a time.
+
+        Yields:
+            The number of a scenario, counted from 0, and its trace, as they end.
+        """
+        envs = self._vectorised(min(batch, len(scenarios)))
+        if envs is None:
+            yield from enumerate(map(self.run, scenarios))
+            return
+        yield from rollout_all(envs, self.ads, scenarios)
+        envs.close()
+
     def close(self) -> None:
         """Release what the environment holds."""
         self.env.close()
+
+    def _vectorised(self, count: int) -> VectorEnv[Any, Any, Any] | None:
+        """As many environments in lock-step; None if this one has no such form, or not for what the ADS needs."""
+        spec = self.env.spec
+        if count < 2 or spec is None or spec.vector_entry_point is None:
+            return None
+        try:
+            return gymnasium.make_vec(
+                spec.id,
+                num_envs=count,
+                vectorization_mode="vector_entry_point",
+                autoreset_mode=AutoresetMode.DISABLED,
+                config=spec.kwargs["config"],
+            )
+        except InputError:
+            return None
+
+
+def _plain(value: Any) -> Any:
+    """A mapping as a dictionary, which can be copied."""
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: str) -> None:

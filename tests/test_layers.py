@@ -13,13 +13,14 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
 EXECUTION = {"rollout", "simulation", "executor", "health"}
-CAMPAIGN = {"config", "store", "campaign", "drawing"}
+CAMPAIGN = {"config", "store", "campaign", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),
     **{room: GROUND | {room} for room in STRANGERS},
     **dict.fromkeys(EXECUTION, GROUND | EXECUTION | {"ads"}),
     **dict.fromkeys(CAMPAIGN, GROUND | EXECUTION | CAMPAIGN | {"fuzz"}),
-    "commands": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "commands"},
+    "training": GROUND | EXECUTION | {"ads", "envs"},
+    "commands": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "training", "commands"},
     "__main__": {"commands"},
     "fuzz.__main__": {"commands"},
     "envs.sb3": GROUND | {"envs"},
@@ -29,9 +30,9 @@ APART = {("fuzz", "__main__"), ("envs", "sb3")}  # modules that may import what 
 HEAVY = {  # where the heavy libraries may be imported
     "highway_env": {"envs"},
     "pygame": {"envs"},
-    "torch": {"ads"},
-    "stable_baselines3": {"ads", "envs.sb3"},
-    "sb3_contrib": {"ads"},
+    "torch": {"ads", "training"},
+    "stable_baselines3": {"ads", "envs.sb3", "training"},
+    "sb3_contrib": {"ads", "training"},
     "numba": {"compiled"},
     "sklearn": {"fuzz"},
     "rich": {"commands"},

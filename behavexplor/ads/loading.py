@@ -11,7 +11,9 @@ from behavexplor.ads.interface import ADS
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.roadmap import RoadMap
 
-SYSTEMS = MappingProxyType({"rule": "behavexplor.ads.rule:rule_planner"})
+SYSTEMS = MappingProxyType(
+    {"rule": "behavexplor.ads.rule:rule_planner", "learned": "behavexplor.ads.learned.shipped:learned_driver"}
+)
 
 
 def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
@@ -19,7 +21,8 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
 
     Args:
         name: one of `SYSTEMS`, with a variant behind a colon or without, such as "rule" or "rule:hardened"; or
-            a file or folder of a policy, see `behavexplor.ads.sb3.policy.load_policy`; or
+            a policy's file, of `behavexplor.training` (.npz) or of Stable-Baselines3 (.zip, or a folder, see
+            `behavexplor.ads.sb3.policy.load_policy`); or
             any "package.module:attribute": an object with a `predict` method (see
             `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it has a
             parameter `roadmap`.
@@ -34,8 +37,8 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
         return ads
-    if name.endswith(".zip") or Path(name).exists():
-        return _policy(Path(name), trust)
+    if name.endswith((".zip", ".npz")) or Path(name).exists():
+        return _policy(Path(name), roadmap, trust)
     if not separator:
         raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
     module_name, attribute = system, variant
@@ -46,7 +49,12 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     return _made(name, found, roadmap)
 
 
-def _policy(path: Path, trust: Collection[str]) -> ADS:
+def _policy(path: Path, roadmap: RoadMap, trust: Collection[str]) -> ADS:
+    """The policy in a file or folder."""
+    if path.suffix == ".npz":
+        from behavexplor.ads.learned.driver import LearnedDriver, read_layers  # noqa: PLC0415 - numba takes its time
+
+        return LearnedDriver(roadmap, read_layers(path))
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:

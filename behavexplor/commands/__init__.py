@@ -17,7 +17,7 @@ OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command: `behavexplor fuzz`, `behavexplor replay` or `behavexplor records`.
+    """Run a command, such as `behavexplor fuzz`.
 
     Args:
         arguments: without the program's name; those of this process by default.
@@ -27,11 +27,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     import tyro  # noqa: PLC0415 - a library user of this package never needs it
 
+    from behavexplor.commands.evaluate import evaluate  # noqa: PLC0415
     from behavexplor.commands.fuzz import fuzz  # noqa: PLC0415
     from behavexplor.commands.records import records  # noqa: PLC0415
     from behavexplor.commands.replay import replay  # noqa: PLC0415
+    from behavexplor.commands.train import train  # noqa: PLC0415
 
-    commands: dict[str, Callable[..., Any]] = {"fuzz": fuzz, "replay": replay, "records": records}
+    commands: dict[str, Callable[..., Any]] = {
+        "fuzz": fuzz,
+        "replay": replay,
+        "records": records,
+        "evaluate": evaluate,
+        "train": train,
+    }
     try:
         code: int = tyro.extras.subcommand_cli_from_dict(
             commands, prog=program(), args=arguments, description="Find out how a driving policy fails."

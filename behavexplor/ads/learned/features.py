@@ -21,7 +21,7 @@ from behavexplor.ads.rule.lanes import HEADING as LANE_HEADING
 from behavexplor.ads.rule.lanes import LENGTH as LANE_LENGTH
 from behavexplor.ads.rule.lanes import project_on_lane
 from behavexplor.compiled import kernel
-from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
 
@@ -31,11 +31,12 @@ N_CONFLICTS: Final = 6
 ON_LANE: Final = 1.8  # greatest offset of a vehicle from the centre line of a lane that it is on [m]
 ALONG: Final = 0.6  # and greatest angle between the two [rad]
 SLOWEST: Final = 0.5  # speed below which a vehicle is taken to stand [m/s]
+STRONG: Final = 4.0  # acceleration [m/s2]
 AHEAD: Final = (5.0, 15.0)  # where the curvature ahead is told [m]
 
 N_EGO: Final = 14
-N_LANE: Final = 5  # numbers for each of three lanes
-N_CONFLICT: Final = 6  # numbers for each conflict
+N_LANE: Final = 6  # numbers for each of three lanes
+N_CONFLICT: Final = 7  # numbers for each conflict
 N_FEATURES: Final = N_EGO + 3 * N_LANE + N_CONFLICTS * N_CONFLICT
 
 
@@ -47,9 +48,9 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     free to the left and to the right of it, distance to the destination (near and far), to the junction's start and
     end, to where lanes beside its own end, whether it is inside, curvature at `AHEAD`.
     The lane to the left, its own, and the one to the right: whether there is one, gap and speed of the vehicle ahead
-    and of the one behind.
+    and of the one behind, acceleration of the one ahead.
     The next conflicts, by the time when they begin: begin and end of another's stay on the ego's path as times and as
-    distances, its speed, and the ego's own time to there.
+    distances, its speed and acceleration, and the ego's own time to there.
 
     Args:
         course: see `behavexplor.ads.learned.course`.
@@ -128,6 +129,8 @@ def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out
             if gap / RANGE < out[column]:
                 out[column] = max(gap / RANGE, -0.2)
                 out[column + 1] = scene[other, SPEED] / course.speed_limit
+                if there >= station:
+                    out[N_LANE * i + 5] = scene[other, ACCELERATION] / STRONG
 
 
 @kernel
@@ -177,6 +180,7 @@ def _add_conflict(
     out[column + 2] = _near(course.zones[zone, START] - station)
     out[column + 3] = _near(course.zones[zone, END] - station)
     out[column + 4] = speed / course.speed_limit
+    out[column + 6] = scene[other, ACCELERATION] / STRONG
     until = max(course.zones[zone, START] - station - scene[EGO, LENGTH] / 2, 0.0)
     out[column + 5] = min(until / max(scene[EGO, SPEED], 1.0), HORIZON) / HORIZON
     return min(count + 1, N_CONFLICTS)

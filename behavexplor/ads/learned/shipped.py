@@ -1,0 +1,25 @@
+"""The trained policies that come with this package, one file and one card each."""
+
+from pathlib import Path
+
+from behavexplor.ads.learned.driver import LearnedDriver, read_layers
+from behavexplor.errors import unknown_name
+from behavexplor.roadmap import RoadMap
+
+FOLDER = Path(__file__).parent / "policies"
+
+
+def learned_driver(roadmap: RoadMap, variant: str = "") -> LearnedDriver:
+    """A shipped policy.
+
+    Args:
+        roadmap: the map that it drives by.
+        variant: its name, such as "lane-change" or "lane-change-undertrained".
+
+    Raises:
+        InputError: if there is none of that name.
+    """
+    names = [path.stem for path in sorted(FOLDER.glob("*.npz"))]
+    if variant not in names:
+        raise unknown_name("policy, as in learned:NAME,", variant, names)
+    return LearnedDriver(roadmap, read_layers(FOLDER / f"{variant}.npz"))

@@ -1,0 +1,75 @@
+"""`behavexplor evaluate`: how well a driving system drives."""
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from behavexplor.commands import OK
+from behavexplor.commands.meter import Meter
+from behavexplor.errors import InputError
+from behavexplor.evaluation import Evaluation
+from behavexplor.evaluation import evaluate as drive
+from behavexplor.simulation import Simulation
+
+MOST_SCENARIOS = 1_000_000
+
+
+def evaluate(
+    *,
+    env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
+    ads: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rule",
+    scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
+    json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
+    quiet: bool = False,
+) -> int:
+    """Drive scenarios drawn uniformly and tell how often the destination was reached and each spec violated.
+
+    Args:
+        env: Environment: a functional scenario, or a gymnasium id.
+        ads: System under test, as for fuzz.
+        scenarios: How many.
+        seed: Of the draw.
+        trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
+        json_file: Write counts here, too.
+        quiet: Only the table.
+    """
+    if not 1 <= scenarios <= MOST_SCENARIOS:
+        raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
+    if seed < 0:
+        raise InputError(f"--seed {seed} must not be negative")
+    simulation = Simulation(env, ads, [trust] if trust else [])
+    with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
+        found = drive(simulation, scenarios, seed, meter.show)
+    simulation.close()
+    if json_file is not None:
+        json_file.write_text(json.dumps({"env": env, "ads": ads, "seed": seed, "n": found.n, **found.counts}, indent=1))
+    print(table({f"{ads} in {env}": found}))
+    return OK
+
+
+def table(evaluations: Mapping[str, Evaluation]) -> str:
+    """Rates in percent with their 95 % intervals, a column for each evaluation by its name."""
+    grid = Table(box=None, pad_edge=False)
+    grid.add_column("")
+    for name, found in evaluations.items():
+        grid.add_column(f"{name}, {found.n} scenarios", justify="right")
+    outcomes = dict.fromkeys(outcome for found in evaluations.values() for outcome in found.counts)
+    for outcome in outcomes:
+        cells = []
+        for found in evaluations.values():
+            low, high = found.interval(outcome)
+            cells.append(f"{found.rate(outcome):.1%} ({low:.1%} to {high:.1%})")
+        kind, _, fault = outcome.partition(": ")
+        grid.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
+    console = Console(width=40 + 60 * len(evaluations), highlight=False, no_color=True)
+    with console.capture() as captured:
+        console.print(grid)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())

@@ -1,0 +1,107 @@
+"""`behavexplor train`: train a driving policy."""
+
+import shlex
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+import yaml
+
+from behavexplor.commands import INTERRUPTED, OK, program
+from behavexplor.commands.evaluate import table
+from behavexplor.commands.meter import Meter
+from behavexplor.config import checked, read_yaml
+from behavexplor.errors import InputError
+from behavexplor.evaluation import Evaluation, evaluate
+from behavexplor.simulation import Simulation
+
+if TYPE_CHECKING:
+    from behavexplor.training import Learned, TrainingConfig
+
+CARD = "policy.yaml"  # beside the network
+EVALUATED = 1000  # scenarios
+
+
+def train(
+    *,
+    env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
+    algo: Annotated[str, tyro.conf.arg(metavar="NAME")] = "ppo",
+    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 8_000_000,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    envs: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ENV-ALGO-SEED)")
+    ] = None,
+    resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None,
+    quiet: bool = False,
+) -> int:
+    """Train a driving policy on one functional scenario, and say how well it drives.
+
+    Args:
+        env: Functional scenario.
+        algo: "ppo", "a2c" or "trpo".
+        steps: Decisions to learn from, 0.2 s of driving each.
+        seed: The same seed gives the same policy on the same kind of machine.
+        envs: Environments in lock-step.
+        out: Where models and logs go, new or empty.
+        resume: Go on with the training in this folder.
+        quiet: Only the result.
+    """
+    try:
+        from behavexplor import training  # noqa: PLC0415 - torch is heavy, and need not be installed
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"Training needs {error.name}: install the extra `rl`, with pip install -c constraints.txt -e '.[rl]'"
+        ) from None
+    if resume and out:
+        raise InputError("--out cannot be given with --resume")
+    if resume:
+        config = checked(training.TrainingConfig, read_yaml(resume / training.CONFIG), "training")
+        folder = resume
+    else:
+        config = training.TrainingConfig(env=env, algo=algo, steps=steps, seed=seed, envs=envs)
+        folder = out or Path("runs") / f"{env}-{algo}-{seed}"
+        _begin(folder, training.CONFIG, config)
+    try:
+        with Meter(sys.stderr, config.steps, "steps", quiet=quiet) as meter:
+            network = training.train(config, folder, lambda learned: meter.show(learned.steps, _line(learned)))
+        with Meter(sys.stderr, EVALUATED, "scenarios", quiet=quiet) as meter:
+            found = evaluate(Simulation(config.env, str(network)), EVALUATED, 0, meter.show)
+    except KeyboardInterrupt:
+        print(f"Interrupted; go on with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        return INTERRUPTED
+    (folder / CARD).write_text(_card(config, found))
+    print(table({config.env: found}))
+    name = shlex.quote(str(network))
+    print(f"The policy is {name}; search for its failures: {program()} fuzz --env {config.env} --ads {name}")
+    return OK
+
+
+def _begin(folder: Path, name: str, config: "TrainingConfig") -> None:
+    """Make a training's folder."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise InputError(f"{folder} is not empty: go on with --resume {folder}, or give another --out")
+        (folder / name).write_text(config.to_yaml())
+    except OSError as error:
+        raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None
+
+
+def _line(learned: "Learned") -> str:
+    ends = ", ".join(f"{end} {share:.0%}" for end, share in sorted(learned.ends.items(), key=lambda end: -end[1]))
+    return f"reward {learned.reward:6.2f}, {ends}"
+
+
+def _card(config: "TrainingConfig", found: Evaluation) -> str:
+    """What a user of the policy should know."""
+    command = [program(), "train", "--env", config.env, "--algo", config.algo, "--steps", str(config.steps)]
+    rates = {name: round(found.rate(name), 4) for name in found.counts}
+    card: dict[str, Any] = {
+        "trained_by": shlex.join([*command, "--seed", str(config.seed), "--envs", str(config.envs)]),
+        "training": {**asdict(config), "layers": list(config.layers)},
+        "evaluation": {"scenarios": found.n, "seed": 0, "rates": rates},
+    }
+    return yaml.safe_dump(card, sort_keys=False, width=120)

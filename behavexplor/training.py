@@ -1,0 +1,221 @@
+"""Training of a driving policy with Stable-Baselines3 on the vector environment, in stages that can be resumed.
+
+Each stage begins with new episodes and with random generators of its own, seeded by the training's seed and the number
+of the stage. So a training that is resumed from the model at the end of a stage is the training that was never
+interrupted.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import gymnasium
+import numpy as np
+import sb3_contrib
+import stable_baselines3
+import torch
+import yaml
+from numpy.typing import NDArray
+from pydantic import ConfigDict
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.utils import set_random_seed
+
+from behavexplor.ads.learned.driver import ACTION, OBSERVATION, POLICY_FREQUENCY, write_layers
+from behavexplor.ads.learned.learning import LearningVecEnv
+from behavexplor.envs.sb3 import DrivingVecEnv
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.simulation import environment_id
+
+Floats = NDArray[np.float64]
+
+CONFIG, NETWORK, MODELS = "training.yaml", "policy.npz", "models"  # in the folder of a training
+MOST_ENVS: Final = 4096
+EPISODES: Final = 1000  # the latest, over which rates are told
+
+ALGORITHMS: Mapping[str, type[OnPolicyAlgorithm]] = {
+    "ppo": stable_baselines3.PPO,
+    "a2c": stable_baselines3.A2C,
+    "trpo": sb3_contrib.TRPO,
+}
+_SETTINGS: Mapping[str, Mapping[str, Any]] = {
+    "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 4, "ent_coef": 0.005},
+    "a2c": {"n_steps": 16, "ent_coef": 0.005},
+    "trpo": {"n_steps": 128, "batch_size": 1024},
+}
+_RATES: Mapping[str, float] = {"ppo": 5e-4, "a2c": 7e-4, "trpo": 1e-3}  # of learning, at first
+_LAST_RATE: Final = 0.05  # of learning, as a share of the first
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """A training.
+
+    Attributes:
+        env: functional scenario.
+        algo: one of `ALGORITHMS`.
+        steps: decisions of all sub-environments together; rounded up to whole batches of experience.
+        seed: the same seed gives the same policy, on the same kind of processor.
+        envs: sub-environments in lock-step.
+        stage: steps between two saved models.
+        layers: widths of the network's hidden layers.
+
+    Raises:
+        InputError: if a value is out of range.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    env: str = "intersection-straight"
+    algo: str = "ppo"
+    steps: int = 8_000_000
+    seed: int = 0
+    envs: int = 64
+    stage: int = 500_000
+    layers: tuple[int, ...] = (128, 128)
+
+    def __post_init__(self) -> None:
+        if self.algo not in ALGORITHMS:
+            raise unknown_name("algorithm", self.algo, ALGORITHMS)
+        ranges = {"steps": (1, 10**12), "seed": (0, 2**63 - 1), "envs": (1, MOST_ENVS), "stage": (1, 10**12)}
+        for name, (low, high) in ranges.items():
+            if not low <= getattr(self, name) <= high:
+                raise InputError(f"{name} {getattr(self, name)} must lie between {low} and {high}")
+        if not self.layers or not all(1 <= width <= 4096 for width in self.layers):
+            raise InputError(f"layers {self.layers} must be widths between 1 and 4096")
+
+    @property
+    def n_stages(self) -> int:
+        """How many stages there are."""
+        return -(-self.steps // self.stage)
+
+    def to_yaml(self) -> str:
+        """The whole configuration."""
+        return yaml.safe_dump({**asdict(self), "layers": list(self.layers)}, sort_keys=False)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """How far a training is.
+
+    Attributes:
+        steps: done so far.
+        reward: mean over the latest episodes.
+        ends: shares of the latest episodes by how they ended.
+    """
+
+    steps: int
+    reward: float = 0.0
+    ends: Mapping[str, float] = field(default_factory=dict)
+
+
+def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:
+    """Train a policy, from the last model in the folder if there is one.
+
+    Args:
+        config: what to train.
+        folder: where models, logs and in the end the network go.
+        observe: called after each batch of experience.
+
+    Returns:
+        The network's file, which `behavexplor.ads.learned.driver.read_layers` reads.
+
+    Raises:
+        InputError: if the environment cannot be trained in.
+    """
+    torch.set_num_threads(1)  # more of them change the last bits
+    (folder / MODELS).mkdir(parents=True, exist_ok=True)
+    venv = _environment(config)
+    stages, model = _last_model(folder, config, venv)
+    model.set_logger(configure(str(folder), _log_formats()))
+    for stage in range(stages, config.n_stages):
+        _begin_stage(model, venv, config, stage)
+        model.learn(min(config.stage, config.steps - stage * config.stage), callback=_Watch(observe), reset_num_timesteps=False)
+        path = folder / MODELS / f"stage-{stage + 1:04d}"
+        model.save(path.with_suffix(".part"))
+        path.with_suffix(".part").replace(path.with_suffix(".zip"))
+    venv.close()
+    write_layers(folder / NETWORK, network_layers(model))
+    return folder / NETWORK
+
+
+def network_layers(model: OnPolicyAlgorithm) -> list[tuple[Floats, Floats]]:
+    """Weights and biases from what a policy sees to the preference of each action."""
+    policy: Any = model.policy
+    parts = [*policy.mlp_extractor.policy_net, policy.action_net]
+    linear = [part for part in parts if isinstance(part, torch.nn.Linear)]
+    return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in linear]
+
+
+def _environment(config: TrainingConfig) -> LearningVecEnv:
+    settings = {"observation": dict(OBSERVATION), "action": dict(ACTION), "policy_frequency": POLICY_FREQUENCY}
+    envs: Any = gymnasium.make_vec(
+        environment_id(config.env),
+        num_envs=config.envs,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode="SameStep",
+        config=settings,
+    )
+    return LearningVecEnv(DrivingVecEnv(envs), envs.logical.roadmap)
+
+
+def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> tuple[int, OnPolicyAlgorithm]:
+    """How many stages are done, and the model at their end; a new one before the first."""
+    algorithm: Any = ALGORITHMS[config.algo]
+    saved = sorted(path for path in (folder / MODELS).glob("stage-*.zip") if re.fullmatch(r"stage-\d{4,}", path.stem))
+    if saved:
+        return int(saved[-1].stem.removeprefix("stage-")), algorithm.load(saved[-1], venv, device="cpu")
+    set_random_seed(config.seed % 2**32)
+    network = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
+    return 0, algorithm("MlpPolicy", venv, policy_kwargs=network, device="cpu", **_SETTINGS[config.algo])
+
+
+def _begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, config: TrainingConfig, stage: int) -> None:
+    """New episodes, generators and rate of learning, all of them functions of the stage's number."""
+    networks, episodes = np.random.SeedSequence([config.seed, stage]).generate_state(2)
+    set_random_seed(int(networks))
+    venv.seed(int(episodes))
+    model._last_obs = None  # noqa: SLF001 - so that `learn` resets the environment
+    model.learning_rate = _RATES[config.algo] * max(1 - stage / config.n_stages, _LAST_RATE)
+    model._setup_lr_schedule()  # noqa: SLF001 - the only way to change the rate of a model
+
+
+class _Watch(BaseCallback):
+    """Tells how the latest episodes ended, after each batch of experience."""
+
+    def __init__(self, observe: Callable[[Learned], None]) -> None:
+        super().__init__()
+        self._observe = observe
+        self._ends: list[str] = []
+        self._rewards: list[float] = []
+        self._sums: Floats = np.zeros(0)
+
+    def _on_training_start(self) -> None:
+        self._sums = np.zeros(self.training_env.num_envs)
+
+    def _on_step(self) -> bool:
+        self._sums += self.locals["rewards"]
+        for i in np.flatnonzero(self.locals["dones"]):
+            self._ends = [*self._ends[1 - EPISODES :], self.locals["infos"][i]["end"]]
+            self._rewards = [*self._rewards[1 - EPISODES :], float(self._sums[i])]
+            self._sums[i] = 0.0
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if not self._ends:
+            return
+        shares = {end: count / len(self._ends) for end, count in sorted(Counter(self._ends).items())}
+        reward = float(np.mean(self._rewards))
+        self.logger.record("rollout/reward", reward)
+        for end, share in shares.items():
+            self.logger.record(f"rollout/{end}", share)
+        self._observe(Learned(self.num_timesteps, reward, shares))
+
+
+def _log_formats() -> list[str]:
+    return ["csv", "tensorboard"] if find_spec("tensorboard") else ["csv"]
