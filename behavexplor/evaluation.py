@@ -1,12 +1,12 @@
 """How well an ADS drives: its rates of arrival and of violations over scenarios drawn uniformly."""
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from scipy.stats import binomtest
 
 from behavexplor.fuzz.fault import contact_fault
 from behavexplor.fuzz.specs import SPECS, judge
@@ -14,7 +14,6 @@ from behavexplor.simulation import Simulation
 from behavexplor.trace import Trace
 
 STREAM: Final = 0x65_76_61_6C  # sets the scenarios of evaluations apart from those of campaigns and trainings
-_CONFIDENCE: Final = 1.959964  # standard deviations on either side of the mean that hold 95 %
 
 
 @dataclass(frozen=True)
@@ -45,11 +44,8 @@ class Evaluation:
 
     def interval(self, outcome: str) -> tuple[float, float]:
         """The 95 % interval of a rate, after Wilson."""
-        share, z2 = self.rate(outcome), _CONFIDENCE**2
-        centre = share + z2 / (2 * self.n)
-        half = _CONFIDENCE * math.sqrt(share * (1 - share) / self.n + z2 / (4 * self.n**2))
-        low, high = ((centre + sign * half) / (1 + z2 / self.n) for sign in (-1, 1))
-        return max(low, 0.0), min(high, 1.0)
+        found = binomtest(self.counts.get(outcome, 0), self.n).proportion_ci(0.95, "wilson")
+        return float(found.low), float(found.high)
 
 
 def evaluate(simulation: Simulation, n: int, seed: int, observe: Callable[[int], None] | None = None) -> Evaluation:

@@ -135,7 +135,9 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     model.set_logger(configure(str(folder), _log_formats()))
     for stage in range(stages, config.n_stages):
         _begin_stage(model, venv, config, stage)
-        model.learn(min(config.stage, config.steps - stage * config.stage), callback=_Watch(observe), reset_num_timesteps=False)
+        model.learn(
+            min(config.stage, config.steps - stage * config.stage), callback=_Watch(observe), reset_num_timesteps=False
+        )
         path = folder / MODELS / f"stage-{stage + 1:04d}"
         model.save(path.with_suffix(".part"))
         path.with_suffix(".part").replace(path.with_suffix(".zip"))
