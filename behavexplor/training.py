@@ -26,6 +26,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 
+from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import ACTION, OBSERVATION, POLICY_FREQUENCY, write_layers
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.envs.sb3 import DrivingVecEnv
@@ -34,7 +35,7 @@ from behavexplor.simulation import environment_id
 
 Floats = NDArray[np.float64]
 
-CONFIG, NETWORK, MODELS = "training.yaml", "policy.npz", "models"  # in the folder of a training
+CONFIG, NETWORK, MODELS, LOGS = "training.yaml", "policy.npz", "models", "logs"  # in the folder of a training
 MOST_ENVS: Final = 4096
 EPISODES: Final = 1000  # the latest, over which rates are told
 
@@ -80,6 +81,8 @@ class TrainingConfig:
     layers: tuple[int, ...] = (128, 128)
 
     def __post_init__(self) -> None:
+        if self.env not in FUNCTIONAL_SCENARIOS:
+            raise unknown_name("functional scenario", self.env, FUNCTIONAL_SCENARIOS)
         if self.algo not in ALGORITHMS:
             raise unknown_name("algorithm", self.algo, ALGORITHMS)
         ranges = {"steps": (1, 10**12), "seed": (0, 2**63 - 1), "envs": (1, MOST_ENVS), "stage": (1, 10**12)}
@@ -129,21 +132,30 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
         InputError: if the environment cannot be trained in.
     """
     torch.set_num_threads(1)  # more of them change the last bits
-    (folder / MODELS).mkdir(parents=True, exist_ok=True)
     venv = _environment(config)
-    stages, model = _last_model(folder, config, venv)
-    model.set_logger(configure(str(folder), _log_formats()))
-    for stage in range(stages, config.n_stages):
-        _begin_stage(model, venv, config, stage)
-        model.learn(
-            min(config.stage, config.steps - stage * config.stage), callback=_Watch(observe), reset_num_timesteps=False
-        )
-        path = folder / MODELS / f"stage-{stage + 1:04d}"
-        model.save(path.with_suffix(".part"))
-        path.with_suffix(".part").replace(path.with_suffix(".zip"))
-    venv.close()
+    (folder / MODELS).mkdir(parents=True, exist_ok=True)
+    first, model = _last_model(folder, config, venv)
+    model.set_logger(configure(str(folder / LOGS / f"stage-{first + 1:04d}"), _log_formats()))
+    watch = _Watch(observe)
+    try:
+        for stage in range(first, config.n_stages):
+            _begin_stage(model, venv, config, stage)
+            steps = min(config.stage, config.steps - stage * config.stage)
+            model.learn(steps, callback=watch, reset_num_timesteps=False)
+            _save(model, folder / MODELS / f"stage-{stage + 1:04d}.zip")
+    finally:
+        model.logger.close()
+        venv.close()
     write_layers(folder / NETWORK, network_layers(model))
     return folder / NETWORK
+
+
+def _save(model: OnPolicyAlgorithm, path: Path) -> None:
+    """Write a model's file that is whole or not there."""
+    part = path.with_suffix(".part")
+    with part.open("wb") as file:
+        model.save(file)
+    part.replace(path)
 
 
 def network_layers(model: OnPolicyAlgorithm) -> list[tuple[Floats, Floats]]:
@@ -209,13 +221,10 @@ class _Watch(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if not self._ends:
-            return
         shares = {end: count / len(self._ends) for end, count in sorted(Counter(self._ends).items())}
-        reward = float(np.mean(self._rewards))
-        self.logger.record("rollout/reward", reward)
-        for end, share in shares.items():
-            self.logger.record(f"rollout/{end}", share)
+        reward = float(np.mean(self._rewards)) if self._rewards else 0.0
+        for name, value in {"reward": reward, **shares}.items():
+            self.logger.record(f"rollout/{name}", value)
         self._observe(Learned(self.num_timesteps, reward, shares))
 
 

@@ -58,6 +58,8 @@ def train(
     if resume and out:
         raise InputError("--out cannot be given with --resume")
     if resume:
+        if not (resume / training.CONFIG).is_file():
+            raise InputError(f"{resume} is no folder of a training: it has no {training.CONFIG}")
         config = checked(training.TrainingConfig, read_yaml(resume / training.CONFIG), "training")
         folder = resume
     else:

@@ -1,10 +1,12 @@
 """A learned policy as a system under test: its network's weights as plain arrays."""
 
 from collections.abc import Mapping
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,10 +159,10 @@ def read_layers(path: Path) -> list[tuple[Floats, Floats]]:
         InputError: if it cannot be read.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
             count = len(file.files) // 2
             layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(count)]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, AttributeError, BadZipFile) as error:
         raise InputError(f"{path} holds no network of this package: {error}") from None
     return [(weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in layers]
 

@@ -1,0 +1,98 @@
+"""Networks as systems under test."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from behavexplor.ads.interface import ADS, DecisionLog
+from behavexplor.ads.learned.driver import LearnedDriver, read_layers, write_layers
+from behavexplor.ads.learned.features import N_FEATURES
+from behavexplor.ads.learned.tracker import N_ACTIONS
+from behavexplor.ads.loading import load_ads
+from behavexplor.errors import InputError
+from tests.ads.learned.scenes import LOGICALS, ego, on_route
+
+ROADMAP = LOGICALS["lane-follow"].roadmap
+
+
+def random_layers(widths=(N_FEATURES, 16, N_ACTIONS), seed=0):
+    generator = np.random.default_rng(seed)
+    return [
+        (generator.normal(size=(after, before)).astype(np.float32), generator.normal(size=after).astype(np.float32))
+        for before, after in pairwise(widths)
+    ]
+
+
+def scenes(count, seed=0):
+    generator = np.random.default_rng(seed)
+    return np.array(
+        [
+            [
+                ego("lane-follow", generator.uniform(10, 200), generator.normal(), generator.uniform(0, 11)),
+                on_route("lane-follow", "lane-2", generator.uniform(10, 200), generator.uniform(0, 11)),
+                on_route("lane-follow", "lane-3", generator.uniform(10, 200), generator.uniform(0, 11)),
+            ]
+            for _ in range(count)
+        ]
+    )
+
+
+@pytest.fixture
+def driver():
+    return LearnedDriver(ROADMAP, random_layers())
+
+
+def test_it_is_an_ads_with_a_decision_log(driver):
+    assert isinstance(driver, ADS)
+    assert isinstance(driver, DecisionLog)
+
+
+def test_no_row_depends_on_the_batch(driver):
+    many = scenes(300)
+    together, memory = driver.predict(many)
+    for i in range(0, 300, 7):
+        alone, state = driver.predict(many[i : i + 1])
+        np.testing.assert_array_equal(alone[0], together[i])
+        np.testing.assert_array_equal(state[0], memory[i])
+    assert len(np.unique(together[:, 0])) > 2
+    assert np.abs(together).max() <= 1.0
+
+
+def test_the_state_handed_in_is_not_changed_and_is_forgotten_at_an_episode_start(driver):
+    first, second = scenes(2, seed=1), scenes(2, seed=2)
+    _, state = driver.predict(first)
+    kept = state.copy()
+    with_memory, _ = driver.predict(second, state, np.array([False, True]))
+    np.testing.assert_array_equal(state, kept)
+    fresh, _ = driver.predict(second)
+    np.testing.assert_array_equal(with_memory[1], fresh[1])
+    assert set(driver.log(state)) == {"wanted_offset"}
+
+
+def test_a_file_keeps_the_network(driver, tmp_path):
+    write_layers(tmp_path / "policy.npz", random_layers())
+    again = load_ads(str(tmp_path / "policy.npz"), ROADMAP)
+    many = scenes(50)
+    np.testing.assert_array_equal(again.predict(many)[0], driver.predict(many)[0])
+
+
+@pytest.mark.parametrize("widths", [(N_FEATURES - 1, 16, N_ACTIONS), (N_FEATURES, 16, N_ACTIONS + 1), (N_FEATURES, 16)])
+def test_a_network_of_other_sizes_is_refused(widths):
+    with pytest.raises(InputError, match=f"{N_FEATURES} inputs and {N_ACTIONS} outputs"):
+        LearnedDriver(ROADMAP, random_layers(widths))
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", b"PK\x03\x04"])
+def test_a_file_that_is_no_network_is_refused(content, tmp_path):
+    (tmp_path / "policy.npz").write_bytes(content)
+    with pytest.raises(InputError, match="holds no network"):
+        read_layers(tmp_path / "policy.npz")
+
+
+def test_a_file_without_all_layers_is_refused(tmp_path):
+    np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2))
+    with pytest.raises(InputError, match="holds no network"):
+        read_layers(tmp_path / "policy.npz")
+    with pytest.raises(InputError, match="holds no network"):
+        read_layers(tmp_path / "gone.npz")

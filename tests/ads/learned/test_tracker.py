@@ -1,0 +1,102 @@
+"""Decisions become commands that keep to lanes, limits and the road."""
+
+import numpy as np
+import pytest
+
+from behavexplor.ads.learned import tracker
+from behavexplor.ads.learned.tracker import (
+    ACCELERATIONS,
+    N_MEMORIES,
+    PERIOD,
+    SIDES,
+    STEERING_RANGE,
+    WANTED,
+    begin,
+    track,
+)
+from tests.ads.learned.scenes import COURSES, LOGICALS, ego
+
+KEEP, LEFT, RIGHT = (SIDES.index(side) * len(ACCELERATIONS) for side in (0, -1, 1))
+BRAKE, COAST, GO = 0, 3, 4
+
+
+def started(name, vehicle):
+    scene, memory = np.array([vehicle]), np.zeros(N_MEMORIES)
+    begin(COURSES[name], scene, memory)
+    return scene, memory
+
+
+def drive(name, vehicle, decide, steps):
+    """Where the ego comes with highway-env's bicycle model, its commands held for each period."""
+    scene, memory = started(name, vehicle)
+    driven = []
+    for step in range(steps):
+        acceleration, steering = track(COURSES[name], scene, decide(step), memory)
+        assert STEERING_RANGE[0] <= steering <= STEERING_RANGE[1]
+        for _ in range(4):
+            _, x, y, heading, speed, *_ = scene[0]
+            slip = np.arctan(np.tan(steering) / 2)
+            x, y = x + speed * np.cos(heading + slip) * PERIOD / 4, y + speed * np.sin(heading + slip) * PERIOD / 4
+            heading += speed * np.sin(slip) / (scene[0, 6] / 2) * PERIOD / 4
+            scene[0, 1:5] = x, y, heading, speed + acceleration * PERIOD / 4
+        driven.append(
+            (*LOGICALS[name].roadmap.ego_route.project(scene[0, 1], scene[0, 2]), scene[0, 4], memory[WANTED])
+        )
+    return np.array(driven)
+
+
+@pytest.mark.parametrize("name", ["intersection-straight", "intersection-left", "lane-follow"])
+def test_it_keeps_to_its_route_and_its_limits(name):
+    roadmap = LOGICALS[name].roadmap
+    driven = drive(name, ego(name, roadmap.ego_start), lambda _: KEEP + GO, 160)
+    there = driven[:, 0] < roadmap.destination
+    assert driven[-1, 0] > roadmap.destination
+    assert np.abs(driven[there, 1]).max() < 0.5
+    assert driven[:, 2].max() <= roadmap.speed_limit + 1e-9
+
+
+def test_it_comes_from_where_it_stands_to_the_lane_of_its_route():
+    roadmap = LOGICALS["lane-change"].roadmap
+    driven = drive("lane-change", ego("lane-change", roadmap.ego_start, roadmap.ego_offset), lambda _: KEEP + GO, 100)
+    assert driven[0, 1] < -6.9
+    assert np.abs(driven[-20:, 1]).max() < 0.3
+    assert np.diff(driven[:, 1]).max() < tracker.SIDEWAYS * PERIOD * 1.5
+
+
+def test_a_lane_change_ends_in_the_middle_of_the_next_lane():
+    driven = drive(
+        "lane-follow", ego("lane-follow", 20.0, speed=8.0), lambda step: (LEFT if step == 5 else KEEP) + COAST, 60
+    )
+    assert driven[-1, 1] == pytest.approx(-3.5, abs=0.1)
+    assert driven[:, 1].min() > -4.0
+
+
+@pytest.mark.parametrize(
+    ("side", "offset", "wanted"), [(LEFT, -7.0, 0.0), (RIGHT, 3.5, 0.0), (LEFT, 3.5, 0.0), (RIGHT, -7.0, -3.5)]
+)
+def test_a_change_leads_to_a_lane_that_is_there(side, offset, wanted):
+    scene, memory = started("lane-follow", ego("lane-follow", 50.0, offset, speed=8.0))
+    track(COURSES["lane-follow"], scene, side + COAST, memory)
+    assert memory[WANTED] == pytest.approx(wanted)
+
+
+def test_near_the_junction_it_takes_the_lane_of_its_route():
+    course = COURSES["intersection-straight"]
+    scene, memory = started("intersection-straight", ego("intersection-straight", course.junction_start - 10, 3.5, 5.0))
+    memory[WANTED] = 3.5
+    track(course, scene, RIGHT + COAST, memory)
+    assert memory[WANTED] == 0.0
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.4, 3.0, 11.0])
+def test_it_never_drives_backwards(speed):
+    scene, memory = started("lane-follow", ego("lane-follow", 50.0, speed=speed))
+    acceleration, _ = track(COURSES["lane-follow"], scene, KEEP + BRAKE, memory)
+    assert acceleration == pytest.approx(max(-6.0, -speed / PERIOD))
+
+
+def test_every_action_has_its_acceleration():
+    for action in range(tracker.N_ACTIONS):
+        scene, memory = started("lane-follow", ego("lane-follow", 50.0, speed=6.0))
+        acceleration, _ = track(COURSES["lane-follow"], scene, action, memory)
+        assert acceleration == ACCELERATIONS[action % 5]

@@ -1,0 +1,111 @@
+"""Training: the same seed gives the same policy, interrupted or not."""
+
+import numpy as np
+import pytest
+import yaml
+
+from behavexplor.ads.learned.driver import read_layers
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.errors import InputError
+from behavexplor.training import ALGORITHMS, TrainingConfig, train
+
+SMALL = {"env": "lane-change", "steps": 6000, "stage": 2000, "envs": 8, "layers": (16,)}
+
+
+class CutError(Exception):
+    """Pulls the plug."""
+
+
+def same(first, second):
+    return all(
+        np.array_equal(a, b) for one, other in zip(first, second, strict=True) for a, b in zip(one, other, strict=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    seen = []
+    train(TrainingConfig(**SMALL), folder, seen.append)
+    return folder, seen
+
+
+def test_a_training_that_was_cut_off_ends_as_if_it_had_not_been(trained, tmp_path):
+    folder, seen = trained
+    config = TrainingConfig(**SMALL)
+
+    def cut(learned):
+        if learned.steps > 4200:
+            raise CutError
+
+    with pytest.raises(CutError):
+        train(config, tmp_path, cut)
+    assert [path.name for path in sorted((tmp_path / "models").iterdir())] == ["stage-0001.zip", "stage-0002.zip"]
+    train(config, tmp_path, lambda _: None)
+    assert same(read_layers(tmp_path / "policy.npz"), read_layers(folder / "policy.npz"))
+    assert seen[-1].steps >= 6000
+    assert sum(seen[-1].ends.values()) == pytest.approx(1.0)
+
+
+def test_another_seed_gives_another_policy(trained, tmp_path):
+    train(TrainingConfig(**SMALL, seed=1), tmp_path, lambda _: None)
+    assert not same(read_layers(tmp_path / "policy.npz"), read_layers(trained[0] / "policy.npz"))
+
+
+@pytest.mark.parametrize("algo", sorted(set(ALGORITHMS) - {"ppo"}))
+def test_the_other_algorithms_train_too(algo, tmp_path):
+    train(TrainingConfig(**SMALL, algo=algo), tmp_path, lambda _: None)
+    assert len(read_layers(tmp_path / "policy.npz")) == 2
+
+
+def test_the_log_is_read_by_ordinary_tools(trained):
+    log = trained[0] / "logs" / "stage-0001"
+    assert "rollout/reward" in (log / "progress.csv").read_text().splitlines()[0]
+    assert list(log.glob("events.out.tfevents*"))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"algo": "pppo"}, "did you mean 'ppo'"),
+        ({"steps": 0}, "steps 0 must lie between"),
+        ({"envs": 0}, "envs 0 must lie between"),
+        ({"seed": -1}, "seed -1 must lie between"),
+        ({"layers": ()}, "must be widths"),
+    ],
+)
+def test_a_wrong_configuration_is_refused(changed, message):
+    with pytest.raises(InputError, match=message):
+        TrainingConfig(**changed)
+
+
+def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("behavexplor.commands.train.EVALUATED", 5)
+    folder = tmp_path / "run"
+    flags = ["--env", "lane-follow", "--steps", "2000", "--envs", "8"]
+    assert main(["train", *flags, "--out", str(folder), "--quiet"]) == OK
+    out = capsys.readouterr().out
+    assert "lane-follow, 5 scenarios" in out
+    assert f"--ads {folder}/policy.npz" in out
+    card = yaml.safe_load((folder / "policy.yaml").read_text())
+    assert card["trained_by"].endswith("train --env lane-follow --algo ppo --steps 2000 --seed 0 --envs 8")
+    assert card["evaluation"]["scenarios"] == 5
+    assert main(["train", *flags, "--out", str(folder)]) == BAD_INPUT
+    assert "is not empty: go on with --resume" in capsys.readouterr().err
+    assert main(["train", "--resume", str(folder), "--quiet"]) == OK  # there is nothing left to learn
+    assert yaml.safe_load((folder / "policy.yaml").read_text()) == card
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (["--env", "lane-folow"], "did you mean 'lane-follow'"),
+        (["--algo", "sac"], "Unknown algorithm 'sac'"),
+        (["--resume", "nowhere"], "no folder of a training"),
+    ],
+)
+def test_wrong_flags_are_refused_and_leave_nothing(flags, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *flags]) == BAD_INPUT
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
