@@ -185,8 +185,11 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
     if saved:
         return int(saved[-1].stem.removeprefix("stage-")), algorithm.load(saved[-1], venv, device="cpu")
     set_random_seed(config.seed % 2**32)
+    settings = dict(_SETTINGS[config.algo])
+    if "batch_size" in settings:
+        settings["batch_size"] = min(settings["batch_size"], settings["n_steps"] * config.envs)
     network = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
-    return 0, algorithm("MlpPolicy", venv, policy_kwargs=network, device="cpu", **_SETTINGS[config.algo])
+    return 0, algorithm("MlpPolicy", venv, policy_kwargs=network, device="cpu", **settings)
 
 
 def _begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, config: TrainingConfig, stage: int) -> None:

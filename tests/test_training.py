@@ -9,7 +9,7 @@ from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.training import ALGORITHMS, TrainingConfig, train
 
-SMALL = {"env": "lane-change", "steps": 6000, "stage": 2000, "envs": 8, "layers": (16,)}
+SMALL = {"env": "lane-change", "steps": 6000, "stage": 2000, "envs": 2, "layers": (16,)}
 
 
 class CutError(Exception):
@@ -82,13 +82,13 @@ def test_a_wrong_configuration_is_refused(changed, message):
 def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("behavexplor.commands.train.EVALUATED", 5)
     folder = tmp_path / "run"
-    flags = ["--env", "lane-follow", "--steps", "2000", "--envs", "8"]
+    flags = ["--env", "lane-follow", "--steps", "2000", "--envs", "3"]
     assert main(["train", *flags, "--out", str(folder), "--quiet"]) == OK
     out = capsys.readouterr().out
     assert "lane-follow, 5 scenarios" in out
     assert f"--ads {folder}/policy.npz" in out
     card = yaml.safe_load((folder / "policy.yaml").read_text())
-    assert card["trained_by"].endswith("train --env lane-follow --algo ppo --steps 2000 --seed 0 --envs 8")
+    assert card["trained_by"].endswith("train --env lane-follow --algo ppo --steps 2000 --seed 0 --envs 3")
     assert card["evaluation"]["scenarios"] == 5
     assert main(["train", *flags, "--out", str(folder)]) == BAD_INPUT
     assert "is not empty: go on with --resume" in capsys.readouterr().err
