@@ -12,7 +12,12 @@ from behavexplor.errors import InputError, unknown_name
 from behavexplor.roadmap import RoadMap
 
 SYSTEMS = MappingProxyType(
-    {"rule": "behavexplor.ads.rule:rule_planner", "learned": "behavexplor.ads.learned.shipped:learned_driver"}
+    {
+        "rule": "behavexplor.ads.rule:rule_planner",
+        "learned": "behavexplor.ads.learned.shipped:learned_driver",
+        "idm": "behavexplor.ads.idm:idm_driver",
+        "constant": "behavexplor.ads.constant:constant_driver",
+    }
 )
 
 

@@ -56,7 +56,7 @@ def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[f
     change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
     memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
     acceleration = _accelerate(course, scene, station, ACCELERATIONS[action % len(ACCELERATIONS)])
-    return acceleration, _steer(course, scene, station, memory[DRIVEN])
+    return acceleration, steer(course, scene, station, memory[DRIVEN])
 
 
 @kernel
@@ -84,7 +84,7 @@ def _accelerate(course: Course, scene: Floats, station: float, wanted: float) ->
 
 
 @kernel
-def _steer(course: Course, scene: Floats, station: float, offset: float) -> float:
+def steer(course: Course, scene: Floats, station: float, offset: float) -> float:
     """Pure pursuit of a point on the path; the circle through it is exact for highway-env's bicycle model."""
     x, y, along = pose_on_course(course.path, course.bounds, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
     dx = x - math.sin(along) * offset - scene[EGO, X]

@@ -1,0 +1,83 @@
+"""A driver that looks at nothing: the control that any other must beat."""
+
+import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.errors import InputError
+from behavexplor.roadmap import RoadMap
+
+Floats = NDArray[np.float64]
+
+ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
+STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
+DEFAULT: Final = "2,0"
+
+
+class ConstantDriver:
+    """Always commands the same.
+
+    Attributes:
+        observation: `{"type": "Scene"}`, see `behavexplor.scene`; it is not looked at.
+        action: acceleration and steering, each in [-1, 1] over its range.
+        policy_frequency: 10 Hz.
+
+    Args:
+        acceleration: [m/s2].
+        steering: [rad], positive to the right.
+
+    Raises:
+        InputError: if a value is out of its range.
+    """
+
+    observation: Mapping[str, Any] = MappingProxyType({"type": "Scene"})
+    action: Mapping[str, Any] = MappingProxyType(
+        {
+            "type": "ContinuousAction",
+            "acceleration_range": list(ACCELERATION_RANGE),
+            "steering_range": list(STEERING_RANGE),
+        }
+    )
+    policy_frequency: int = 10
+
+    def __init__(self, acceleration: float, steering: float) -> None:
+        low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
+        self._command = 2 * (np.array([acceleration, steering]) - low) / (high - low) - 1
+        if np.abs(self._command).max() > 1:
+            raise InputError(
+                f"A constant driver accelerates between {low[0]:g} and {high[0]:g} m/s2 and steers between {low[1]:g} "
+                f"and {high[1]:g} rad, got {acceleration:g} and {steering:g}"
+            )
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        deterministic: bool = True,  # noqa: ARG002
+    ) -> tuple[Floats, Any]:
+        """The same command for each ego, shape (B, 2); see `behavexplor.ads.interface.ADS`."""
+        return np.tile(self._command, (len(observation), 1)), state
+
+
+def constant_driver(roadmap: RoadMap, variant: str = "") -> ConstantDriver:  # noqa: ARG001
+    """The driver of a variant.
+
+    Args:
+        roadmap: not looked at.
+        variant: acceleration [m/s2], or acceleration and steering [rad]: "2" or "0,0.1"; `DEFAULT` if empty.
+
+    Raises:
+        InputError: if it is no such numbers.
+    """
+    number = r"[-+]?\d*\.?\d+"
+    if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
+        raise InputError(
+            f"constant:{variant} must be an acceleration, or an acceleration and a steering angle: constant:2,0.1"
+        )
+    acceleration, _, steering = (variant or DEFAULT).partition(",")
+    return ConstantDriver(float(acceleration), float(steering or 0))

@@ -1,0 +1,129 @@
+"""The Intelligent Driver Model: follows its route and the vehicle ahead, and looks at nobody else. A weak reference.
+
+Source: M. Treiber, A. Hennecke, D. Helbing: Congested traffic states in empirical observations and microscopic
+simulations, Physical Review E 62 (2000), equations 1 and 2; with the constants of highway-env's `IDMVehicle`.
+"""
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.learned.course import Course, make_course, pose_on_course, project_on_course
+from behavexplor.ads.learned.features import row_at
+from behavexplor.ads.learned.tracker import ACCELERATION_RANGE, STEERING_RANGE, steer
+from behavexplor.errors import InputError
+from behavexplor.roadmap import RoadMap
+from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+
+Floats = NDArray[np.float64]
+
+ACCELERATION: Final = 3.0  # a, on a free road [m/s2]
+BRAKING: Final = 5.0  # b, comfortable [m/s2]
+JAM_GAP: Final = 5.0  # s0 [m]
+TIME_GAP: Final = 1.5  # T [s]
+EXPONENT: Final = 4.0  # delta
+RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
+PERIOD: Final = 0.1  # between decisions [s]
+
+
+class IDMDriver:
+    """Follows the centre line of its route at the speed that the model gives.
+
+    Attributes:
+        observation: `{"type": "Scene"}`, see `behavexplor.scene`.
+        action: acceleration and steering, each in [-1, 1] over its range.
+        policy_frequency: 10 Hz.
+
+    Args:
+        roadmap: the map that it drives by.
+    """
+
+    observation: Mapping[str, Any] = MappingProxyType({"type": "Scene"})
+    action: Mapping[str, Any] = MappingProxyType(
+        {
+            "type": "ContinuousAction",
+            "acceleration_range": list(ACCELERATION_RANGE),
+            "steering_range": list(STEERING_RANGE),
+        }
+    )
+    policy_frequency: int = round(1 / PERIOD)
+
+    def __init__(self, roadmap: RoadMap) -> None:
+        self._course = make_course(roadmap)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
+        deterministic: bool = True,  # noqa: ARG002
+    ) -> tuple[Floats, Any]:
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+
+        Args:
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
+            state: handed back as it is; the model has no memory.
+            episode_start: not looked at.
+            deterministic: it always is.
+        """
+        scenes = np.rint(np.asarray(observation, dtype=np.float64) / RESOLUTION) * RESOLUTION
+        commands = np.array([_decide(self._course, scene) for scene in scenes])
+        low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
+        return 2 * (commands - low) / (high - low) - 1, state
+
+
+def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
+    """The driver.
+
+    Args:
+        roadmap: the map that it drives by.
+        variant: there is none.
+
+    Raises:
+        InputError: if a variant is given.
+    """
+    if variant:
+        raise InputError(f"idm:{variant}: the Intelligent Driver Model has no variants, say --ads idm")
+    return IDMDriver(roadmap)
+
+
+def idm_acceleration(speed: float, limit: float, gap: float, leader_speed: float) -> float:
+    """Acceleration [m/s2] after equations 1 and 2.
+
+    Args:
+        speed: v [m/s].
+        limit: v0 [m/s].
+        gap: s, between the bumpers [m], infinite on a free road.
+        leader_speed: of the vehicle ahead [m/s].
+    """
+    approach = speed * (speed - leader_speed) / (2 * math.sqrt(ACCELERATION * BRAKING))
+    desired = JAM_GAP + max(speed * TIME_GAP + approach, 0.0)  # s*
+    free = math.pow(max(speed, 0.0) / limit, EXPONENT)
+    return ACCELERATION * (1 - free - (desired / max(gap, 0.1)) ** 2)
+
+
+def _decide(course: Course, scene: Floats) -> tuple[float, float]:
+    speed = float(scene[EGO, SPEED])
+    station, _ = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])
+    gap, leader_speed = _leader(course, scene, station)
+    limit = float(course.limit[row_at(course, station)])
+    acceleration = max(idm_acceleration(speed, limit, gap, leader_speed), -speed / PERIOD)
+    low, high = ACCELERATION_RANGE
+    return min(max(acceleration, low), high), steer(course, scene, station, 0.0)
+
+
+def _leader(course: Course, scene: Floats, station: float) -> tuple[float, float]:
+    """Gap [m] to the next vehicle that is on the ego's lane and drives its way, and its speed there [m/s]."""
+    nearest, leader_speed = math.inf, 0.0
+    for other in scene[EGO + 1 :]:
+        there, aside = project_on_course(course.path, course.bounds, other[X], other[Y])
+        turned = other[HEADING] - pose_on_course(course.path, course.bounds, there)[2]
+        on_lane = abs(aside) < (course.width + other[WIDTH]) / 2 - 0.5 and math.cos(turned) > math.cos(math.pi / 4)
+        gap = there - station - (other[LENGTH] + scene[EGO, LENGTH]) / 2
+        if other[PRESENT] and on_lane and there > station and gap < nearest:
+            nearest, leader_speed = gap, float(other[SPEED] * math.cos(turned))
+    return nearest, leader_speed
