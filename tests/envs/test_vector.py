@@ -50,26 +50,6 @@ OBSERVATIONS = {
 ENVS = (IntersectionStraightEnv, IntersectionLeftEnv, LaneFollowEnv, LaneChangeEnv)
 
 
-class CLibrary:
-    """numpy with the C library's trigonometry: its own depends, in the last bit, on the processor."""
-
-    sin, cos, tan = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.tan)
-    arcsin, arctan, arctan2 = staticmethod(math.asin), staticmethod(math.atan), staticmethod(math.atan2)
-
-    def __getattr__(self, name):
-        return getattr(np, name)
-
-
-@pytest.fixture
-def c_library(monkeypatch):
-    """highway-env computes with the C library, as kernels do.
-
-    At less than 1 m/s the steering of meta-actions is unstable in highway-env, so that a last bit grows to metres.
-    """
-    for module in ("road.lane", "vehicle.controller", "vehicle.kinematics"):
-        monkeypatch.setattr(f"highway_env.{module}.np", CLibrary())
-
-
 class Driver:
     """Random actions that get somewhere: along the route more or less, at some speed, with noise or without."""
 
@@ -168,14 +148,14 @@ def compare_traces(single, vector):
 
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
 @pytest.mark.parametrize("env_class", [IntersectionLeftEnv, LaneChangeEnv])
-def test_every_action_type_is_the_single_environment_s(c_library, env_class, action):
+def test_every_action_type_is_the_single_environment_s(env_class, action):
     config = {"action": action, "observation": {"type": "Scene"}, "duration": 40.0}
     assert compare(env_class, config, 3, seed=1).worst < TOLERANCE
 
 
 @pytest.mark.parametrize("observation", OBSERVATIONS.values(), ids=OBSERVATIONS)
 @pytest.mark.parametrize("action", ["continuous", "meta"])
-def test_every_observation_is_the_single_environment_s(c_library, action, observation):
+def test_every_observation_is_the_single_environment_s(action, observation):
     config = {"action": ACTIONS[action], "observation": observation, "duration": 15.0}
     assert compare(IntersectionStraightEnv, config, 3, seed=2).worst < TOLERANCE
 
@@ -189,7 +169,7 @@ def test_other_configurations_are_the_single_environment_s(config):
 @pytest.mark.slow
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
 @pytest.mark.parametrize("env_class", ENVS)
-def test_thousands_of_scenarios_are_the_single_environment_s(c_library, env_class, action):
+def test_thousands_of_scenarios_are_the_single_environment_s(env_class, action):
     seen = set()
     for seed in range(6):
         config = {"action": action, "observation": {"type": "Scene"}, "duration": 60.0}

@@ -39,9 +39,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     draws with the seed s + i. Observations `Scene` and `Kinematics` and the actions `ContinuousAction`,
     `DiscreteAction` and `DiscreteMetaAction` are supported. `scenarios` are those of the latest episodes.
 
-    It computes with the C library's trigonometry. numpy's differs from it in the last bit on some processors, which
-    grows where highway-env's steering is unstable: with `DiscreteMetaAction`, below about 1 m/s.
-
     All of gymnasium's autoreset modes are supported. With `AutoresetMode.DISABLED` a sub-environment whose episode has
     ended rests until it is reset: its action is not looked at, its reward is 0, and it still counts as ended.
 
