@@ -6,6 +6,7 @@ from typing import NamedTuple
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import behavexplor
@@ -16,6 +17,7 @@ from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.npc import motion_table
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
+from behavexplor.envs.vector.slots import FRAME
 from behavexplor.errors import InputError
 from behavexplor.scenario import NPC, Scenario, Waypoint
 from behavexplor.trace import RESOLUTION
@@ -321,7 +323,12 @@ def test_what_is_not_supported_is_refused_by_name(env_class, config, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"num_envs": 0}, "at least 1"),
+        ({"num_envs": 0}, "num_envs: expected a whole number from 1"),
+        ({"num_envs": 2.0}, "num_envs: expected a whole number"),
+        ({"num_envs": True}, "num_envs: expected a whole number"),
+        ({"autoreset_mode": "SameSteps"}, "did you mean 'SameStep'"),
+        ({"autoreset_mode": None}, "Unknown autoreset mode 'None'"),
+        ({"config": [1]}, "config: expected keys and values"),
         ({"config": {"duratio": 3}}, "did you mean 'duration'"),
         ({"render_mode": "human"}, "cannot render"),
     ],
@@ -335,12 +342,21 @@ def test_wrong_arguments_are_refused(arguments, message):
     ("arguments", "message"),
     [
         ({"options": {"scenari": None}}, "did you mean 'scenario'"),
-        ({"options": {"scenarios": [None]}}, "expected 2, got 1"),
+        ({"options": {"scenarios": [None]}}, "scenarios: expected a list of 2"),
+        ({"options": {"scenarios": 7}}, "scenarios: expected a list of 2"),
+        ({"options": {"scenarios": {"a": 1, "b": 2}}}, "scenarios: expected a list of 2"),
         ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.scenario.Scenario"),
         ({"options": {"scenarios": [None, Scenario("intersection-left", ())]}}, "not of 'lane-follow'"),
         ({"options": {"reset_mask": [True, False]}}, "expected an array of 2 booleans"),
         ({"options": {"reset_mask": np.zeros(2, dtype=bool)}}, "at least one"),
-        ({"seed": [1]}, "expected one or 2, got 1"),
+        ({"options": {"reset_mask": np.ones(2, dtype=np.int64)}}, "expected an array of 2 booleans"),
+        ({"options": {"reset_mask": np.ones(3, dtype=bool)}}, "expected an array of 2 booleans"),
+        ({"options": {"reset_mask": np.ones((2, 1), dtype=bool)}}, "expected an array of 2 booleans"),
+        ({"seed": [1]}, "seed: expected one, or a list of 2"),
+        ({"seed": 1.5}, "seed: expected one, or a list of 2"),
+        ({"seed": [1, 1.5]}, "seed: expected whole numbers from 0"),
+        ({"seed": -1}, "seed: expected whole numbers from 0"),
+        ({"seed": [0, -1]}, "seed: expected whole numbers from 0"),
     ],
 )
 def test_wrong_resets_are_refused(arguments, message):
@@ -348,13 +364,42 @@ def test_wrong_resets_are_refused(arguments, message):
         vector_env(LaneFollowEnv)(2).reset(**arguments)
 
 
-def test_steps_need_a_reset_and_an_action_for_each():
-    env = vector_env(LaneFollowEnv)(2)
-    with pytest.raises(InputError, match="Call reset"):
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_steps_need_a_reset(mode):
+    env = vector_env(LaneFollowEnv)(2, autoreset_mode=mode)
+    with pytest.raises(ResetNeeded, match="call reset before step"):
         env.step(env.action_space.sample())
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="expected 2, one for each"):
-        env.step(np.zeros((1, 2)))
+    env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ResetNeeded, match="A sub-environment has not begun"):
+        env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize(
+    ("action", "actions"),
+    [
+        ("ContinuousAction", np.zeros((1, 2))),
+        ("ContinuousAction", np.zeros(2)),
+        ("ContinuousAction", np.zeros((2, 3))),
+        ("ContinuousAction", np.full((2, 2), np.nan)),
+        ("ContinuousAction", np.full((2, 2), np.inf)),
+        ("ContinuousAction", np.full((2, 2), "go")),
+        ("ContinuousAction", None),
+        ("DiscreteMetaAction", np.array([1])),
+        ("DiscreteMetaAction", np.array([0, 5])),
+        ("DiscreteMetaAction", np.array([-1, 0])),
+        ("DiscreteMetaAction", np.array([1.0, 2.0])),
+        ("DiscreteMetaAction", np.array([[1], [2]])),
+        ("DiscreteAction", 3),
+    ],
+)
+def test_what_is_no_action_for_each_is_refused(action, actions):
+    """By the vector environment and, one by one, by the single one; nothing has moved afterwards."""
+    env = vector_env(LaneFollowEnv)(2, {"action": {"type": action}, "observation": {"type": "Scene"}})
+    before, _ = env.reset(seed=0)
+    with pytest.raises(InputError, match="actions: expected finite numbers of"):
+        env.step(actions)
+    assert np.array_equal(env._slots.ego[:, :3], before[:, 0, 1:4])
+    assert (env._slots.numbers[:, FRAME] == 0).all()
 
 
 @pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
