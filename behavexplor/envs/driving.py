@@ -43,7 +43,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     `reset(options={"scenario": scenario})` runs a `behavexplor.scenario.Scenario`. Without it one is sampled from the
     logical scenario with the environment's own generator, so that the same environment trains a policy.
     `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` tells what is wrong.
-    NPCs follow their waypoints blindly: their motion is a function of the scenario alone. The ego starts standing.
+    NPCs follow their waypoints blindly and yield to nobody: their motion is a function of the scenario alone. At the
+    last waypoint, which lies behind the ego's destination, they park. The ego starts standing.
 
     ## Actions
 
