@@ -136,6 +136,9 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         super().__init__(config, render_mode)
         self._has_begun = False  # highway-env has reset it, with no seed
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "viewer": None}  # the window stays here
+
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """The configuration where nothing is changed."""
@@ -193,6 +196,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self._has_begun = True
         self._terms = {}
         self.scenario = scenario
+        self.action_type = action_factory(self, self.config["action"])  # by which the ego's class is chosen
         self._place(scenario)
         self.define_spaces()
         observation = self.observation_type.observe()
