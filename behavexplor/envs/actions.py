@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from gymnasium import Space, spaces
 
+from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 
 
@@ -25,4 +26,4 @@ def check_actions(space: Space[Any], actions: Any) -> None:
     else:
         fits = fits and values.dtype.kind in "iu" and space.contains(values.astype(space.dtype))
     if not fits:
-        raise InputError(f"actions: expected finite numbers of {space}, got {actions!r:.80}")
+        raise InputError(f"actions: expected finite numbers of {space}, got {shown(actions)}")

@@ -31,6 +31,7 @@ from behavexplor.envs.values import (
     names,
     one_of,
     optional,
+    shown,
 )
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.logical import LogicalScenario
@@ -78,7 +79,7 @@ _TYPE_KINDS: Mapping[str, Kind] = {  # of those of observations and actions
     "centering_position": optional(TWO_NUMBERS),
     "clip": FLAG,
     "dynamical": FLAG,
-    "features": optional(names((*FEATURES, "on_road"))),
+    "features": optional(names(FEATURES)),
     "features_range": optional(NUMBER_RANGES),
     "flatten": FLAG,
     "grid_size": optional(TWO_RANGES),
@@ -100,6 +101,7 @@ _TYPE_KINDS: Mapping[str, Kind] = {  # of those of observations and actions
     "target_speeds": optional(EVEN_NUMBERS),
     "vehicles_count": COUNT,
     "weights": THREE_NUMBERS,
+    "OccupancyGrid.features": optional(names((*FEATURES, "on_road"))),
 }
 _WITHOUT_EFFECT = {  # of highway-env's keys; in its `config`, since its code reads some of them
     "manual_control",
@@ -164,7 +166,7 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
         check_value(key, changed[key], kind)
     for key in _WITHOUT_EFFECT:
         if changed[key] is not config[key]:
-            raise InputError(f"{key}: {changed[key]!r:.80} has no effect in these environments; leave it out")
+            raise InputError(f"{key}: {shown(changed[key])} has no effect in these environments; leave it out")
     _check_times(changed)
     return changed
 
@@ -208,7 +210,7 @@ def _check_observation(what: str, config: object, types: Mapping[str, type | Non
     if settings["type"] == "TupleObservation":
         parts = settings["observation_configs"]
         if not isinstance(parts, list | tuple) or not parts:
-            raise InputError(f"{what}.observation_configs: expected a list of observations, got {parts!r:.80}")
+            raise InputError(f"{what}.observation_configs: expected a list of observations, got {shown(parts)}")
         inner = {name: kind for name, kind in types.items() if kind and name != "TupleObservation"}
         for i, part in enumerate(parts):
             _check_observation(f"{what}.observation_configs[{i}]", part, inner)
@@ -241,8 +243,9 @@ def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> 
         if parameter.default is parameter.empty and key not in settings:
             raise InputError(f"{what}: {name} needs {key!r}")
     for key, value in settings.items():
-        if key in _TYPE_KINDS:
-            check_value(f"{what}.{key}", value, _TYPE_KINDS[key])
+        expected = _TYPE_KINDS.get(f"{name}.{key}", _TYPE_KINDS.get(key))
+        if expected is not None:
+            check_value(f"{what}.{key}", value, expected)
     return settings
 
 
@@ -255,5 +258,5 @@ def _check_keys(what: str, values: Mapping[str, Any], known: object) -> None:
 
 def _mapping(what: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{what}: expected keys and values, got {value!r:.80}")
+        raise InputError(f"{what}: expected keys and values, got {shown(value)}")
     return value

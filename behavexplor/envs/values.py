@@ -31,16 +31,26 @@ def check_value(name: str, value: object, kind: Kind) -> None:
         InputError: naming the key and what was expected.
     """
     if not kind.accepts(value):
-        raise InputError(f"{name}: expected {kind.wanted}, got {value!r:.80}")
+        raise InputError(f"{name}: expected {kind.wanted}, got {shown(value)}")
+
+
+def shown(value: object) -> str:
+    """A value as a short part of a sentence."""
+    return " ".join(repr(value).split())[:80]
 
 
 def _is_number(value: object) -> bool:
-    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an int beyond all floats
+        return False
 
 
 def _numbers(value: object) -> list[float] | None:
-    """The elements of a list, tuple or array of numbers; None if it is something else."""
-    if isinstance(value, list | tuple | np.ndarray) and all(_is_number(number) for number in value):
+    """The elements of a list or tuple of numbers; None if it is something else."""
+    if isinstance(value, list | tuple) and all(_is_number(number) for number in value):
         return [float(number) for number in value]
     return None
 
@@ -59,13 +69,13 @@ def _is_range(value: object) -> bool:
 
 
 def _is_even(value: object) -> bool:
-    numbers = _numbers(value) or []
+    numbers = _numbers(value.tolist() if isinstance(value, np.ndarray) else value) or []
     steps = np.diff(numbers)
     return len(numbers) >= 2 and steps[0] > 0 and np.allclose(steps, steps[0])
 
 
 def _is_pair_of(kind: Kind, value: object) -> bool:
-    return isinstance(value, list | tuple | np.ndarray) and len(value) == 2 and all(map(kind.accepts, value))
+    return isinstance(value, list | tuple) and len(value) == 2 and all(map(kind.accepts, value))
 
 
 def optional(kind: Kind) -> Kind:

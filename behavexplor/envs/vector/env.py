@@ -15,7 +15,7 @@ from behavexplor.envs.driving import TERMINAL, DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.npc import motion_table
-from behavexplor.envs.values import COUNT, check_value
+from behavexplor.envs.values import COUNT, check_value, shown
 from behavexplor.envs.vector.commands import make_commands
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
@@ -227,7 +227,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise InputError(f"reset_mask: expected an array of {self.num_envs} booleans, got {mask!r:.80}")
+            raise InputError(f"reset_mask: expected an array of {self.num_envs} booleans, got {shown(mask)}")
         if not mask.any():
             raise InputError("reset_mask: at least one sub-environment must be reset")
         return mask
@@ -238,23 +238,23 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         one = isinstance(seed, int | np.integer)
         seeds = [int(seed) + b for b in range(self.num_envs)] if one else seed  # type: ignore[arg-type]
         if not isinstance(seeds, Sequence) or len(seeds) != self.num_envs:
-            raise InputError(f"seed: expected one, or a list of {self.num_envs}, got {seed!r:.80}")
+            raise InputError(f"seed: expected one, or a list of {self.num_envs}, got {shown(seed)}")
         if not all(own is None or (isinstance(own, int | np.integer) and own >= 0) for own in seeds):
-            raise InputError(f"seed: expected whole numbers from 0, got {seed!r:.80}")
+            raise InputError(f"seed: expected whole numbers from 0, got {shown(seed)}")
         if one:
             super().reset(seed=seeds[0])
-        return seeds
+        return [None if own is None else int(own) for own in seeds]
 
     def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[Scenario | None]:
         given = options.get("scenarios")
         scenarios = [options.get("scenario")] * self.num_envs if given is None else given
         if not isinstance(scenarios, Sequence) or len(scenarios) != self.num_envs:
-            raise InputError(f"scenarios: expected a list of {self.num_envs}, got {scenarios!r:.80}")
+            raise InputError(f"scenarios: expected a list of {self.num_envs}, got {shown(scenarios)}")
         for scenario in scenarios if given is not None else scenarios[:1]:
             if scenario is None:
                 continue
             if not isinstance(scenario, Scenario):
-                raise InputError(f"A scenario must be a behavexplor.scenario.Scenario, got {scenario!r:.80}")
+                raise InputError(f"A scenario must be a behavexplor.scenario.Scenario, got {shown(scenario)}")
             self.logical.check(scenario)
         return scenarios
 
