@@ -145,14 +145,14 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         return default_config(super().default_config(), cls.logical)
 
     def configure(self, config: dict[str, Any]) -> None:
-        """Change the configuration, from the next reset on; see the class."""
+        """Change the configuration, see the class; an episode that is running is given up."""
         changes = {} if config is None else config
         changed = changed_config(self.config, changes)
         logical = changed_logical(type(self).logical, changed["logical"])
         if "observation" not in changes and self.config["observation"] == default_observation(self.logical):
             changed["observation"] = default_observation(logical)
         self.config, self.logical = changed, logical
-        self._has_new_config = True
+        self._has_new_config, self._has_begun = True, False
         super().configure({})
 
     def define_spaces(self) -> None:

@@ -384,11 +384,21 @@ def test_a_policy_of_highway_env_drives_here_to_an_end(theirs):
     assert info["trace"].duration == pytest.approx(len(info["trace"].actions), abs=1)  # decides once a second
 
 
-def test_configure_takes_effect_at_the_next_reset():
+def test_configure_gives_up_the_episode():
     env = IntersectionStraightEnv(SCENE)
     env.reset(seed=0)
     env.configure({"action": {"type": "DiscreteMetaAction"}, "policy_frequency": 2})
+    with pytest.raises(ResetNeeded):
+        env.step(3)
     assert env.reset(seed=0)[0].shape == (6, 8)
     env.step(3)
     assert env.steps == 10
     assert env.vehicle.target_speed > 0
+
+
+def test_the_configuration_of_one_environment_makes_another():
+    first = IntersectionStraightEnv({**SCENE, "duration": 7.0, "logical": {"n_npcs": 3}, "reward": {"step": -1.0}})
+    second = gymnasium.make(S1, config=first.config).unwrapped
+    assert second.config == first.config
+    assert second.logical == first.logical
+    assert second.reset(seed=1)[1] == first.reset(seed=1)[1]
