@@ -99,7 +99,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## Arguments
 
-    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, with the nearest match.
+    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, with the nearest match, and so is a
+    value that cannot be used or would have no effect.
 
     | key of `config` | default | meaning |
     |---|---|---|
