@@ -20,7 +20,7 @@ OTHER_VIEW = (900, 900, 3.0, [0.5, 0.5])
 def facts(logical: LogicalScenario) -> str:
     """What can be read from a logical scenario, as a table."""
     roadmap = logical.roadmap
-    (lanes,) = {len(route.lanes) for route in roadmap.npc_routes}
+    lanes = " or ".join(str(count) for count in sorted({len(route.lanes) for route in roadmap.npc_routes}))
     rows = {
         "ego's way": way(roadmap),
         "NPCs": f"{logical.n_npcs}, each on one of {len(roadmap.npc_routes)} routes",
