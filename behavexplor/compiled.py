@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 import re
 from collections.abc import Callable
 from functools import cache
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar, cast
 
 import numba
+from numba.core import event
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -22,6 +24,32 @@ def kernel(function: Function) -> Function:
     Neither `fastmath` nor parallel loops: results must not depend on the machine.
     """
     return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+class _Notice(event.Listener):
+    """Says, once in a process, that kernels of this package are being compiled.
+
+    As a warning: nobody configures logging for a first look, and would else wait for seconds before a silent screen.
+    """
+
+    def __init__(self) -> None:
+        self._is_said = False
+
+    def on_start(self, event: event.Event) -> None:
+        """A function is about to be compiled; what was kept on disk is not."""
+        module = event.data["dispatcher"].py_func.__module__
+        if self._is_said or not module.startswith(__package__):
+            return
+        self._is_said = True
+        logging.getLogger(__name__).warning(
+            "Compiling to machine code; this takes some seconds, and is kept for the next time ..."
+        )
+
+    def on_end(self, event: event.Event) -> None:
+        """It has been compiled."""
+
+
+event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 
 def drop_stale_code(package: Path = _PACKAGE) -> None:

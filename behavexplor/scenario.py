@@ -7,6 +7,7 @@ the business of `behavexplor.logical.LogicalScenario`.
 import json
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -56,7 +57,7 @@ class NPC:
     def __post_init__(self) -> None:
         _text("type", self.type)
         _text("route", self.route)
-        object.__setattr__(self, "waypoints", tuple(self.waypoints))
+        object.__setattr__(self, "waypoints", _parts("waypoints", self.waypoints))
         if not self.waypoints:
             raise InputError("waypoints: at least one is needed")
         for i, waypoint in enumerate(self.waypoints):
@@ -87,7 +88,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         _text("functional", self.functional)
-        object.__setattr__(self, "npcs", tuple(self.npcs))
+        object.__setattr__(self, "npcs", _parts("npcs", self.npcs))
         for i, npc in enumerate(self.npcs):
             if not isinstance(npc, NPC):
                 raise InputError(f"npcs[{i}]: expected an NPC, got {npc!r}")
@@ -179,6 +180,12 @@ def _list(name: str, value: object) -> list[Any]:
     if not isinstance(value, list):
         raise InputError(f"{name}: expected a list, got {value!r:.80}")
     return value
+
+
+def _parts(name: str, value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, Iterable):
+        raise InputError(f"{name}: expected a list, got {value!r:.80}")
+    return tuple(value)
 
 
 def _text(name: str, value: object) -> str:

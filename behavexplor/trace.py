@@ -64,17 +64,22 @@ class Trace:
     def __post_init__(self) -> None:
         for name in _ARRAYS:
             kind = np.int64 if name == "action_frame" else np.float64
-            object.__setattr__(self, name, _frozen(getattr(self, name), kind))
+            object.__setattr__(self, name, _frozen(name, getattr(self, name), kind))
         for name in _MOTION:
             rounded = np.rint(getattr(self, name) / RESOLUTION) * RESOLUTION
-            object.__setattr__(self, name, _frozen(rounded, np.float64))
-        log = {name: _frozen(values, np.float64) for name, values in sorted(self.decisions.items())}
+            object.__setattr__(self, name, _frozen(name, rounded, np.float64))
+        if not isinstance(self.decisions, Mapping):
+            raise InputError(f"decisions: expected arrays by name, got {self.decisions!r:.80}")
+        log = {
+            name: _frozen(f"decisions[{name!r}]", values, np.float64) for name, values in sorted(self.decisions.items())
+        }
         object.__setattr__(self, "decisions", MappingProxyType(log))
         self._validate()
 
     def _validate(self) -> None:
-        frames, vehicles = len(self.time), len(self.size)
-        decisions = len(self.action_frame)
+        frames, vehicles, decisions = (
+            np.atleast_1d(rows).shape[0] for rows in (self.time, self.size, self.action_frame)
+        )
         shapes: dict[str, tuple[int | None, ...]] = {
             "time": (frames,),
             "position": (frames, vehicles, 2),
@@ -152,7 +157,7 @@ class Trace:
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
-            arrays[name] = _unpack(arrays[name], len(arrays["time"]))
+            arrays[name] = _unpack(arrays[name], arrays["time"].size)
         log = {name.removeprefix("decisions."): values[name] for name in values if name.startswith("decisions.")}
         return cls(**arrays, end=str(values["end"]), decisions=log)
 
@@ -173,8 +178,17 @@ class Trace:
 _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in ("end", "decisions"))
 
 
-def _frozen(values: object, kind: type[np.generic]) -> NDArray[Any]:
-    array: NDArray[Any] = np.array(values, dtype=kind)
+def _frozen(name: str, values: Any, kind: type[np.generic]) -> NDArray[Any]:
+    """A read-only copy; what is no number, or would lose its fraction, is refused."""
+    try:
+        given = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        given = np.asarray(None)
+    if given.dtype.kind not in "biuf":
+        raise InputError(f"{name}: expected an array of numbers, got {' '.join(repr(values).split())[:80]}")
+    if kind is np.int64 and not (np.isfinite(given) & (given == np.rint(given))).all():
+        raise InputError(f"{name}: every value must be a whole number")
+    array: NDArray[Any] = given.astype(kind)
     array.setflags(write=False)
     return array
 

@@ -8,10 +8,43 @@ import gymnasium
 from PIL import Image
 
 import behavexplor
+from behavexplor.logical import LogicalScenario
+from behavexplor.roadmap import RoadMap
 
 FOLDER = Path(__file__).parent / "environments"
 SEED = 4  # of the scenario in the pictures
 VIEWS = {"intersection": (900, 900, 4.4, [0.5, 0.88]), "lane": (1500, 260, 5.6, [0.05, 0.5])}  # size, scale, centre
+OTHER_VIEW = (900, 900, 3.0, [0.5, 0.5])
+
+
+def facts(logical: LogicalScenario) -> str:
+    """What can be read from a logical scenario, as a table."""
+    roadmap = logical.roadmap
+    lanes = " or ".join(str(count) for count in sorted({len(route.lanes) for route in roadmap.npc_routes}))
+    rows = {
+        "ego's way": way(roadmap),
+        "NPCs": f"{logical.n_npcs}, each on one of {len(roadmap.npc_routes)} routes",
+        "waypoints": f"{logical.waypoints_per_lane} on each of a route's {lanes} lanes",
+        "illegal lines": " and ".join(
+            f"{kind.replace('-', ' ')} lines" for kind in sorted(set(roadmap.line_kinds))[::-1]
+        ),
+        "speed limit": f"{roadmap.speed_limit:g} m/s",
+    }
+    return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows.items())])
+
+
+def way(roadmap: RoadMap) -> str:
+    """How far the ego goes, and with which turns and lane changes."""
+    parts = [f"{roadmap.destination - roadmap.ego_start:.0f} m"]
+    for lane in roadmap.ego_route.lanes:
+        if lane.curvature:
+            side = "right" if lane.curvature > 0 else "left"
+            parts.append(f"with a turn to the {side} of {1 / abs(lane.curvature):g} m radius")
+    if roadmap.ego_offset:
+        side = "right" if roadmap.ego_offset < 0 else "left"
+        lanes = abs(roadmap.ego_offset) / roadmap.ego_route.lanes[0].width
+        parts.append(f"with a change of {lanes:g} lanes to the {side}")
+    return ", ".join(parts)
 
 
 def page(name: str) -> str:
@@ -21,13 +54,16 @@ def page(name: str) -> str:
     shared = (
         inspect.cleandoc(env.__mro__[1].__doc__ or "").partition("## Concrete scenarios")[2].partition("Raises:")[0]
     )
-    text = f"# {behavexplor.NAMESPACE}/{name}-v0\n\n{special}## Concrete scenarios{shared}## Version history{version}"
+    special += facts(env.logical)
+    text = (
+        f"# {behavexplor.NAMESPACE}/{name}-v0\n\n{special}\n\n## Concrete scenarios{shared}## Version history{version}"
+    )
     return "<!-- made from the docstrings by docs/build.py -->\n\n" + text.strip() + "\n"
 
 
 def picture(name: str) -> Image.Image:
     """A sampled scenario at its start, the NPCs' routes drawn."""
-    width, height, scaling, centre = VIEWS[name.partition("-")[0]]
+    width, height, scaling, centre = VIEWS.get(name.partition("-")[0], OTHER_VIEW)
     config = {"screen_width": width, "screen_height": height, "scaling": scaling, "centering_position": centre}
     env = gymnasium.make(f"{behavexplor.NAMESPACE}/{name}-v0", config=config, render_mode="rgb_array")
     env.reset(seed=SEED)

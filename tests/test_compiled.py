@@ -1,4 +1,9 @@
-"""Machine code that is kept is dropped when what it was made from changes."""
+"""Machine code that is kept is dropped when what it was made from changes; making it is announced."""
+
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -83,3 +88,43 @@ def test_a_kernel_computes_what_its_python_source_says():
     values = np.random.default_rng(0).normal(size=50)
     assert mean_of_positive(values) == mean_of_positive.py_func(values)
     assert np.isnan(mean_of_positive(np.array([-1.0])))  # as numpy divides, where Python raises
+
+
+def compiling(module):
+    function = SimpleNamespace(py_func=SimpleNamespace(__module__=module))
+    return SimpleNamespace(data={"dispatcher": function})
+
+
+def test_compiling_is_announced_once_and_only_ours(caplog):
+    notice = compiled._Notice()
+    notice.on_start(compiling("elsewhere.kernels"))
+    notice.on_end(compiling("elsewhere.kernels"))
+    assert caplog.messages == []
+    for module in ("behavexplor.envs.npc", "behavexplor.envs.vector.step"):
+        notice.on_start(compiling(module))
+        assert [record.name for record in caplog.records] == ["behavexplor.compiled"]
+    assert caplog.messages[0].startswith("Compiling to machine code")
+
+
+FIRST_USE = """
+from behavexplor.envs.npc import fill_phases
+import numpy as np
+fill_phases(np.ones((2, 2)), np.zeros((3, 4)))
+"""
+
+
+def test_a_first_run_is_no_silent_wait(tmp_path):
+    """Without any configuration of logging, and not again when the machine code is there."""
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", FIRST_USE],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        for _ in range(2)
+    ]
+    assert said[0].stderr.startswith("Compiling to machine code")
+    assert said[0].stderr.count("\n") == 1
+    assert (said[0].stdout, said[1].stdout, said[1].stderr) == ("", "", "")

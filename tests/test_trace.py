@@ -1,6 +1,7 @@
 """Traces: validated, read-only, and restored exactly from their files."""
 
 import copy
+import io
 import pickle
 from dataclasses import replace
 
@@ -122,3 +123,94 @@ def test_traces_are_copied_and_sent_to_other_processes():
     """As vector environments do with what `info` holds."""
     assert copy.deepcopy({"trace": TRACE})["trace"] is TRACE
     assert pickle.loads(pickle.dumps(TRACE)).to_bytes() == TRACE.to_bytes()
+
+
+BYTES = TRACE.to_bytes()
+
+
+def test_a_trace_cut_anywhere_is_refused():
+    for length in range(0, len(BYTES), 50):
+        with pytest.raises(InputError, match="Not a trace"):
+            Trace.from_bytes(BYTES[:length])
+
+
+WRONG_SHAPES = {
+    "time": ((20, 1), (19,), ()),
+    "position": ((20, 4), (20, 4, 3), (19, 4, 2), (20, 4, 2, 1)),
+    "heading": ((20,), (4, 20), (20, 3)),
+    "velocity": ((20, 4), (20, 3, 2), (21, 4, 2)),
+    "size": ((4,), (5, 2), (4, 1), (4, 2, 1)),
+    "actions": ((10,), (9, 2), (10, 2, 1)),
+    "action_frame": ((9,), (10, 1), ()),
+    "route": ((51,), (51, 3), (1, 2), (0, 2)),
+    "destination": ((3,), (1, 2), ()),
+    "illegal_lines": ((6, 4), (6, 2, 3), (2, 2)),
+}
+NAMES = {"time": "time|position|heading", "size": "size|position", "action_frame": "action_frame|actions"}
+
+
+@pytest.mark.parametrize(
+    ("field", "shape"), [(field, shape) for field, shapes in WRONG_SHAPES.items() for shape in shapes]
+)
+def test_every_wrong_shape_is_named(field, shape):
+    with pytest.raises(InputError, match=NAMES.get(field, field)):
+        replace(TRACE, **{field: np.zeros(shape)})
+
+
+@pytest.mark.parametrize("field", [*WRONG_SHAPES, "decisions"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, "x", None, 1j, object()])
+def test_every_value_that_is_no_finite_number_is_named(field, value):
+    broken = np.full(np.shape(getattr(TRACE, field)) or (10,), value, dtype=object)
+    with pytest.raises(InputError, match=field):
+        replace(TRACE, **{field: {"code": broken} if field == "decisions" else broken})
+
+
+@pytest.mark.parametrize("field", [*WRONG_SHAPES, "decisions"])
+def test_ragged_lists_are_named(field):
+    ragged = [[1.0], [2.0, 3.0]]
+    with pytest.raises(InputError, match=field):
+        replace(TRACE, **{field: {"code": ragged} if field == "decisions" else ragged})
+
+
+@pytest.mark.parametrize("value", [[], 3, [("code", np.zeros(10))], "code"])
+def test_decisions_are_a_mapping(value):
+    with pytest.raises(InputError, match="decisions"):
+        replace(TRACE, decisions=value)
+
+
+@pytest.mark.parametrize("frames", [[0.5] * 10, np.linspace(0, 9.9, 10)])
+def test_frames_are_whole_numbers(frames):
+    with pytest.raises(InputError, match="action_frame"):
+        replace(TRACE, action_frame=frames)
+
+
+@pytest.mark.parametrize("field", ["end", "format", *WRONG_SHAPES])
+def test_a_file_without_a_field_is_refused_by_its_name(field):
+    with np.load(io.BytesIO(BYTES)) as file:
+        values = {name: file[name] for name in file.files if name != field}
+    buffer = io.BytesIO()
+    np.savez(buffer, **values)
+    with pytest.raises(InputError, match=f"{field} is missing"):
+        Trace.from_bytes(buffer.getvalue())
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("format", np.array(2), "has format 2; this version reads format 1"),
+        ("end", np.array("exploded"), "end: expected one of"),
+        ("time", np.array(["a"] * 20), "time"),
+        ("position", np.zeros((8, 4, 2, 19), dtype=np.uint8), "wrong shape"),
+        ("heading", np.zeros((8, 4, 20)), "wrong shape"),
+        ("velocity", np.zeros((7, 4, 2, 20), dtype=np.uint8), "wrong shape"),
+        ("velocity", np.zeros(20, dtype=np.uint8), "wrong shape"),
+        ("time", np.array(3.0), "Not a trace"),
+    ],
+)
+def test_a_file_with_a_wrong_field_is_refused(field, value, message):
+    with np.load(io.BytesIO(BYTES)) as file:
+        values = {name: file[name] for name in file.files} | {field: value}
+    buffer = io.BytesIO()
+    np.savez(buffer, **values)
+    with pytest.raises(InputError, match=message):
+        Trace.from_bytes(buffer.getvalue())

@@ -1,7 +1,6 @@
 """The configuration of the environments: highway-env's with a few keys of ours, and every value checked."""
 
 import inspect
-import math
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from types import MappingProxyType
@@ -10,13 +9,35 @@ from typing import Any
 import highway_env.envs.common.action as actions
 import highway_env.envs.common.observation as observations
 
+from behavexplor.envs.kinematics import FEATURES, ORDERS
 from behavexplor.envs.reward import WEIGHTS
+from behavexplor.envs.values import (
+    COUNT,
+    EVEN_NUMBERS,
+    FLAG,
+    IMAGE_SHAPE,
+    NOT_NEGATIVE,
+    NUMBER,
+    NUMBER_RANGES,
+    POSITIVE,
+    RANGE,
+    THREE_NUMBERS,
+    TWO_NUMBERS,
+    TWO_POSITIVE,
+    TWO_RANGES,
+    WHOLE,
+    Kind,
+    check_value,
+    names,
+    one_of,
+    optional,
+    shown,
+)
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.logical import LogicalScenario
 
 OBSERVATIONS = MappingProxyType(  # highway-env's types that make sense for one vehicle on its way to a place
     {
-        "AttributesObservation": observations.AttributesObservation,
         "GrayscaleObservation": observations.GrayscaleObservation,
         "Kinematics": observations.KinematicObservation,
         "LidarObservation": observations.LidarObservation,
@@ -37,6 +58,57 @@ _UNREAD_KEYS = {
     "observation": {"flatten"},
     "action": {"target_speeds"},
 }  # in highway-env's own, though nothing reads them
+_KINDS: Mapping[str, Kind] = {  # of the values of the configuration itself
+    "simulation_frequency": COUNT,
+    "policy_frequency": COUNT,
+    "duration": POSITIVE,
+    "screen_width": COUNT,
+    "screen_height": COUNT,
+    "centering_position": TWO_NUMBERS,
+    "scaling": POSITIVE,
+    "offscreen_rendering": optional(FLAG),
+    "real_time_rendering": FLAG,
+}
+_TYPE_KINDS: Mapping[str, Kind] = {  # of those of observations and actions
+    "absolute": FLAG,
+    "acceleration_range": optional(RANGE),
+    "actions_per_axis": COUNT,
+    "align_to_vehicle_axes": FLAG,
+    "as_image": FLAG,
+    "cells": COUNT,
+    "centering_position": optional(TWO_NUMBERS),
+    "clip": FLAG,
+    "dynamical": FLAG,
+    "features": optional(names(FEATURES)),
+    "features_range": optional(NUMBER_RANGES),
+    "flatten": FLAG,
+    "grid_size": optional(TWO_RANGES),
+    "grid_step": optional(TWO_POSITIVE),
+    "horizon": COUNT,
+    "include_obstacles": FLAG,
+    "lateral": FLAG,
+    "longitudinal": FLAG,
+    "maximum_range": POSITIVE,
+    "normalize": FLAG,
+    "observation_shape": IMAGE_SHAPE,
+    "observe_intentions": FLAG,
+    "order": one_of(ORDERS),
+    "scaling": optional(POSITIVE),
+    "see_behind": FLAG,
+    "speed_range": optional(RANGE),
+    "stack_size": COUNT,
+    "steering_range": optional(RANGE),
+    "target_speeds": optional(EVEN_NUMBERS),
+    "vehicles_count": COUNT,
+    "weights": THREE_NUMBERS,
+    "OccupancyGrid.features": optional(names((*FEATURES, "on_road"))),
+}
+_WITHOUT_EFFECT = {  # of highway-env's keys; in its `config`, since its code reads some of them
+    "manual_control",
+    "neighbour_vehicles_connected_lanes",
+    "render_agent",
+    "show_trajectories",
+}
 _LOGICAL_KEYS = {entry.name for entry in fields(LogicalScenario)} - {"name", "roadmap"}
 
 
@@ -48,7 +120,7 @@ def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> di
         logical: the environment's logical scenario.
     """
     config = dict(simulator) | {
-        "observation": {"type": "Kinematics", "vehicles_count": 1 + logical.n_npcs},
+        "observation": default_observation(logical),
         "action": {"type": "ContinuousAction"},
         "simulation_frequency": 20,  # [Hz]
         "policy_frequency": 10,  # [Hz]
@@ -64,12 +136,18 @@ def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> di
     return config
 
 
+def default_observation(logical: LogicalScenario) -> dict[str, Any]:
+    """Kinematics with a row for every vehicle that there may be."""
+    return {"type": "Kinematics", "vehicles_count": 1 + logical.n_npcs}
+
+
 def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration with some values changed; of `reward` and `logical` single keys may be given.
 
     Raises:
         InputError: if a key is unknown, naming the nearest match, or a value is out of range.
     """
+    changes = _mapping("config", changes)
     for key in changes:
         if key not in config:
             raise unknown_name("key of the environment's config", str(key), config)
@@ -78,13 +156,17 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
         changed[key] = {**config[key], **_mapping(key, changes.get(key, {}))}
     _check_keys("reward", changed["reward"], WEIGHTS)
     _check_keys("logical", changed["logical"], _LOGICAL_KEYS)
-    _check_type("observation", changed["observation"], OBSERVATIONS)
-    _check_type("action", changed["action"], ACTIONS)
-    if changed["observation"]["type"] == "TimeToCollision" and changed["action"]["type"] != "DiscreteMetaAction":
+    _check_observation("observation", changed["observation"], OBSERVATIONS)
+    _check_action(changed["action"])
+    if "TimeToCollision" in _types(changed["observation"]) and changed["action"]["type"] != "DiscreteMetaAction":
         raise InputError("The observation type TimeToCollision needs the action type DiscreteMetaAction")
     for name, weight in changed["reward"].items():
-        if not isinstance(weight, int | float) or isinstance(weight, bool) or not math.isfinite(weight):
-            raise InputError(f"reward.{name}: expected a number, got {weight!r:.80}")
+        check_value(f"reward.{name}", weight, NUMBER)
+    for key, kind in _KINDS.items():
+        check_value(key, changed[key], kind)
+    for key in _WITHOUT_EFFECT:
+        if changed[key] is not config[key]:
+            raise InputError(f"{key}: {shown(changed[key])} has no effect in these environments; leave it out")
     _check_times(changed)
     return changed
 
@@ -97,36 +179,23 @@ def changed_logical(logical: LogicalScenario, changes: Mapping[str, Any]) -> Log
     """
     if not changes:
         return logical
+    kinds = {"n_npcs": WHOLE, "waypoints_per_lane": COUNT, "vehicle_types": names(logical.vehicle_types)}
     for name, value in changes.items():
-        if name == "vehicle_types":
-            if not isinstance(value, list | tuple):
-                raise InputError(f"logical.vehicle_types: expected a list of types, got {value!r:.80}")
-            _check_keys("logical.vehicle_types", dict.fromkeys(value), logical.vehicle_types)
-        elif not isinstance(value, int | float) or isinstance(value, bool) or value < 0:
-            raise InputError(f"logical.{name}: expected a number >= 0, got {value!r:.80}")
-    values: dict[str, Any] = {
-        name: tuple(value) if name == "vehicle_types" else value for name, value in changes.items()
-    }
+        check_value(f"logical.{name}", value, kinds.get(name, NOT_NEGATIVE))
+    values: dict[str, Any] = dict(changes)
+    if "vehicle_types" in values:
+        values["vehicle_types"] = tuple(values["vehicle_types"])
     other = replace(logical, **values)
     if other.min_speed > other.roadmap.speed_limit:
         raise InputError(f"logical.min_speed: {other.min_speed} exceeds the speed limit {other.roadmap.speed_limit}")
-    for name in ("n_npcs", "waypoints_per_lane"):
-        if not isinstance(getattr(other, name), int):
-            raise InputError(f"logical.{name}: expected a whole number, got {getattr(other, name)!r}")
-    if other.waypoints_per_lane < 1 or not other.vehicle_types:
-        raise InputError("logical: at least one waypoint per lane and one vehicle type are needed")
+    shortest = min(route.lanes[0].length for route in other.roadmap.npc_routes)
+    if 2 * other.end_gap > shortest:
+        raise InputError(f"logical.end_gap: {other.end_gap} leaves no room to start in a lane of {shortest:g} m")
     return other
 
 
 def _check_times(config: Mapping[str, Any]) -> None:
-    for name in ("simulation_frequency", "policy_frequency", "duration"):
-        value = config[name]
-        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value <= 10_000:
-            raise InputError(f"{name}: expected a number above 0 and up to 10000, got {value!r:.80}")
     simulation, policy = config["simulation_frequency"], config["policy_frequency"]
-    for name, value in (("simulation_frequency", simulation), ("policy_frequency", policy)):
-        if not isinstance(value, int):
-            raise InputError(f"{name}: expected a whole number, got {value!r}")
     if simulation % policy:
         raise InputError(
             f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}, "
@@ -134,15 +203,50 @@ def _check_times(config: Mapping[str, Any]) -> None:
         )
 
 
-def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> None:
-    """Whether highway-env will read every key of an observation's or an action's configuration."""
+def _check_observation(what: str, config: object, types: Mapping[str, type | None]) -> None:
+    settings = _check_type(what, config, types)
+    if settings["type"] == "OccupancyGrid" and settings.get("absolute"):
+        raise InputError(f"{what}.absolute: an OccupancyGrid is always relative to the ego")
+    if settings["type"] == "TupleObservation":
+        parts = settings["observation_configs"]
+        if not isinstance(parts, list | tuple) or not parts:
+            raise InputError(f"{what}.observation_configs: expected a list of observations, got {shown(parts)}")
+        inner = {name: kind for name, kind in types.items() if kind and name != "TupleObservation"}
+        for i, part in enumerate(parts):
+            _check_observation(f"{what}.observation_configs[{i}]", part, inner)
+
+
+def _check_action(config: object) -> None:
+    settings = _check_type("action", config, ACTIONS)
+    if not (settings.get("longitudinal", True) or settings.get("lateral", True)):
+        raise InputError("action: at least one of longitudinal and lateral must be True")
+
+
+def _types(observation: Mapping[str, Any]) -> list[str]:
+    """The types of an observation and of its parts."""
+    parts = observation.get("observation_configs", ()) if observation["type"] == "TupleObservation" else ()
+    return [observation["type"], *(part["type"] for part in parts)]
+
+
+def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
+    """Whether highway-env will read every key of an observation's or an action's configuration, and has all."""
     settings = _mapping(what, config)
-    kind = settings.get("type")
-    if not isinstance(kind, str) or kind not in types:
-        raise unknown_name(f"{what} type", str(kind), types)
-    bases = types[kind].__mro__ if types[kind] else ()  # type: ignore[union-attr]
-    known = {name for base in bases for name in inspect.signature(base).parameters} if bases else set()
-    _check_keys(what, settings, (known - {"env", "args", "kwargs"}) | {"type"} | _UNREAD_KEYS[what])
+    name = settings.get("type")
+    if not isinstance(name, str) or name not in types:
+        raise unknown_name(f"{what} type", str(name), types)
+    kind = types[name]
+    parameters = dict(inspect.signature(kind).parameters) if kind else {}
+    for unread in ("env", "args", "kwargs"):
+        parameters.pop(unread, None)
+    _check_keys(what, settings, {"type", *parameters} | _UNREAD_KEYS[what.partition(".")[0]])
+    for key, parameter in parameters.items():
+        if parameter.default is parameter.empty and key not in settings:
+            raise InputError(f"{what}: {name} needs {key!r}")
+    for key, value in settings.items():
+        expected = _TYPE_KINDS.get(f"{name}.{key}", _TYPE_KINDS.get(key))
+        if expected is not None:
+            check_value(f"{what}.{key}", value, expected)
+    return settings
 
 
 def _check_keys(what: str, values: Mapping[str, Any], known: object) -> None:
@@ -154,5 +258,5 @@ def _check_keys(what: str, values: Mapping[str, Any], known: object) -> None:
 
 def _mapping(what: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
-        raise InputError(f"{what}: expected keys and values, got {value!r:.80}")
+        raise InputError(f"{what}: expected keys and values, got {shown(value)}")
     return value

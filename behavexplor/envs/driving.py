@@ -11,7 +11,8 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
-from behavexplor.envs.config import changed_config, changed_logical, default_config
+from behavexplor.envs.actions import check_actions
+from behavexplor.envs.config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.network import road_network
 from behavexplor.envs.npc import motion_table
@@ -28,6 +29,7 @@ PASSED_DISTANCE = 5.0  # beyond the destination, along its lane [m]
 STANDSTILL_SPEED = 0.3  # [m/s]
 STANDSTILL_TIME = 30.0  # [s]
 
+RENDER_MODES = ("human", "rgb_array")
 TERMINAL = ("collision", "arrived", "passed")  # what ends the task itself; the other ends cut it off
 
 
@@ -41,7 +43,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     `reset(options={"scenario": scenario})` runs a `behavexplor.scenario.Scenario`. Without it one is sampled from the
     logical scenario with the environment's own generator, so that the same environment trains a policy.
     `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` tells what is wrong.
-    NPCs follow their waypoints blindly: their motion is a function of the scenario alone. The ego starts standing.
+    NPCs follow their waypoints blindly and yield to nobody: their motion is a function of the scenario alone. At the
+    last waypoint, which lies behind the ego's destination, they park. The ego starts standing.
 
     ## Actions
 
@@ -96,7 +99,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## Arguments
 
-    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, with the nearest match.
+    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, with the nearest match, and so is a
+    value that cannot be used or would have no effect.
 
     | key of `config` | default | meaning |
     |---|---|---|
@@ -120,13 +124,21 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     viewer: MapViewer | None
     observation_type: Any  # of highway-env, which has no annotations
     action_type: Any
+    _has_new_config = True
+    _has_begun = False
     _recorder: Recorder
     _end: str | None = None
     _terms: dict[str, float]
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
-        self.metadata = {"render_modes": ["human", "rgb_array"]}
-        super().__init__(dict(config or {}), render_mode)
+        self.metadata = {"render_modes": list(RENDER_MODES)}
+        if render_mode not in (None, *RENDER_MODES):
+            raise InputError(f"render_mode: expected None, {' or '.join(RENDER_MODES)}, got {render_mode!r:.80}")
+        super().__init__(config, render_mode)
+        self._has_begun = False  # highway-env has reset it, with no seed
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "viewer": None}  # the window stays here
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -134,19 +146,26 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         return default_config(super().default_config(), cls.logical)
 
     def configure(self, config: dict[str, Any]) -> None:
-        """Change the configuration; see the class."""
-        self.config = changed_config(self.config, config or {})
-        self.logical = changed_logical(type(self).logical, self.config["logical"])
+        """Change the configuration, see the class; an episode that is running is given up."""
+        changes = {} if config is None else config
+        changed = changed_config(self.config, changes)
+        logical = changed_logical(type(self).logical, changed["logical"])
+        if "observation" not in changes and self.config["observation"] == default_observation(self.logical):
+            changed["observation"] = default_observation(logical)
+        self.config, self.logical = changed, logical
+        self._has_new_config, self._has_begun = True, False
         super().configure({})
 
     def define_spaces(self) -> None:
-        """The observation and action spaces of the configuration."""
+        """An episode's own observation and action types; their spaces are made once for a configuration."""
         observation = self.config["observation"]
         own = {"Scene": SceneObservation, "Kinematics": Kinematics}.get(observation.get("type"))
         self.observation_type = own(self, **observation) if own else observation_factory(self, observation)
         self.action_type = action_factory(self, self.config["action"])
-        self.observation_space = self.observation_type.space()
-        self.action_space = self.action_type.space()
+        if self._has_new_config:
+            self.observation_space = self.observation_type.space()
+            self.action_space = self.action_type.space()
+            self._has_new_config = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -175,8 +194,10 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self.time = self.steps = 0
         self.done = False
         self._end = None
+        self._has_begun = True
         self._terms = {}
         self.scenario = scenario
+        self.action_type = action_factory(self, self.config["action"])  # by which the ego's class is chosen
         self._place(scenario)
         self.define_spaces()
         observation = self.observation_type.observe()
@@ -205,10 +226,22 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self._recorder = Recorder(roadmap, time, motion, [(v.LENGTH, v.WIDTH) for v in self.road.vehicles])
         self._recorder.frame(ego)
 
-    def _simulate(self, action: Any = None) -> None:
-        """Simulate until the next decision, or until the episode ends."""
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Act until the next decision, or until the episode ends; see the class.
+
+        Raises:
+            gymnasium.error.ResetNeeded: if no episode is running.
+            InputError: if this is no action of the action space; numbers beyond a Box are clipped by highway-env.
+        """
+        if not self._has_begun:
+            raise gymnasium.error.ResetNeeded("No episode has begun: call reset before step")
         if self._end is not None:
             raise gymnasium.error.ResetNeeded("The episode has ended: call reset before step")
+        check_actions(self.action_space, action)
+        return super().step(action)  # type: ignore[no-any-return]
+
+    def _simulate(self, action: Any = None) -> None:
+        """Simulate until the next decision, or until the episode ends."""
         self._recorder.action(action)
         self.action_type.act(action)
         substeps = self.config["simulation_frequency"] // self.config["policy_frequency"]

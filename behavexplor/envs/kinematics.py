@@ -13,8 +13,6 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
 
-from behavexplor.errors import InputError, unknown_name
-
 Floats = NDArray[np.float64]
 
 FEATURES = (
@@ -31,9 +29,6 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
     Shape (vehicles_count, features), float32; the ego's row first, rows without a vehicle 0. All options and
     their defaults are highway-env's. It differs in one case: with a `vehicles_count` of 1 highway-env shows
     every vehicle, in a shape that its own space does not contain; here it shows the ego.
-
-    Raises:
-        InputError: for an unknown feature or order, or a `vehicles_count` below 1.
     """
 
     features: list[str]
@@ -42,13 +37,6 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
     def __init__(self, env: Any, **config: Any) -> None:
         super().__init__(env, **config)
         self.features = list(self.features)
-        for feature in self.features:
-            if feature not in FEATURES:
-                raise unknown_name("feature of the Kinematics observation", str(feature), FEATURES)
-        if self.order not in ORDERS:
-            raise unknown_name("order of the Kinematics observation", str(self.order), ORDERS)
-        if self.vehicles_count < 1:
-            raise InputError(f"vehicles_count {self.vehicles_count} must be at least 1, the ego itself")
 
     def observe(self) -> NDArray[Any]:
         """The observation of the present state."""

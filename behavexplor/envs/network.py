@@ -9,6 +9,7 @@ from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.utils import wrap_to_pi
 from numpy.typing import NDArray
 
+from behavexplor.envs.c_library import with_c_library
 from behavexplor.roadmap import Lane, RoadMap, Route
 
 Floats = NDArray[np.float64]
@@ -70,6 +71,13 @@ class MapNetwork(RoadNetwork):  # type: ignore[misc]
         return coordinates
 
 
+class _Arc(CircularLane):  # type: ignore[misc]
+    """highway-env's circular lane, see `behavexplor.envs.c_library`."""
+
+    position = with_c_library(CircularLane.position)
+    local_coordinates = with_c_library(CircularLane.local_coordinates)
+
+
 @cache
 def road_network(roadmap: RoadMap) -> MapNetwork:
     """The network of a map, built once: it never changes."""
@@ -98,6 +106,4 @@ def _simulator_lane(lane: Lane, roadmap: RoadMap) -> AbstractLane:
     towards = lane.heading + side
     center = (lane.x + radius * math.cos(towards), lane.y + radius * math.sin(towards))
     start = towards + math.pi
-    return CircularLane(
-        center, radius, start, start + lane.curvature * lane.length, clockwise=lane.curvature > 0, **style
-    )
+    return _Arc(center, radius, start, start + lane.curvature * lane.length, clockwise=lane.curvature > 0, **style)

@@ -43,10 +43,10 @@ class Recorder:
 
     def frame(self, ego: Vehicle) -> None:
         """Record the ego after a step. Its velocity is that of its centre: the slip of the bicycle model included."""
-        slip = np.arctan(0.5 * np.tan(ego.action["steering"]))
+        slip = math.atan(0.5 * math.tan(ego.action["steering"]))
         course = ego.heading + slip
         x, y = ego.position
-        self._ego.append((x, y, ego.heading, ego.speed * np.cos(course), ego.speed * np.sin(course)))
+        self._ego.append((x, y, ego.heading, ego.speed * math.cos(course), ego.speed * math.sin(course)))
         if self._line_frame is None and self._touches_line():
             self._line_frame = len(self._ego) - 1
 

@@ -1,14 +1,35 @@
 """The vehicles on the road: the ego is highway-env's own, NPCs play back their motion tables."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from highway_env.road.road import LaneIndex, Road
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.envs.c_library import with_c_library
 from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.logical import EGO_SIZE
 
 Floats = NDArray[np.float64]
+
+
+class Ego(Vehicle):  # type: ignore[misc]
+    """highway-env's vehicle, see `behavexplor.envs.c_library`."""
+
+    step = with_c_library(Vehicle.step)
+
+
+class MetaEgo(MDPVehicle):  # type: ignore[misc]
+    """highway-env's vehicle for meta-actions, see `behavexplor.envs.c_library`."""
+
+    step = with_c_library(MDPVehicle.step)
+    steering_control = with_c_library(MDPVehicle.steering_control)
+
+
+_EGOS = {Vehicle: Ego, MDPVehicle: MetaEgo}
 
 
 def set_size(vehicle: Vehicle, size: tuple[float, float]) -> None:
@@ -17,17 +38,30 @@ def set_size(vehicle: Vehicle, size: tuple[float, float]) -> None:
     vehicle.diagonal = float(np.hypot(*size))
 
 
-def place_ego(vehicle_class: type[Vehicle], road: Road, pose: Floats, route: list[LaneIndex]) -> Vehicle:
+def place_ego(make: Callable[..., Vehicle], road: Road, pose: Floats, route: list[LaneIndex]) -> Vehicle:
     """The vehicle under test, standing at the start of its route.
 
     highway-env's own collision response is switched off: it flags collisions too early or without contact,
     and pushes vehicles apart. Contact is computed by the environment.
+
+    Args:
+        make: what highway-env's action type names as its vehicle's class.
+        road: the road it drives on.
+        pose: x [m], y [m] and heading [rad], shape (3,).
+        route: highway-env's indexes of the lanes it follows.
     """
-    ego = vehicle_class(road, pose[:2], heading=float(pose[2]), speed=0.0)
+    ego = _ego_class(make)(road, pose[:2], heading=float(pose[2]), speed=0.0)
     set_size(ego, EGO_SIZE)
     ego.route = route
     ego.check_collisions = ego.collidable = False
     return ego
+
+
+def _ego_class(make: Callable[..., Vehicle]) -> Callable[..., Vehicle]:
+    """Our subclass of a vehicle class that may have been given some of its arguments; other classes as they are."""
+    if isinstance(make, partial):
+        return partial(_ego_class(make.func), *make.args, **make.keywords)
+    return _EGOS.get(make, make)
 
 
 class ScriptedVehicle(Vehicle):  # type: ignore[misc]

@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 import behavexplor
 from behavexplor.envs import viewer
 from behavexplor.envs.driving import DrivingEnv
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.errors import InputError
 from behavexplor.geometry import box_corners, boxes_overlap
@@ -262,3 +264,141 @@ def test_every_broken_scenario_is_refused_by_name_before_the_episode(env_id, see
     with pytest.raises(InputError) as error:
         env.reset(options={"scenario": Scenario.from_dict(value)})
     assert field in str(error.value)
+
+
+def test_a_step_needs_an_episode():
+    made, bare = gymnasium.make(S1, config=SCENE), IntersectionStraightEnv(SCENE)
+    with pytest.raises(ResetNeeded, match=r"Cannot call env\.step"):
+        made.step(GO)
+    with pytest.raises(ResetNeeded, match="No episode has begun: call reset before step"):
+        bare.step(GO)
+    bare.reset(options={"scenario": scene(crawler("south-inner-straight", 50.0))})
+    while not bare.step(GO)[2]:
+        pass
+    time = bare.time
+    with pytest.raises(ResetNeeded, match="The episode has ended: call reset before step"):
+        bare.step(GO)
+    assert bare.time == time
+    bare.reset()
+    bare.step(GO)
+
+
+@pytest.mark.parametrize(
+    ("action_type", "action"),
+    [
+        ("ContinuousAction", None),
+        ("ContinuousAction", 0.5),
+        ("ContinuousAction", np.zeros(3)),
+        ("ContinuousAction", np.zeros((1, 2))),
+        ("ContinuousAction", np.array([np.nan, 0.0])),
+        ("ContinuousAction", [np.inf, 0.0]),
+        ("ContinuousAction", ["a", "b"]),
+        ("DiscreteMetaAction", 5),
+        ("DiscreteMetaAction", -1),
+        ("DiscreteMetaAction", 1.0),
+        ("DiscreteMetaAction", np.array([1])),
+        ("DiscreteMetaAction", None),
+        ("DiscreteAction", 9),
+    ],
+)
+def test_what_is_no_action_is_refused_and_nothing_moves(action_type, action):
+    env = IntersectionStraightEnv({"action": {"type": action_type}})
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="actions: expected finite numbers of"):
+        env.step(action)
+    assert (env.time, env.steps) == (0, 0)
+    env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize("action", [[0.5, -0.1], (0.5, -0.1), np.array([0.5, -0.1], dtype=np.float32)])
+def test_an_action_may_be_any_sequence_of_numbers(action):
+    env = IntersectionStraightEnv(SCENE)
+    env.reset(seed=0)
+    env.step(np.array([0.5, -0.1]))
+    expected = env.vehicle.position
+    env.reset(seed=0)
+    env.step(action)
+    assert env.vehicle.position == pytest.approx(expected, abs=1e-6)
+
+
+def test_actions_beyond_the_box_are_clipped():
+    env = IntersectionStraightEnv(SCENE)
+    states = []
+    for action in ([5.0, 0.0], [1.0, 0.0]):
+        env.reset(seed=0)
+        env.step(np.array(action))
+        states.append((env.vehicle.speed, *env.vehicle.position))
+    assert states[0] == states[1]
+
+
+def test_gymnasium_s_wrappers_take_it(tmp_path):
+    pytest.importorskip("moviepy")
+    env = gymnasium.make(S1, config={"duration": 2.0}, render_mode="rgb_array", max_episode_steps=30)
+    env = gymnasium.wrappers.RecordVideo(env, str(tmp_path / "videos"), episode_trigger=lambda _: True)
+    env = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.wrappers.TimeLimit(env, 7))
+    env.reset(seed=0)
+    results = [env.step(np.zeros(2)) for _ in range(7)]
+    assert [truncated for *_, truncated, _ in results] == [False] * 6 + [True]
+    info = results[-1][-1]
+    assert (info["episode"]["l"], "trace" in info) == (7, False)  # cut by the wrapper: the episode itself goes on
+    assert info["episode"]["r"] == pytest.approx(sum(reward for _, reward, *_ in results))
+    env.close()
+    assert len(list((tmp_path / "videos").glob("*.mp4"))) == 1
+
+
+def test_environments_in_processes_bring_their_traces():
+    def make():
+        return gymnasium.make(S1, config={"duration": 1.0})
+
+    envs = gymnasium.vector.AsyncVectorEnv([make] * 2, autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP)
+    envs.reset(seed=3)
+    for _ in range(10):
+        *_, truncated, infos = envs.step(np.zeros((2, 2)))
+    envs.close()
+    assert truncated.all()
+    traces = infos["final_info"]["trace"]
+    assert [(trace.end, trace.duration) for trace in traces] == [("timeout", 1.0)] * 2
+    assert traces[0].to_bytes() != traces[1].to_bytes()  # seeds 3 and 4
+
+
+@pytest.mark.parametrize("theirs", ["intersection-v0", "intersection-v1", "highway-v0"])
+@pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+def test_a_policy_of_highway_env_drives_here_to_an_end(theirs):
+    """With its own observation, action and frequencies, the same numbers at the same places of the observation."""
+    import highway_env  # noqa: F401, PLC0415 - registers its environments
+
+    original = gymnasium.make(theirs).unwrapped
+    keys = ("observation", "action", "simulation_frequency", "policy_frequency")
+    env = IntersectionStraightEnv({key: original.config[key] for key in keys})
+    observation, _ = env.reset(seed=1)
+    shown = type(original.observation_type)(env, **original.config["observation"])
+    rng = np.random.default_rng(0)
+    weights = rng.normal(0, 1, (observation.size, gymnasium.spaces.flatdim(env.action_space)))
+    while True:
+        scores = observation.ravel() @ weights
+        discrete = isinstance(env.action_space, gymnasium.spaces.Discrete)
+        observation, _, terminated, truncated, info = env.step(int(scores.argmax()) if discrete else np.tanh(scores))
+        assert np.array_equal(observation, shown.observe())
+        if terminated or truncated:
+            break
+    assert info["trace"].duration == pytest.approx(len(info["trace"].actions), abs=1)  # decides once a second
+
+
+def test_configure_gives_up_the_episode():
+    env = IntersectionStraightEnv(SCENE)
+    env.reset(seed=0)
+    env.configure({"action": {"type": "DiscreteMetaAction"}, "policy_frequency": 2})
+    with pytest.raises(ResetNeeded):
+        env.step(3)
+    assert env.reset(seed=0)[0].shape == (6, 8)
+    env.step(3)
+    assert env.steps == 10
+    assert env.vehicle.target_speed > 0
+
+
+def test_the_configuration_of_one_environment_makes_another():
+    first = IntersectionStraightEnv({**SCENE, "duration": 7.0, "logical": {"n_npcs": 3}, "reward": {"step": -1.0}})
+    second = gymnasium.make(S1, config=first.config).unwrapped
+    assert second.config == first.config
+    assert second.logical == first.logical
+    assert second.reset(seed=1)[1] == first.reset(seed=1)[1]

@@ -8,7 +8,6 @@ from highway_env.vehicle.objects import Landmark, Obstacle
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.kinematics import FEATURES, Kinematics
-from behavexplor.errors import InputError
 
 CONFIGS = {
     "default": {},
@@ -87,16 +86,3 @@ def test_one_row_is_the_ego_s():
     env = LaneChangeEnv(config={"observation": {"type": "Kinematics", "vehicles_count": 1}})
     observation, _ = env.reset(seed=1)
     assert env.observation_space.contains(observation)
-
-
-@pytest.mark.parametrize(
-    ("config", "message"),
-    [
-        ({"features": ["x", "sin_head"]}, "'sin_head'"),
-        ({"order": "random"}, "'random'"),
-        ({"vehicles_count": 0}, "at least 1"),
-    ],
-)
-def test_wrong_options_are_refused(config, message):
-    with pytest.raises(InputError, match=message):
-        Kinematics(LaneChangeEnv(), **config)

@@ -1,11 +1,16 @@
 """The road map in highway-env: the same lanes, and the same closest lane as highway-env finds."""
 
+import math
+
 import numpy as np
 import pytest
+from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
+from behavexplor.roadmap import Route
 
 LOGICAL = IntersectionStraightEnv.logical
 
@@ -51,3 +56,24 @@ def test_lanes_side_by_side_count_from_the_left():
 
 def test_networks_are_shared():
     assert road_network(ROADMAP) is NETWORK
+
+
+@pytest.mark.parametrize("roadmap", [ROADMAP, LaneChangeEnv.logical.roadmap], ids=["crossing", "road"])
+def test_every_lane_has_its_map_s_width_limit_and_dividing_lines(roadmap):
+    network = road_network(roadmap)
+    assert len(network.lanes_list()) == len(roadmap.lanes)
+    for lane in roadmap.lanes:
+        (index,) = network.indexes(Route("one", (lane,)))
+        simulated = network.get_lane(index)
+        assert (simulated.width, simulated.speed_limit) == (lane.width, roadmap.speed_limit)
+        beside = [other for other in roadmap.lanes if (other.origin, other.target) == (lane.origin, lane.target)]
+        is_divided = not lane.junction and lane is not beside[-1]  # from the lane to its right
+        assert simulated.line_types == (LineType.NONE, LineType.STRIPED if is_divided else LineType.NONE)
+
+
+def test_routes_of_the_road_run_on_behind_it():
+    roadmap = LaneChangeEnv.logical.roadmap
+    network = road_network(roadmap)
+    assert network.indexes(roadmap.routes["lane-2"]) == [("begin", "onward", 1), ("onward", "end", 1)]
+    for heading, expected in ((0.0, ("begin", "onward", 0)), (math.pi, ("end-opposite", "begin-opposite", 0))):
+        assert network.get_closest_lane_index(np.array([100.0, 0.0]), heading) == expected

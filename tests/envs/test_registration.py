@@ -1,7 +1,9 @@
 """The environments as another project meets them."""
 
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import pytest
@@ -55,11 +57,10 @@ def test_registering_again_changes_nothing():
     assert (result.returncode, result.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
-def test_a_fresh_interpreter_finds_it_by_its_module(tmp_path, name):
-    code = f"import gymnasium; gymnasium.make('behavexplor:behavexplor/{name}-v0').reset()"
+def test_a_fresh_interpreter_finds_them_by_their_module(tmp_path):
+    code = "import gymnasium; print(gymnasium.make('behavexplor:behavexplor/lane-follow-v0').reset(seed=0)[0].shape)"
     result = run(code, tmp_path)
-    assert result.returncode == 0, result.stderr
+    assert result.stdout == "(7, 5)\n", result.stderr
 
 
 def test_spawned_workers_find_it(tmp_path):
@@ -83,3 +84,22 @@ def test_another_project_makes_plays_and_records_each(tmp_path):
     result = run(SCRIPT, tmp_path)
     assert result.returncode == 0, result.stderr
     assert len(list((tmp_path / "videos").glob("*.mp4"))) == len(behavexplor.FUNCTIONAL_SCENARIOS)
+
+
+FIFTH = """
+import gymnasium, behavexplor
+assert behavexplor.__file__.startswith({folder!r})
+env = gymnasium.make("behavexplor/lane-keep-v0")
+many = gymnasium.make_vec("behavexplor/lane-keep-v0", num_envs=2)
+assert env.reset(seed=1)[1]["scenario"].functional == env.unwrapped.logical.name == many.logical.name
+print(many.logical.name, len(behavexplor.FUNCTIONAL_SCENARIOS))
+"""
+
+
+def test_a_fifth_scenario_is_one_new_file(tmp_path):
+    package = shutil.copytree(Path(behavexplor.__file__).parent, tmp_path / "behavexplor")
+    folder = package / "envs" / "functional"
+    text = (folder / "lane_follow.py").read_text()
+    (folder / "lane_keep.py").write_text(text.replace("lane-follow", "lane-keep").replace("LaneFollow", "LaneKeep"))
+    result = run(FIFTH.format(folder=str(tmp_path)), tmp_path)
+    assert result.stdout == f"lane-keep {len(behavexplor.FUNCTIONAL_SCENARIOS) + 1}\n", result.stderr

@@ -1,21 +1,25 @@
 """The vector environment does what the single one does, step by step and in gymnasium's own format."""
 
 import math
+import pickle
+from dataclasses import replace
 from typing import NamedTuple
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import behavexplor
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional.lane_follow import LaneFollowEnv, LaneFollowVectorEnv
 from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.npc import motion_table
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
+from behavexplor.envs.vector.slots import FRAME
 from behavexplor.errors import InputError
 from behavexplor.scenario import NPC, Scenario, Waypoint
 from behavexplor.trace import RESOLUTION
@@ -48,26 +52,6 @@ OBSERVATIONS = {
     },
 }
 ENVS = (IntersectionStraightEnv, IntersectionLeftEnv, LaneFollowEnv, LaneChangeEnv)
-
-
-class CLibrary:
-    """numpy with the C library's trigonometry: its own depends, in the last bit, on the processor."""
-
-    sin, cos, tan = staticmethod(math.sin), staticmethod(math.cos), staticmethod(math.tan)
-    arcsin, arctan, arctan2 = staticmethod(math.asin), staticmethod(math.atan), staticmethod(math.atan2)
-
-    def __getattr__(self, name):
-        return getattr(np, name)
-
-
-@pytest.fixture
-def c_library(monkeypatch):
-    """highway-env computes with the C library, as kernels do.
-
-    At less than 1 m/s the steering of meta-actions is unstable in highway-env, so that a last bit grows to metres.
-    """
-    for module in ("road.lane", "vehicle.controller", "vehicle.kinematics"):
-        monkeypatch.setattr(f"highway_env.{module}.np", CLibrary())
 
 
 class Driver:
@@ -168,14 +152,14 @@ def compare_traces(single, vector):
 
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
 @pytest.mark.parametrize("env_class", [IntersectionLeftEnv, LaneChangeEnv])
-def test_every_action_type_is_the_single_environment_s(c_library, env_class, action):
+def test_every_action_type_is_the_single_environment_s(env_class, action):
     config = {"action": action, "observation": {"type": "Scene"}, "duration": 40.0}
     assert compare(env_class, config, 3, seed=1).worst < TOLERANCE
 
 
 @pytest.mark.parametrize("observation", OBSERVATIONS.values(), ids=OBSERVATIONS)
 @pytest.mark.parametrize("action", ["continuous", "meta"])
-def test_every_observation_is_the_single_environment_s(c_library, action, observation):
+def test_every_observation_is_the_single_environment_s(action, observation):
     config = {"action": ACTIONS[action], "observation": observation, "duration": 15.0}
     assert compare(IntersectionStraightEnv, config, 3, seed=2).worst < TOLERANCE
 
@@ -189,7 +173,7 @@ def test_other_configurations_are_the_single_environment_s(config):
 @pytest.mark.slow
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS)
 @pytest.mark.parametrize("env_class", ENVS)
-def test_thousands_of_scenarios_are_the_single_environment_s(c_library, env_class, action):
+def test_thousands_of_scenarios_are_the_single_environment_s(env_class, action):
     seen = set()
     for seed in range(6):
         config = {"action": action, "observation": {"type": "Scene"}, "duration": 60.0}
@@ -341,7 +325,12 @@ def test_what_is_not_supported_is_refused_by_name(env_class, config, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"num_envs": 0}, "at least 1"),
+        ({"num_envs": 0}, "num_envs: expected a whole number from 1"),
+        ({"num_envs": 2.0}, "num_envs: expected a whole number"),
+        ({"num_envs": True}, "num_envs: expected a whole number"),
+        ({"autoreset_mode": "SameSteps"}, "did you mean 'SameStep'"),
+        ({"autoreset_mode": None}, "Unknown autoreset mode 'None'"),
+        ({"config": [1]}, "config: expected keys and values"),
         ({"config": {"duratio": 3}}, "did you mean 'duration'"),
         ({"render_mode": "human"}, "cannot render"),
     ],
@@ -355,12 +344,21 @@ def test_wrong_arguments_are_refused(arguments, message):
     ("arguments", "message"),
     [
         ({"options": {"scenari": None}}, "did you mean 'scenario'"),
-        ({"options": {"scenarios": [None]}}, "expected 2, got 1"),
+        ({"options": {"scenarios": [None]}}, "scenarios: expected a list of 2"),
+        ({"options": {"scenarios": 7}}, "scenarios: expected a list of 2"),
+        ({"options": {"scenarios": {"a": 1, "b": 2}}}, "scenarios: expected a list of 2"),
         ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.scenario.Scenario"),
         ({"options": {"scenarios": [None, Scenario("intersection-left", ())]}}, "not of 'lane-follow'"),
         ({"options": {"reset_mask": [True, False]}}, "expected an array of 2 booleans"),
         ({"options": {"reset_mask": np.zeros(2, dtype=bool)}}, "at least one"),
-        ({"seed": [1]}, "expected one or 2, got 1"),
+        ({"options": {"reset_mask": np.ones(2, dtype=np.int64)}}, "expected an array of 2 booleans"),
+        ({"options": {"reset_mask": np.ones(3, dtype=bool)}}, "expected an array of 2 booleans"),
+        ({"options": {"reset_mask": np.ones((2, 1), dtype=bool)}}, "expected an array of 2 booleans"),
+        ({"seed": [1]}, "seed: expected one, or a list of 2"),
+        ({"seed": 1.5}, "seed: expected one, or a list of 2"),
+        ({"seed": [1, 1.5]}, "seed: expected whole numbers from 0"),
+        ({"seed": -1}, "seed: expected whole numbers from 0"),
+        ({"seed": [0, -1]}, "seed: expected whole numbers from 0"),
     ],
 )
 def test_wrong_resets_are_refused(arguments, message):
@@ -368,13 +366,42 @@ def test_wrong_resets_are_refused(arguments, message):
         vector_env(LaneFollowEnv)(2).reset(**arguments)
 
 
-def test_steps_need_a_reset_and_an_action_for_each():
-    env = vector_env(LaneFollowEnv)(2)
-    with pytest.raises(InputError, match="Call reset"):
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_steps_need_a_reset(mode):
+    env = vector_env(LaneFollowEnv)(2, autoreset_mode=mode)
+    with pytest.raises(ResetNeeded, match="call reset before step"):
         env.step(env.action_space.sample())
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="expected 2, one for each"):
-        env.step(np.zeros((1, 2)))
+    env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+    with pytest.raises(ResetNeeded, match="A sub-environment has not begun"):
+        env.step(env.action_space.sample())
+
+
+@pytest.mark.parametrize(
+    ("action", "actions"),
+    [
+        ("ContinuousAction", np.zeros((1, 2))),
+        ("ContinuousAction", np.zeros(2)),
+        ("ContinuousAction", np.zeros((2, 3))),
+        ("ContinuousAction", np.full((2, 2), np.nan)),
+        ("ContinuousAction", np.full((2, 2), np.inf)),
+        ("ContinuousAction", np.full((2, 2), "go")),
+        ("ContinuousAction", None),
+        ("DiscreteMetaAction", np.array([1])),
+        ("DiscreteMetaAction", np.array([0, 5])),
+        ("DiscreteMetaAction", np.array([-1, 0])),
+        ("DiscreteMetaAction", np.array([1.0, 2.0])),
+        ("DiscreteMetaAction", np.array([[1], [2]])),
+        ("DiscreteAction", 3),
+    ],
+)
+def test_what_is_no_action_for_each_is_refused(action, actions):
+    """By the vector environment and, one by one, by the single one; nothing has moved afterwards."""
+    env = vector_env(LaneFollowEnv)(2, {"action": {"type": action}, "observation": {"type": "Scene"}})
+    before, _ = env.reset(seed=0)
+    with pytest.raises(InputError, match="actions: expected finite numbers of"):
+        env.step(actions)
+    assert np.array_equal(env._slots.ego[:, :3], before[:, 0, 1:4])
+    assert (env._slots.numbers[:, FRAME] == 0).all()
 
 
 @pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
@@ -389,3 +416,167 @@ def test_gymnasium_makes_it(name):
     assert env.observation_space.contains(observations)
     assert env.step(env.action_space.sample())[0] is not env.step(env.action_space.sample())[0]
     env.close()
+
+
+def step_until_end(env, actions):
+    """The last step's results; its episode of sub-environment 0 has just ended."""
+    while True:
+        *results, terminated, truncated, infos = env.step(actions)
+        if terminated[0] or truncated[0]:
+            return *results, infos
+
+
+def test_the_step_after_an_end_resets_and_takes_no_action():
+    env = vector_env(LaneFollowEnv)(2, {"duration": 1.0, "observation": {"type": "Scene"}})
+    single = LaneFollowEnv({"duration": 1.0, "observation": {"type": "Scene"}})
+    single.reset(seed=5)
+    second, info = single.reset()
+    env.reset(seed=5)
+    actions = np.full((2, 2), 0.8)
+    step_until_end(env, actions)
+    observations, rewards, terminated, truncated, infos = env.step(actions)
+    assert np.array_equal(observations[0], second)
+    assert infos["scenario"][0] == info["scenario"] == env.scenarios[0]
+    assert not np.any([rewards, terminated, truncated])
+    assert set(infos) == {"scenario", "_scenario"}
+
+
+def test_an_end_in_the_same_step_shows_both_episodes():
+    config = {"duration": 1.0, "observation": {"type": "Scene"}}
+    env = vector_env(LaneFollowEnv)(1, config, autoreset_mode="SameStep")
+    single = LaneFollowEnv(config)
+    env.reset(seed=5), single.reset(seed=5)
+    for _ in range(10):
+        observations, rewards, _, truncated, infos = env.step(np.full((1, 2), 0.8))
+        last, reward, *_, info = single.step(np.full(2, 0.8))
+    first, _ = single.reset()
+    assert truncated[0]
+    assert np.array_equal(observations[0], first)
+    assert infos["final_obs"][0] == pytest.approx(last, abs=TOLERANCE)
+    assert rewards[0] == pytest.approx(reward)
+    assert infos["final_info"]["trace"][0].to_bytes() == info["trace"].to_bytes()
+    assert infos["final_info"]["rewards"]["missed"][0] == info["rewards"]["missed"] == -4.0
+
+
+def test_what_was_returned_does_not_change_afterwards():
+    env = vector_env(LaneFollowEnv)(2, {"duration": 1.0, "observation": {"type": "Scene"}}, autoreset_mode="SameStep")
+    observations, infos = env.reset(seed=1)
+    kept = [(observations, observations.copy())]
+    for _ in range(25):
+        observations, rewards, terminated, truncated, infos = env.step(np.full((2, 2), 0.5))
+        given = [observations, rewards, terminated, truncated]
+        given += [infos["final_obs"][0]] if "final_obs" in infos else [infos["speed"], infos["rewards"]["progress"]]
+        kept += [(array, array.copy()) for array in given]
+    env.reset()
+    assert all(np.array_equal(array, copy) for array, copy in kept)
+
+
+def test_a_mask_leaves_the_others_and_their_generators_alone():
+    """Masked resets draw what resets of single environments draw, one after the other."""
+    env = vector_env(LaneFollowEnv)(2, {"observation": {"type": "Scene"}})
+    singles = [LaneFollowEnv() for _ in range(2)]
+    env.reset(seed=8)
+    expected = [
+        [single.reset(seed=8 + b)[1]["scenario"]] + [single.reset()[1]["scenario"] for _ in range(3)]
+        for b, single in enumerate(singles)
+    ]
+    env.step(np.full((2, 2), 0.9))
+    observations, infos = env.reset(options={"reset_mask": np.array([False, True])})
+    assert env.scenarios == [expected[0][0], expected[1][1]]
+    assert infos["scenario"].tolist() == [None, expected[1][1]]
+    assert observations[0, 0, 4] == pytest.approx(0.1 * 0.9 * 5)  # goes on: the speed after one decision
+    assert observations[1, 0, 4] == 0
+    env.reset(seed=[None, 8], options={"reset_mask": np.array([True, True])})
+    assert env.scenarios == [expected[0][1], expected[0][0]]
+    env.reset(seed=[np.int64(9), 3], options={"reset_mask": np.array([True, False])})
+    assert env.scenarios == [expected[1][0], expected[0][0]]
+
+
+def test_a_given_scenario_leaves_the_generator_alone():
+    env, single = vector_env(LaneFollowEnv)(1), LaneFollowEnv()
+    given = env.logical.sample(np.random.default_rng(77))
+    first = single.reset(seed=2)[1]["scenario"]
+    second = single.reset()[1]["scenario"]
+    env.reset(seed=2, options={"scenario": given})
+    assert env.scenarios == [given]
+    env.reset()
+    assert env.scenarios == [first]
+    env.reset()
+    assert env.scenarios == [second]
+
+
+@pytest.mark.parametrize("action", ["continuous", "discrete", "meta"])
+def test_it_can_be_pickled_in_the_middle_of_an_episode(action):
+    env = LaneFollowVectorEnv(2, {"action": ACTIONS[action], "observation": {"type": "Scene"}, "duration": 2.0})
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    for _ in range(5):
+        env.step(env.action_space.sample())
+    other = pickle.loads(pickle.dumps(env))
+    for _ in range(30):
+        actions = env.action_space.sample()
+        results, expected = other.step(actions), env.step(actions)
+        assert all(np.array_equal(a, b) for a, b in zip(results[:4], expected[:4], strict=True))
+    assert other.scenarios == env.scenarios
+
+
+def test_gymnasium_s_vector_wrappers_take_it():
+    env = gymnasium.make_vec("behavexplor/lane-follow-v0", num_envs=3, config={"duration": 1.0})
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
+    env = gymnasium.wrappers.vector.DictInfoToList(gymnasium.wrappers.vector.NormalizeObservation(env))
+    env.reset(seed=0)
+    for _ in range(10):
+        _, rewards, *_, infos = env.step(np.zeros((3, 2)))
+    assert [info["end"] for info in infos] == ["timeout"] * 3
+    assert [info["episode"]["l"] for info in infos] == [10] * 3
+    assert infos[0]["episode"]["r"] < rewards[0] < 0  # every decision costs something
+    env.close()
+
+
+def test_it_can_be_closed_twice():
+    env = vector_env(LaneFollowEnv)(2)
+    env.close()
+    env.close()
+    assert env.closed
+
+
+class Denser(LaneFollowEnv):
+    """What a scenario of another package may look like."""
+
+    logical = replace(LaneFollowEnv.logical, n_npcs=2)
+    note = "attributes of its own change no rule"
+
+    @classmethod
+    def default_config(cls):
+        return super().default_config() | {"duration": 3.0}
+
+    def own_method(self):
+        return 1
+
+
+class DenserVectorEnv(DrivingVectorEnv):
+    env_class = Denser
+
+
+class OwnSpeedLimit(LaneFollowEnv):
+    @property
+    def vehicle(self):
+        return super().vehicle
+
+
+def test_a_scenario_of_another_package(monkeypatch):
+    registry = dict(gymnasium.registry)
+    monkeypatch.setattr(gymnasium.envs.registration, "registry", registry)
+    here = f"{__name__}:Denser"
+    gymnasium.register("others/denser-v3", entry_point=f"{here}Env"[:-3], vector_entry_point=f"{here}VectorEnv")
+    single, many = gymnasium.make("others/denser-v3"), gymnasium.make_vec("others/denser-v3", num_envs=2)
+    observation, info = single.reset(seed=0)
+    observations, infos = many.reset(seed=0)
+    assert np.array_equal(observation, observations[0])
+    assert infos["scenario"][0] == info["scenario"]
+    assert (len(info["scenario"].npcs), many.config["duration"], observation.shape) == (2, 3.0, (3, 5))
+
+
+def test_overridden_properties_are_noticed():
+    with pytest.raises(InputError, match=r"OwnSpeedLimit\.vehicle"):
+        vector_env(OwnSpeedLimit)(2)

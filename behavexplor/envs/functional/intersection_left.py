@@ -11,16 +11,7 @@ class IntersectionLeftEnv(DrivingEnv):
 
     ![S2](intersection-left.png)
 
-    The crossing of S1. The ego comes from the south on the inner lane, starts 80 m before the stop line, turns left,
-    across the way of those who come towards it, and has arrived 60 m behind the crossing.
-
-    | | |
-    |---|---|
-    | ego's way | 166 m, a left turn of 16.75 m radius |
-    | NPCs | 5, each on one of 16 routes: from every approach lane, its two ways on |
-    | waypoints | 2 on each of a route's 4 lanes; the last one, where the NPC parks, lies behind the ego's destination |
-    | illegal lines | the double yellow lines between the directions, the curbs, also round the corners |
-    | speed limit | 11.176 m/s (25 mph) |
+    The crossing of S1, where the ego's way leads across that of those who come towards it.
 
     ## Version history
 

@@ -11,16 +11,8 @@ class IntersectionStraightEnv(DrivingEnv):
 
     ![S1](intersection-straight.png)
 
-    Two roads with two lanes in each direction cross; nobody has the right of way, and NPCs yield to nobody. The ego
-    comes from the south on the inner lane, starts 70 m before the stop line, and has arrived 60 m behind the crossing.
-
-    | | |
-    |---|---|
-    | ego's way | 160 m, straight |
-    | NPCs | 5, each on one of 16 routes: from every approach lane, its two ways on |
-    | waypoints | 2 on each of a route's 4 lanes; the last one, where the NPC parks, lies behind the ego's destination |
-    | illegal lines | the double yellow lines between the directions, the curbs, also round the corners |
-    | speed limit | 11.176 m/s (25 mph) |
+    Two roads with two lanes in each direction cross. The ego comes from the south on the inner lane; nobody has the
+    right of way.
 
     ## Version history
 

@@ -11,16 +11,7 @@ class LaneChangeEnv(DrivingEnv):
 
     ![S4](lane-change.png)
 
-    The road of S3. The ego starts in the second lane from the left; its destination lies 220 m further on in the
-    rightmost lane.
-
-    | | |
-    |---|---|
-    | ego's way | 220 m and two lanes (7 m) to the right |
-    | NPCs | 6, each on one of the four lanes |
-    | waypoints | 4 on each of a route's 2 lanes; the last one, where the NPC parks, lies behind the ego's destination |
-    | illegal lines | the double yellow line on the left, the curbs on both sides |
-    | speed limit | 11.176 m/s (25 mph) |
+    The road of S3, the ego starting in the second lane from the left.
 
     ## Version history
 

@@ -11,16 +11,8 @@ class LaneFollowEnv(DrivingEnv):
 
     ![S3](lane-follow.png)
 
-    Four lanes run in the ego's direction; the other direction lies beyond the double yellow line on the left. The ego
-    starts in the third lane from the left and has arrived 220 m further on.
-
-    | | |
-    |---|---|
-    | ego's way | 220 m, straight |
-    | NPCs | 6, each on one of the four lanes |
-    | waypoints | 4 on each of a route's 2 lanes; the last one, where the NPC parks, lies behind the ego's destination |
-    | illegal lines | the double yellow line on the left, the curbs on both sides |
-    | speed limit | 11.176 m/s (25 mph) |
+    Four lanes run in the ego's direction, and it starts in the third from the left; the other direction lies beyond
+    the double yellow line.
 
     ## Version history
 

@@ -1,11 +1,12 @@
 """From actions to what kernels understand: acceleration and steering, or the code of a manoeuvre."""
 
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
-from highway_env.envs.common.action import ActionType, ContinuousAction, DiscreteAction, DiscreteMetaAction
+from highway_env.envs.common.action import ActionType, DiscreteAction, DiscreteMetaAction
 from highway_env.utils import lmap
 from numpy.typing import NDArray
 
@@ -19,14 +20,19 @@ def make_commands(action_type: ActionType) -> Commands:
     """The commands of an environment's actions."""
     if isinstance(action_type, DiscreteMetaAction):
         codes = [[MANOEUVRES.index(name), 0.0] for _, name in sorted(action_type.actions.items())]
-        return _looked_up(np.array(codes))
+        return partial(_looked_up, np.array(codes))
     if isinstance(action_type, DiscreteAction):
-        return _looked_up(_discrete_commands(action_type))
-    return lambda actions: _continuous_commands(action_type, actions)
+        return partial(_looked_up, _discrete_commands(action_type))
+    return partial(
+        _continuous_commands,
+        clip=action_type.clip,
+        acceleration_range=action_type.acceleration_range if action_type.longitudinal else None,
+        steering_range=action_type.steering_range if action_type.lateral else None,
+    )
 
 
-def _looked_up(table: Floats) -> Commands:
-    return lambda actions: np.asarray(table[np.asarray(actions, dtype=np.int64)])
+def _looked_up(table: Floats, actions: NDArray[Any]) -> Floats:
+    return np.asarray(table[np.asarray(actions, dtype=np.int64)])
 
 
 def _discrete_commands(action_type: DiscreteAction) -> Floats:
@@ -39,13 +45,19 @@ def _discrete_commands(action_type: DiscreteAction) -> Floats:
     return np.array([(float(command["acceleration"]), float(command["steering"])) for command in given])
 
 
-def _continuous_commands(action_type: ContinuousAction, actions: NDArray[Any]) -> Floats:
+def _continuous_commands(
+    actions: NDArray[Any],
+    *,
+    clip: bool,
+    acceleration_range: tuple[float, float] | None,
+    steering_range: tuple[float, float] | None,
+) -> Floats:
     """`ContinuousAction.get_action` for a batch, in the precision of the actions as there."""
     commands = np.zeros((len(actions), 2))
-    if action_type.clip:
+    if clip:
         actions = np.clip(actions, -1, 1)
-    if action_type.longitudinal:
-        commands[:, 0] = lmap(actions[:, 0], [-1, 1], action_type.acceleration_range)
-    if action_type.lateral:
-        commands[:, 1] = lmap(actions[:, -1], [-1, 1], action_type.steering_range)
+    if acceleration_range is not None:
+        commands[:, 0] = lmap(actions[:, 0], [-1, 1], acceleration_range)
+    if steering_range is not None:
+        commands[:, 1] = lmap(actions[:, -1], [-1, 1], steering_range)
     return commands

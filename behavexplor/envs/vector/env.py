@@ -4,15 +4,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import TERMINAL, DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.npc import motion_table
+from behavexplor.envs.values import COUNT, check_value, shown
 from behavexplor.envs.vector.commands import make_commands
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
@@ -39,11 +42,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     draws with the seed s + i. Observations `Scene` and `Kinematics` and the actions `ContinuousAction`,
     `DiscreteAction` and `DiscreteMetaAction` are supported. `scenarios` are those of the latest episodes.
 
-    It computes with the C library's trigonometry. numpy's differs from it in the last bit on some processors, which
-    grows where highway-env's steering is unstable: with `DiscreteMetaAction`, below about 1 m/s.
-
     All of gymnasium's autoreset modes are supported. With `AutoresetMode.DISABLED` a sub-environment whose episode has
-    ended rests until it is reset: its action is not looked at, its reward is 0, and it still counts as ended.
+    ended rests until it is reset: its action has no effect, its reward is 0, and it still counts as ended.
 
     Args:
         num_envs: how many sub-environments.
@@ -64,10 +64,10 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        if num_envs < 1:
-            raise InputError(f"num_envs must be at least 1, got {num_envs}")
+        check_value("num_envs", num_envs, COUNT)
         if render_mode is not None:
             raise InputError("The vector environment cannot render; replay a trace, or use gymnasium.make")
+        self._mode = _autoreset_mode(autoreset_mode)
         single = self.env_class(config)
         check_supported(single)
         self.num_envs = num_envs
@@ -76,7 +76,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
         self._world = make_world(single)
         n_frames = int(np.ceil(self._world.rules.max_frames)) + 1
@@ -123,18 +122,21 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         Args:
             actions: shape (num_envs, ...).
 
+        Raises:
+            gymnasium.error.ResetNeeded: if a sub-environment has not begun an episode.
+            InputError: if these are no actions of the action space; numbers beyond a Box are clipped.
+
         Returns:
             Observations, shape (num_envs, ...); rewards, terminations and truncations, shape (num_envs,); infos,
             where `trace` and `end` are those of episodes that have just ended.
         """
         numbers = self._slots.numbers
         if (numbers[:, END] == IDLE).any():
-            raise InputError("Call reset before step: a sub-environment has not begun an episode")
+            raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
         ended = numbers[:, END] >= 0
         active = ~ended
+        check_actions(self.action_space, actions)
         actions = np.asarray(actions)
-        if len(actions) != self.num_envs:
-            raise InputError(f"actions: expected {self.num_envs}, one for each sub-environment, got {len(actions)}")
         decision = numbers[active, FRAME] // self._world.rules.substeps
         self._actions[active, decision] = actions[active].reshape(-1, self._actions.shape[2])
         step(self._world, self._slots, self._commands(actions), active)
@@ -182,6 +184,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     def _step_infos(self, mask: Bools, terms: Mapping[str, Floats]) -> dict[str, Any]:
         """What the single environment says in `info`, of some slots, in gymnasium's format for vectors."""
+        if not mask.any():
+            return {}
         rewards: dict[str, Any] = {}
         for name, values in terms.items():
             rewards |= {name: np.where(mask, values, 0.0), f"_{name}": mask.copy()}
@@ -223,7 +227,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise InputError(f"reset_mask: expected an array of {self.num_envs} booleans, got {mask!r:.80}")
+            raise InputError(f"reset_mask: expected an array of {self.num_envs} booleans, got {shown(mask)}")
         if not mask.any():
             raise InputError("reset_mask: at least one sub-environment must be reset")
         return mask
@@ -231,28 +235,44 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         if seed is None:
             return [None] * self.num_envs
-        if isinstance(seed, int | np.integer):
-            super().reset(seed=int(seed))
-            return [int(seed) + b for b in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise InputError(f"seed: expected one or {self.num_envs}, got {len(seed)}")
-        return seed
+        one = isinstance(seed, int | np.integer)
+        seeds = [int(seed) + b for b in range(self.num_envs)] if one else seed  # type: ignore[arg-type]
+        if not isinstance(seeds, Sequence) or len(seeds) != self.num_envs:
+            raise InputError(f"seed: expected one, or a list of {self.num_envs}, got {shown(seed)}")
+        if not all(own is None or (isinstance(own, int | np.integer) and own >= 0) for own in seeds):
+            raise InputError(f"seed: expected whole numbers from 0, got {shown(seed)}")
+        if one:
+            super().reset(seed=seeds[0])
+        return [None if own is None else int(own) for own in seeds]
 
     def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[Scenario | None]:
         given = options.get("scenarios")
-        scenarios = [options.get("scenario")] * self.num_envs if given is None else list(given)
-        if len(scenarios) != self.num_envs:
-            raise InputError(f"scenarios: expected {self.num_envs}, got {len(scenarios)}")
+        scenarios = [options.get("scenario")] * self.num_envs if given is None else given
+        if not isinstance(scenarios, Sequence) or len(scenarios) != self.num_envs:
+            raise InputError(f"scenarios: expected a list of {self.num_envs}, got {shown(scenarios)}")
         for scenario in scenarios if given is not None else scenarios[:1]:
             if scenario is None:
                 continue
             if not isinstance(scenario, Scenario):
-                raise InputError(f"A scenario must be a behavexplor.scenario.Scenario, got {scenario!r:.80}")
+                raise InputError(f"A scenario must be a behavexplor.scenario.Scenario, got {shown(scenario)}")
             self.logical.check(scenario)
         return scenarios
 
 
+def _autoreset_mode(name: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(name, AutoresetMode):
+        return name
+    modes = {mode.value: mode for mode in AutoresetMode}
+    if name not in modes:
+        raise unknown_name("autoreset mode", str(name), modes)
+    return modes[name]
+
+
 def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:
-    """The vector environment of an environment class, such as gymnasium's `vector_entry_point` takes."""
+    """The vector environment of an environment class, such as gymnasium's `vector_entry_point` takes.
+
+    It can be pickled where it is kept beside `env_class` by its own name: `LaneFollowVectorEnv` of `LaneFollowEnv`.
+    """
     name = env_class.__name__.removesuffix("Env") + "VectorEnv"
-    return type(name, (DrivingVectorEnv,), {"env_class": env_class, "__doc__": DrivingVectorEnv.__doc__})
+    members = {"env_class": env_class, "__doc__": DrivingVectorEnv.__doc__, "__module__": env_class.__module__}
+    return type(name, (DrivingVectorEnv,), members)

@@ -1,0 +1,92 @@
+"""How fast Stable-Baselines3's PPO trains on the vector environments, beside plain highway-env in the same run.
+
+    python benchmarks/training.py [--steps 50000] [--envs 64] [--stock-steps 2048]
+
+Prints steps for each CPU second, collecting and learning together, and how many times faster that is than
+highway-env's own `intersection-v1`, both with PPO's default policy, batch size and epochs, and one thread. Compare the
+ratios, not the steps: machines differ, and are not always alone. The last columns are the mean return of the first
+and of the last fifth of the episodes.
+"""
+
+import argparse
+import time
+
+import gymnasium
+import highway_env  # noqa: F401 - registers intersection-v1
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+
+import behavexplor
+from behavexplor.envs.sb3 import DrivingVecEnv
+
+ROLLOUT = 8192  # steps of all environments together between two updates, with many environments
+
+
+class Returns(BaseCallback):
+    """Keeps the return of every episode."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.values: list[float] = []
+
+    def _on_step(self) -> bool:
+        self.values += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
+        return True
+
+    def fifths(self) -> tuple[float, float]:
+        """Mean of the first fifth of the episodes and of the last."""
+        count = max(len(self.values) // 5, 1)
+        return float(np.mean(self.values[:count])), float(np.mean(self.values[-count:]))
+
+
+def stock() -> VecEnv:
+    """highway-env's own intersection with continuous actions."""
+    return DummyVecEnv([lambda: gymnasium.make("intersection-v1", disable_env_checker=True)])
+
+
+def ours(name: str, count: int) -> VecEnv:
+    """One of our scenarios, many times in lock-step."""
+    settings = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "SameStep"}
+    return DrivingVecEnv(gymnasium.make_vec(f"{behavexplor.NAMESPACE}/{name}-v0", num_envs=count, **settings))
+
+
+def train(env: VecEnv, steps: int) -> tuple[float, Returns]:
+    """Steps for each CPU second of training, and what was earned."""
+    returns = Returns()
+    n_steps = max(min(ROLLOUT, steps) // env.num_envs, 1)
+    model = PPO("MlpPolicy", VecMonitor(env), n_steps=n_steps, seed=0, device="cpu")
+    start = time.process_time()
+    model.learn(steps, callback=returns)
+    rate = model.num_timesteps / (time.process_time() - start)
+    env.close()
+    return rate, returns
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=50_000)
+    parser.add_argument("--envs", type=int, default=64)
+    parser.add_argument("--stock-steps", type=int, default=2048)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    train(ours("lane-follow", arguments.envs), arguments.envs)  # compiles, where nothing is kept yet
+    print(f"{'':32}{'steps per CPU second':>22}{'times faster':>14}{'return: first':>15}{'last':>9}")
+    reference, returns = train(stock(), arguments.stock_steps)
+    print(row("highway-env's intersection-v1", reference, reference, returns), flush=True)
+    for name in behavexplor.FUNCTIONAL_SCENARIOS:
+        rate, returns = train(ours(name, arguments.envs), arguments.steps)
+        print(row(name, rate, reference, returns), flush=True)
+
+
+def row(name: str, rate: float, reference: float, returns: Returns) -> str:
+    """A line of the table."""
+    first, last = returns.fifths()
+    return f"{name:32}{rate:22.0f}{rate / reference:14.1f}{first:15.2f}{last:9.2f}"
+
+
+if __name__ == "__main__":
+    main()
