@@ -5,6 +5,7 @@ results up to i - batch have been told. So a campaign is the same whatever execu
 interruption is nothing but running it again with the stored traces in place of executions.
 """
 
+import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +23,7 @@ from behavexplor.fuzz.novelty import NoveltyArchive
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.fuzz.specs import SPECS, judge
 from behavexplor.logical import LogicalScenario
+from behavexplor.rollout import ADSError
 from behavexplor.store import Execution, Store
 from behavexplor.trace import Trace
 
@@ -29,8 +31,12 @@ COMMIT_ROWS = 50  # executions that are brought to disk together at most
 COMMIT_SECONDS = 0.25  # and how long one waits for the others at most [s]
 
 
+ERROR = "error"  # violated by an ADS that does something else than driving
+_ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # of an object: it differs from run to run
+
+
 class ExecutionError(Exception):
-    """An execution could not be carried out: the ADS or its environment failed; not a finding."""
+    """An execution could not be carried out, though not for anything that the ADS did: no finding."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class Progress:
         executions: how many are stored.
         failed: how many of them violate a spec.
         violations: failures by the first spec that they violate, R1 before R2 before R3: a collision keeps
-            the ego from its destination, too.
+            the ego from its destination, too; and "error", what else an ADS did than driving.
         novel: how many showed a behaviour that was new to the campaign.
         elapsed: running time, also before an interruption [s].
         executing: part of it spent waiting for executions [s].
@@ -67,13 +73,22 @@ class Campaign:
     Args:
         config: what it is.
         method: asks for scenarios, see `search_method`.
+        logical: which scenarios are possible.
         store: where its executions go; what it holds already is not executed again.
         executor: runs `behavexplor.executor.evaluate`.
     """
 
-    def __init__(self, config: CampaignConfig, method: SearchMethod, store: Store, executor: Executor) -> None:
+    def __init__(
+        self,
+        config: CampaignConfig,
+        method: SearchMethod,
+        logical: LogicalScenario,
+        store: Store,
+        executor: Executor,
+    ) -> None:
         self._config = config
         self._method = method
+        self._logical = logical
         self._budget = Budget.parse(config.budget)
         self._store = store
         self._executor = executor
@@ -84,7 +99,7 @@ class Campaign:
         earlier = max((execution.elapsed for execution in self._stored.values()), default=0.0)
         self._start = time.monotonic() - earlier
         self._committed = time.monotonic()
-        self.progress = Progress(violations={spec.name: 0 for spec in SPECS})
+        self.progress = Progress(violations={ERROR: 0, **{spec.name: 0 for spec in SPECS}})
         self.stopping = False
 
     def stop(self) -> None:
@@ -157,15 +172,19 @@ class Campaign:
 
     def _tell(self, candidate: Candidate, result: Future[bytes] | Execution) -> None:
         if isinstance(result, Execution):
-            self._told(candidate, result.trace, result)
+            self._told(candidate, result.trace, result.record.get(ERROR), result)
             return
+        data, failure = b"", None
         try:
             with self._waiting():
                 data = result.result()
+        except ADSError as error:
+            failure = ads_failure(error)
+            data = self._logical.first_frame(candidate.scenario, ERROR).to_bytes()
         except Exception as error:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
-        self._told(candidate, data, None)
+        self._told(candidate, data, failure, None)
 
     @contextmanager
     def _waiting(self) -> Iterator[None]:
@@ -174,10 +193,11 @@ class Campaign:
         yield
         self.progress = replace(self.progress, executing=self.progress.executing + time.monotonic() - before)
 
-    def _told(self, candidate: Candidate, data: bytes, stored: Execution | None) -> None:
+    def _told(
+        self, candidate: Candidate, data: bytes, failure: Mapping[str, str] | None, stored: Execution | None
+    ) -> None:
         """Judge an execution, tell the method, and store the record unless it was stored before."""
-        trace = Trace.from_bytes(data)
-        record = self._record(candidate, trace)
+        record = self._record(candidate, Trace.from_bytes(data), failure)
         if stored is None:
             self._store.add(Execution(record, data, self.elapsed))
         elif stored.record != record:
@@ -188,8 +208,10 @@ class Campaign:
         else:
             self._count(stored, resumed=1)
 
-    def _record(self, candidate: Candidate, trace: Trace) -> dict[str, Any]:
+    def _record(self, candidate: Candidate, trace: Trace, failure: Mapping[str, str] | None) -> dict[str, Any]:
         verdict = judge(trace, SPECS)
+        if failure is not None:
+            verdict = replace(verdict, violated=(ERROR,))
         novelty = self._archive.observe(trace)
         learned = self._method.tell(candidate, trace, verdict)
         return {
@@ -197,6 +219,7 @@ class Campaign:
             "origin": candidate.origin,
             "parent": candidate.parent,
             "end": trace.end,
+            **({ERROR: dict(failure)} if failure is not None else {}),
             "duration": trace.duration,
             "violated": list(verdict.violated),
             "degree": verdict.degree,
@@ -231,6 +254,11 @@ class Campaign:
             resumed=progress.resumed + resumed,
             last={**progress.last, **dict.fromkeys(marks, execution.id)},
         )
+
+
+def ads_failure(error: ADSError) -> dict[str, str]:
+    """What an ADS did, for the record: the same whenever it does it again."""
+    return {"kind": error.kind, "message": _ADDRESS.sub("0x...", error.message)}
 
 
 def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMethod:

@@ -60,6 +60,8 @@ class CampaignConfig:
         seed: the same seed gives the same campaign.
         batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the
             paper's sequential loop.
+        time_limit: of one execution [s]; an ADS that takes longer is in a hang.
+        memory_limit: of one worker process [GiB], where the system can set it.
         trust: digests ("sha256:...") of policies' files that may run code of their own while they are loaded.
         options: of the search method; see its `Options`.
 
@@ -75,6 +77,8 @@ class CampaignConfig:
     budget: str = "750"
     seed: int = 0
     batch: int = 8
+    time_limit: float = 300.0
+    memory_limit: float = 8.0
     trust: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
 
@@ -84,6 +88,9 @@ class CampaignConfig:
             raise InputError(f"The seed {self.seed} must be a whole number from 0 to 2^63 - 1")
         if not 1 <= self.batch <= 10_000:
             raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
+        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
+            if not 0 < limit < 1e9:
+                raise InputError(f"{name} {limit} must be greater than 0")
         for digest in self.trust:
             if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
                 raise InputError(f"--trust {digest!r} must be sha256: and 64 hexadecimal digits, of a policy's file")

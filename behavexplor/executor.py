@@ -4,22 +4,17 @@ An executor is a `concurrent.futures.Executor` to which `evaluate` is submitted:
 whatever stands between. Results do not depend on the executor.
 """
 
-import logging
-import multiprocessing
+import json
 import os
-import signal
 from collections.abc import Callable, Collection
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future
 from contextlib import suppress
-from multiprocessing.connection import wait
-from threading import Thread
-from typing import Any, ParamSpec, TypeVar
-
-from threadpoolctl import threadpool_limits
+from typing import ParamSpec, TypeVar
 
 from behavexplor.health import health_warnings
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
+from behavexplor.workers import WorkerPool
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -45,11 +40,16 @@ def evaluate(scenario: bytes) -> bytes:
 
     Returns:
         The trace, as `Trace.to_bytes` gives it.
+
+    Raises:
+        ADSError: for what the ADS has done instead of driving.
     """
-    try:
-        return _simulation[0].run(Scenario.from_json(scenario.decode())).to_bytes()
-    except SystemExit as error:  # or an ADS that calls sys.exit would end the campaign, and look like a success
-        raise RuntimeError(f"the ADS or its environment called sys.exit({error.code!r})") from error
+    return _simulation[0].run(Scenario.from_json(scenario.decode())).to_bytes()
+
+
+def examine(_: bytes) -> bytes:
+    """What is wrong with the ADS of this process, a JSON list of sentences; see `behavexplor.health`."""
+    return json.dumps(health_warnings(_simulation[0])).encode()
 
 
 class InProcessExecutor(Executor):
@@ -65,27 +65,28 @@ class InProcessExecutor(Executor):
         return future
 
 
-def make_executor(workers: int, env: str, ads: str, trust: Collection[str] = ()) -> Executor:
-    """An executor for `evaluate`; this process must have begun already if there are no other workers.
+def make_executor(
+    workers: int,
+    env: str,
+    ads: str,
+    trust: Collection[str] = (),
+    time_limit: float = 300.0,
+    memory_limit: float = 8.0,
+) -> Executor:
+    """An executor for `evaluate`.
 
     Args:
-        workers: how many processes run scenarios; with 1 it is this one.
+        workers: how many processes run scenarios; with 0 it is this one, which must have begun already.
         env: see `Simulation`.
         ads: see `Simulation`.
         trust: see `Simulation`.
+        time_limit: of one execution [s]; not in this process.
+        memory_limit: of one worker [GiB]; not in this process.
     """
-    if workers == 1:
+    if workers == 0:
         return InProcessExecutor()
-    methods = multiprocessing.get_all_start_methods()
-    context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-    if context.get_start_method() == "forkserver":
-        context.set_forkserver_preload(["behavexplor.executor"])
-    return ProcessPoolExecutor(workers, context, _begin_worker, (env, ads, trust))
-
-
-def examine() -> list[str]:
-    """What is wrong with the ADS of this process; see `behavexplor.health`."""
-    return health_warnings(_simulation[0])
+    functions = {"evaluate": evaluate, "examine": examine}
+    return WorkerPool(workers, functions, begin, (env, ads, tuple(trust)), time_limit, memory_limit)
 
 
 def warm_up(executor: Executor) -> list[str]:
@@ -95,7 +96,7 @@ def warm_up(executor: Executor) -> list[str]:
         What is wrong with the ADS, a sentence each.
     """
     with suppress(Exception):  # an ADS that takes its process down will do so again, in an execution that counts
-        return executor.submit(examine).result()
+        return list(json.loads(executor.submit(examine, b"").result()))
     return []
 
 
@@ -104,21 +105,3 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _begin_worker(env: str, ads: str, trust: Collection[str]) -> None:
-    """Workers leave Ctrl-C to the campaign, use one thread each, and do not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_campaign, daemon=True).start()
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    logging.getLogger("behavexplor").setLevel(logging.ERROR)  # the campaign's own process has warned already
-    begin(env, ads, trust)
-    threadpool_limits(1)  # of what the ADS has loaded, too
-
-
-def _end_with_campaign() -> None:
-    """End this process when the campaign's process has ended, however it did."""
-    campaign = multiprocessing.parent_process()
-    if campaign is not None:
-        wait([campaign.sentinel])
-        os._exit(1)

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.rollout import rollout
+from behavexplor.rollout import ADSError, rollout
 from behavexplor.simulation import Simulation
 from behavexplor.trace import Trace
 
@@ -44,8 +44,8 @@ def health_warnings(simulation: Simulation) -> list[str]:
         scenario = simulation.logical.sample(generator)
         try:
             traces.append(rollout(simulation.env, witness, scenario))
-        except (Exception, SystemExit) as error:  # an ADS can raise anything
-            return [f"The ADS failed in its first scenarios, {type(error).__name__}: {error}"]
+        except ADSError as error:
+            return [f"In its first scenarios {error}"]
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
     seen = np.concatenate([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)

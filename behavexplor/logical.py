@@ -15,6 +15,7 @@ from behavexplor.errors import InputError, unknown_name
 from behavexplor.geometry import box_corners, boxes_overlap
 from behavexplor.roadmap import RoadMap, Route
 from behavexplor.scenario import NPC, Scenario, Waypoint
+from behavexplor.trace import Trace
 
 Floats = NDArray[np.float64]
 
@@ -106,6 +107,31 @@ class LogicalScenario:
                 low = high = 0.0
             if not low <= waypoint.speed <= high:
                 raise InputError(f"waypoints[{i}].speed: {waypoint.speed} is not in [{low:g}, {high:g}] m/s")
+
+    def first_frame(self, scenario: Scenario, end: str) -> Trace:
+        """The trace of an episode that ended before anybody moved.
+
+        Args:
+            scenario: one that can be run here.
+            end: how it ended.
+        """
+        roadmap = self.roadmap
+        poses = np.stack([roadmap.start_pose, *map(self._start_pose, scenario.npcs)])
+        speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
+        heading = poses[:, 2]
+        return Trace(
+            time=np.zeros(1),
+            position=poses[None, :, :2],
+            heading=heading[None],
+            velocity=speeds[None, :, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1),
+            size=np.array([EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)]),
+            actions=np.zeros((0, 1)),
+            action_frame=np.zeros(0, dtype=np.int64),
+            route=roadmap.ego_line,
+            destination=roadmap.destination_point,
+            illegal_lines=roadmap.illegal_lines,
+            end=end,
+        )
 
     def spawn_conflict(self, npc: NPC, others: Sequence[NPC]) -> str | None:
         """What keeps a vehicle from starting beside others: None, or the end of "the vehicle starts ...".

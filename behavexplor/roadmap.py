@@ -176,6 +176,11 @@ class RoadMap:
         return np.array([x - self.ego_offset * np.sin(heading), y + self.ego_offset * np.cos(heading), heading])
 
     @cached_property
+    def ego_line(self) -> Floats:
+        """The centre line of the ego's route from its start past its destination, shape (P, 2) [m]."""
+        return self.ego_route.polyline(self.ego_start, self.ego_route.length)
+
+    @cached_property
     def destination_point(self) -> Floats:
         """The ego's destination, shape (2,) [m]."""
         return self.ego_route.pose(self.destination)[:2]

@@ -18,7 +18,7 @@ Ints = NDArray[np.int64]
 
 RESOLUTION = 1e-9  # of recorded motion, in m, rad and m/s
 FORMAT = 1
-ENDS = ("collision", "arrived", "passed", "standstill", "timeout")
+ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error")
 _MOTION = ("position", "heading", "velocity")
 
 
@@ -40,8 +40,8 @@ class Trace:
         route: centre line of the ego's route from its start past its destination, shape (P, 2) [m].
         destination: shape (2,) [m].
         illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
-        end: how the episode ended: "collision", "arrived", "passed" (the destination), "standstill" or
-            "timeout".
+        end: how the episode ended: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or
+            "error" where the ADS did something else than driving.
         decisions: the ADS's own log by name, each of shape (D, ...).
 
     Raises:

@@ -1,7 +1,9 @@
 """Systems under test for the tests: they keep their lane and see nothing."""
 
 import os
+import signal
 import sys
+import time
 
 import numpy as np
 from threadpoolctl import threadpool_info
@@ -51,6 +53,35 @@ class Leaver(Cruiser):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         sys.exit(0)
+
+
+class Crashing(Cruiser):
+    """The same, by reading what is not its own."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+
+class Sleeper(Cruiser):
+    """Thinks for ever."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        time.sleep(1000)
+
+
+class Greedy(Cruiser):
+    """Wants all the memory that there is."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.ones((1000, 1000, 1000)), state
+
+
+class Lost(Cruiser):
+    """Answers no number after a while."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        actions, state = super().predict(observation, state)
+        return np.where(observation[:, :1, 4] > 1, np.nan, actions), state
 
 
 class Threads(Cruiser):

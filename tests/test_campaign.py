@@ -44,7 +44,7 @@ def run(folder, executor=None, observe=lambda _: None, **config):
     config = CampaignConfig(**{"budget": "40", "seed": 3, **config})
     method = search_method(config, LOGICAL)
     store = Store.reopen(folder) if folder.exists() else Store.create(folder, config.to_yaml())
-    campaign = Campaign(config, method, store, executor or FakeExecutor())
+    campaign = Campaign(config, method, LOGICAL, store, executor or FakeExecutor())
     try:
         campaign.run(observe)
     finally:
@@ -96,7 +96,7 @@ def test_candidates_in_flight_are_bounded_by_the_batch(tmp_path):
         folder = tmp_path / str(batch)
         config = CampaignConfig(budget="30", batch=batch)
         store = Store.create(folder, "")
-        campaign = Campaign(config, search_method(config, LOGICAL), store, Watched())
+        campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, Watched())
         tell = campaign._method.tell
 
         def counted(*arguments, tell=tell, told=told):
@@ -128,7 +128,7 @@ def test_an_interrupted_campaign_goes_on_as_if_nothing_had_happened(tmp_path, me
     folder = tmp_path / "part"
     config = CampaignConfig(budget="40", seed=3, method=method)
     store = Store.create(folder, config.to_yaml())
-    campaign = Campaign(config, search_method(config, LOGICAL), store, FakeExecutor())
+    campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor())
     tell = campaign._method.tell
 
     def tell_and_stop(candidate, *rest):

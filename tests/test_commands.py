@@ -17,7 +17,7 @@ from behavexplor.errors import InputError
 from behavexplor.store import Store
 
 ROOT = Path(__file__).parent.parent
-FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "1"]
+FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0"]
 
 
 def run(*arguments, cwd=ROOT):
@@ -134,7 +134,7 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--method", "unifrom"], "did you mean 'uniform'?"),
         (["fuzz", "--budget", "0"], "neither a number of executions"),
         (["fuzz", "--batch", "0"], "The batch 0"),
-        (["fuzz", "--workers", "0"], "--workers 0 must lie between"),
+        (["fuzz", "--workers", "-1"], "--workers -1 must lie between"),
         (["fuzz", "--seed", "-1"], "The seed -1"),
         (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
         (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
@@ -177,30 +177,41 @@ def test_a_folder_that_is_not_empty_is_kept(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_ads_that_raises_ends_the_campaign_with_its_words(tmp_path, workers):
-    result = run(*FUZZ, "--ads", "tests.drivers:Faulty", "--budget", 5, "--workers", workers, "--out", tmp_path / "a")
-    assert result.returncode == 3
-    assert "ZeroDivisionError: no gap to divide by" in result.stderr
+@pytest.mark.parametrize(
+    ("driver", "kind", "message", "workers"),
+    [
+        ("Faulty", "raised", "ZeroDivisionError: no gap to divide by", 0),
+        ("Faulty", "raised", "ZeroDivisionError: no gap to divide by", 2),
+        ("Lost", "invalid", "predict must return finite numbers", 0),
+        ("Leaver", "exit", "it called sys.exit(0)", 0),
+        ("Greedy", "memory", "it ran out of memory", 1),
+        ("Dying", "crash", "its process ended with exit code 11", 1),
+        ("Crashing", "crash", "its process was ended by SIGSEGV", 1),
+        ("Sleeper", "hang", "no answer within 2 s", 2),
+    ],
+)
+def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, workers, tmp_path):
+    (tmp_path / "limits.yaml").write_text("time_limit: 2\nmemory_limit: 3\n")
+    flags = ["--method", "uniform", "--budget", 3, "--workers", workers, "--config", tmp_path / "limits.yaml"]
+    result = run(*FUZZ, *flags, "--ads", f"tests.drivers:{driver}", "--out", tmp_path / "a")
+    assert result.returncode == 0, result.stderr
     assert "Traceback" not in result.stderr
-
-
-def test_an_ads_that_kills_its_worker_ends_the_campaign(tmp_path):
-    result = run(*FUZZ, "--ads", "tests.drivers:Dying", "--budget", 5, "--workers", 2, "--out", tmp_path / "a")
-    assert result.returncode == 3
-    assert "could not be carried out" in result.stderr
-    assert "Traceback" not in result.stderr
+    assert "Beware" in result.stderr or kind in {"crash", "hang"}
+    assert "error            3   executions 0, 1, 2" in result.stdout
+    for record in records(tmp_path / "a"):
+        assert record["violated"] == ["error"]
+        assert record["end"] == "error"
+        assert record["error"]["kind"] == kind
+        assert message in record["error"]["message"]
+    again = run("replay", tmp_path / "a", 0)
+    assert again.returncode == 0, again.stderr
+    assert f"the ADS failed ({kind}): " in again.stdout
+    assert "it failed in the same way" in again.stdout
 
 
 def test_workers_use_one_thread_each(tmp_path):
     result = run(*FUZZ, "--ads", "tests.drivers:Threads", "--budget", 4, "--workers", 2, "--out", tmp_path / "a")
     assert result.returncode == 0, result.stderr
-
-
-def test_an_ads_that_exits_is_no_success(tmp_path):
-    result = run(*FUZZ, "--ads", "tests.drivers:Leaver", "--budget", 4, "--workers", 2, "--out", tmp_path / "a")
-    assert result.returncode == 3
-    assert "called sys.exit(0)" in result.stderr
 
 
 def start(folder, *arguments):

@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.evaluation import Evaluation, evaluate
-from behavexplor.rollout import rollout_all
+from behavexplor.rollout import ADSError, rollout_all
 from behavexplor.simulation import Simulation
 from tests.drivers import Cruiser
 
@@ -52,7 +52,7 @@ def test_a_wrong_answer_to_a_batch_is_named(cruising):
 
     simulation, scenarios, _ = cruising
     envs = simulation._vectorised(4)
-    with pytest.raises(ValueError, match=r"actions of shape \(4, 2\), got \(1, 2\)"):
+    with pytest.raises(ADSError, match=r"actions of shape \(4, 2\), got \(1, 2\)"):
         next(rollout_all(envs, Short(), scenarios))
 
 

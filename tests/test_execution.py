@@ -7,7 +7,7 @@ import pytest
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.executor import InProcessExecutor, begin, evaluate, make_executor
-from behavexplor.rollout import rollout
+from behavexplor.rollout import ADSError, rollout
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation, environment_id
 from behavexplor.trace import Trace
@@ -58,7 +58,7 @@ def test_all_executors_give_the_same_traces():
     arguments = ("intersection-straight", "tests.drivers:cruiser")
     simulation = begin(*arguments)
     expected = [simulation.run(scenario).to_bytes() for scenario in SCENARIOS]
-    for workers in (1, 2):
+    for workers in (0, 1, 2):
         with make_executor(workers, *arguments) as executor:
             futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
             assert [future.result() for future in futures] == expected
@@ -104,7 +104,7 @@ def test_an_answer_that_is_no_action_is_named_at_once(answer, message):
             return answer
 
     env = gymnasium.make(environment_id("intersection-straight"), config={"action": Odd.action})
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ADSError, match=message):
         rollout(env, Odd(), SCENARIOS[0])
 
 
@@ -114,12 +114,12 @@ def test_a_meta_action_out_of_range_is_named():
             return np.array([7]), state
 
     env = gymnasium.make(environment_id("lane-follow"), config={"action": {"type": "DiscreteMetaAction"}})
-    with pytest.raises(ValueError, match=r"actions of Discrete\(5\), got 7"):
+    with pytest.raises(ADSError, match=r"actions of Discrete\(5\), got 7"):
         rollout(env, Wild(), env.unwrapped.logical.sample(np.random.default_rng(0)))
 
 
 def test_an_ads_that_exits_is_an_error_of_its_execution():
     begin("intersection-straight", "tests.drivers:Leaver")
     future = InProcessExecutor().submit(evaluate, SCENARIOS[0].to_json().encode())
-    with pytest.raises(RuntimeError, match=r"called sys.exit\(0\)"):
+    with pytest.raises(ADSError, match=r"called sys.exit\(0\)"):
         future.result()

@@ -68,7 +68,7 @@ def test_missing_statistics_are_named_by_the_health_check(trained, tmp_path):
 def test_a_policys_file_is_fuzzed_from_the_command_line(trained, tmp_path, capsys):
     run = tmp_path / "run"
     policy = str(trained / "model.zip")
-    flags = ["--env", "lane-follow", "--ads", policy, "--budget", "2", "--workers", "1", "--out", str(run)]
+    flags = ["--env", "lane-follow", "--ads", policy, "--budget", "2", "--workers", "0", "--out", str(run)]
     assert main(["fuzz", *flags]) == OK
     assert main(["replay", str(run), "0"]) == OK
     assert "Running it again gave the same trace" in capsys.readouterr().out
@@ -107,7 +107,7 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
     assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), "--budget", "1"]) == BAD_INPUT
     advice = capsys.readouterr().err.strip().partition(" of yours: ")[2]
     (tmp_path / "model.yaml").write_text(advice)
-    flags = ["--budget", "1", "--workers", "1", "--out", str(tmp_path / "run")]
+    flags = ["--budget", "1", "--workers", "0", "--out", str(tmp_path / "run")]
     assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), *flags]) == OK
 
 

@@ -63,7 +63,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         budget: Executions (750), or a time (90s, 30m, 1h30m).
         seed: The same seed gives the same records.
         batch: Candidates in flight: each is chosen without the results of that many before it.
-        workers: Processes that execute scenarios; the records do not depend on it.
+        workers: Processes that execute scenarios; the records do not depend on it. 0 is this process, without limits.
         trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
         out: Run folder, new or empty.
         resume: Go on with the campaign in this run folder; a larger --budget extends it.
@@ -83,9 +83,10 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     search = search_method(chosen, simulation.logical)
     folder = resume or out or run_folder(chosen, Path("runs"))
     store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
-    executor = make_executor(workers, chosen.env, chosen.ads, chosen.trust)
+    limits = (chosen.time_limit, chosen.memory_limit)
+    executor = make_executor(workers, chosen.env, chosen.ads, chosen.trust, *limits)
     try:
-        campaign = Campaign(chosen, search, store, executor)
+        campaign = Campaign(chosen, search, simulation.logical, store, executor)
         with _stopped_by_signals(campaign, display):
             with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
                 warnings = warm_up(executor)
@@ -123,8 +124,8 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
 def _checked_workers(workers: int | None) -> int:
     if workers is None:
         return min(available_cores(), _MAX_WORKERS)
-    if not 1 <= workers <= _MAX_WORKERS:
-        raise InputError(f"--workers {workers} must lie between 1 and {_MAX_WORKERS}")
+    if not 0 <= workers <= _MAX_WORKERS:
+        raise InputError(f"--workers {workers} must lie between 0 and {_MAX_WORKERS}")
     return workers
 
 

@@ -6,10 +6,13 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.config import stored_config
+from behavexplor.campaign import ERROR, ads_failure
+from behavexplor.commands import CHECK_FAILED, OK
+from behavexplor.config import CampaignConfig, stored_config
 from behavexplor.drawing import decisive_frame, draw, save_animation
 from behavexplor.errors import InputError
+from behavexplor.executor import evaluate, make_executor
+from behavexplor.rollout import ADSError
 from behavexplor.simulation import Simulation
 from behavexplor.store import Execution, Store
 
@@ -36,28 +39,44 @@ def replay(
     store.close()
     config = stored_config(run)
     simulation = Simulation(config.env, config.ads, config.trust)
-    trace = execution.load_trace()
-    try:
-        again = simulation.run(execution.scenario)
-    except Exception as error:  # of the ADS
-        print(f"{program()}: The ADS failed on running it again, {type(error).__name__}: {error}", file=sys.stderr)
-        return EXECUTION_FAILED
-    folder = out or run / "replays"
+    if ERROR in execution.record:
+        failure = execution.record[ERROR]
+        print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
+    else:
+        _draw(execution, simulation, out or run / "replays")
+    simulation.close()
+    return _compare(execution, config)
+
+
+def _draw(execution: Execution, simulation: Simulation, folder: Path) -> None:
+    """Make the pictures, and say what they show."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be made: {error.strerror}") from None
-    animation, picture = folder / f"{number:06d}.gif", folder / f"{number:06d}.png"
-    roadmap = simulation.logical.roadmap
-    caption = _verdict(execution)
+    animation, picture = folder / f"{execution.id:06d}.gif", folder / f"{execution.id:06d}.png"
+    trace, roadmap, caption = execution.load_trace(), simulation.logical.roadmap, _verdict(execution)
     frame = decisive_frame(trace, execution.record["violated"])
     draw(trace, roadmap, frame, caption).save(picture)
     save_animation(animation, trace, roadmap, caption)
-    simulation.close()
     degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record["degrees"].items())
-    print(f"Execution {number} {caption} after {trace.duration:.2f} s; violation degrees: {degrees}")
+    print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s; violation degrees: {degrees}")
     print(f"Animation: {animation}\nDecisive moment, at {trace.time[frame]:.2f} s: {picture}")
-    if again.to_bytes() != execution.trace:
+
+
+def _compare(execution: Execution, config: CampaignConfig) -> int:
+    """Run an execution again, in a process of its own for whatever its ADS may do."""
+    limits = (config.time_limit, config.memory_limit)
+    with make_executor(1, config.env, config.ads, config.trust, *limits) as executor:
+        try:
+            again = executor.submit(evaluate, execution.scenario.to_json().encode()).result()
+        except ADSError as error:
+            if execution.record.get(ERROR) == ads_failure(error):
+                print("Running it again, it failed in the same way.")
+                return OK
+            print(f"Running it again, {error}", file=sys.stderr)
+            return CHECK_FAILED
+    if again != execution.trace:
         print("Running it again gave ANOTHER trace than the recorded one.", file=sys.stderr)
         return CHECK_FAILED
     print("Running it again gave the same trace.")

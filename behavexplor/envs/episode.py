@@ -1,7 +1,5 @@
 """The trace of an episode from what was recorded of it."""
 
-from functools import cache
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,14 +43,8 @@ def episode_trace(
         size=sizes,
         actions=actions,
         action_frame=action_frames,
-        route=_route_line(roadmap),
+        route=roadmap.ego_line,
         destination=roadmap.destination_point,
         illegal_lines=roadmap.illegal_lines,
         end=end,
     )
-
-
-@cache
-def _route_line(roadmap: RoadMap) -> Floats:
-    """The centre line of the ego's route from its start past its destination, shape (P, 2) [m]."""
-    return roadmap.ego_route.polyline(roadmap.ego_start, roadmap.ego_route.length)
