@@ -56,10 +56,10 @@ class Leaver(Cruiser):
 
 
 class Crashing(Cruiser):
-    """The same, by reading what is not its own."""
+    """The same, as if the system had run out of memory."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        os.kill(os.getpid(), signal.SIGSEGV)
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 class Sleeper(Cruiser):
