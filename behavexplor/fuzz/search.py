@@ -69,6 +69,12 @@ class SearchMethod(Protocol):
         ...
 
 
-def draws(seed: int, number: int) -> np.random.Generator:
-    """The random numbers of one candidate: they depend on nothing but the campaign's seed and its number."""
-    return np.random.default_rng([seed, number])
+def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
+    """The random numbers of one candidate: they depend on nothing but the campaign's seed and its number.
+
+    Args:
+        seed: of the campaign.
+        number: of the candidate.
+        purpose: tells draws apart that one candidate needs at different times.
+    """
+    return np.random.default_rng([seed, number, *purpose])
