@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from behavexplor.errors import InputError
 from behavexplor.fuzz.encoding import Encoding
@@ -27,6 +28,7 @@ class Asker:
         self._number = 0
         self._asked: set[Scenario] = set()
         self._in_flight: dict[int, Floats] = {}
+        self._vectors: list[Floats] = []
 
     def draws(self) -> np.random.Generator:
         """The random numbers of the next candidate."""
@@ -35,6 +37,27 @@ class Asker:
     def uniform(self, rng: np.random.Generator, count: int = 1) -> Floats:
         """Uniform points, shape (count, n)."""
         return rng.random((count, self.encoding.size))
+
+    def farthest(self, rng: np.random.Generator, samples: int, count: int) -> Floats:
+        """Of uniform points those farthest from all that was asked for.
+
+        Args:
+            rng: source of the draws.
+            samples: how many points are drawn.
+            count: how many of them are returned.
+
+        Returns:
+            Shape (count, n), the farthest one first.
+        """
+        vectors = self.uniform(rng, samples)
+        if not self._vectors:
+            return vectors[:count]
+        points = self.encoding.features(vectors)
+        known = self.encoding.features(np.array(self._vectors))
+        with threadpool_limits(limits=1):  # as many threads as there are would decide ties
+            products = points @ known.T
+        squared = (points**2).sum(1)[:, None] + (known**2).sum(1) - 2 * products
+        return vectors[np.argsort(-squared.min(1), kind="stable")[:count]]
 
     def candidate(self, vector: Floats, rng: np.random.Generator, origin: str, parent: int | None = None) -> Candidate:
         """The next candidate.
@@ -61,7 +84,8 @@ class Asker:
         number = self._number
         self._number += 1
         self._asked.add(scenario)
-        self._in_flight[number] = self.encoding.encode(scenario)
+        self._in_flight[number] = vector = self.encoding.encode(scenario)
+        self._vectors.append(vector)
         return Candidate(number, scenario, origin, parent)
 
     def told(self, candidate: Candidate) -> Floats:

@@ -20,13 +20,12 @@ from behavexplor.fuzz.mutation import (
 )
 from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.search import INITIAL, Candidate, SearchExhausted, draws
+from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, SearchExhausted, draws
 from behavexplor.fuzz.specs import Verdict
 from behavexplor.logical import LogicalScenario
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
-MAX_FAILED_INITIAL = 1000
 _NOT_MINED = -1  # index of a behaviour that nobody looked at
 _NOVELTY_DRAWS = 1  # purpose of draws beside those that made the candidate
 

@@ -122,8 +122,8 @@ class Encoding:
         slowest, fastest = self.logical.speed_range
         speeds = slowest + genes[self.speed_genes[: len(ranges) - 1]] * (fastest - slowest)
         positions = [0.0]
-        for (low, high), share in zip(ranges.tolist(), shares, strict=True):
-            low = max(low, positions[-1])
+        for (first, high), share in zip(ranges.tolist(), shares, strict=True):
+            low = max(first, positions[-1])
             positions.append(min(low + share * (high - low), high))
         waypoints = map(Waypoint, positions[1:], [*np.minimum(speeds, fastest).tolist(), 0.0])
         return NPC(kinds[int(_parts(genes[TYPE], len(kinds)))], route.name, tuple(waypoints))
@@ -136,10 +136,9 @@ class Encoding:
         genes[ROUTE] = (names.index(npc.route) + 0.5) / len(names)
         slowest, fastest = self.logical.speed_range
         previous = 0.0
-        for i, ((low, high), waypoint) in enumerate(
-            zip(self.logical.position_ranges(route).tolist(), npc.waypoints, strict=True)
-        ):
-            low = max(low, previous)
+        ranges = self.logical.position_ranges(route).tolist()
+        for i, ((first, high), waypoint) in enumerate(zip(ranges, npc.waypoints, strict=True)):
+            low = max(first, previous)
             previous = waypoint.position
             genes[START + i] = (previous - low) / (high - low) if high > low else _UNUSED
             if i < len(npc.waypoints) - 1:

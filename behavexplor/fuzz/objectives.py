@@ -20,4 +20,3 @@ def objectives(verdict: Verdict) -> Floats:
     degrees = np.maximum(np.array(list(verdict.degrees.values())), 0.0) + _APART
     violated = [name in verdict.violated for name in verdict.degrees]
     return np.where(violated, 0.0, degrees / (degrees + 1))
-

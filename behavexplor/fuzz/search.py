@@ -12,6 +12,7 @@ from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
+MAX_FAILED_INITIAL = 1000  # after so many initial scenarios that all failed, there is nothing to mutate
 
 
 class SearchExhausted(Exception):  # noqa: N818 - it ends a campaign, nothing went wrong
