@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 
 TYPE, ROUTE, START = 0, 1, 2  # genes of an NPC: its type, its route, where it starts; further positions follow
 _UNUSED = 0.5  # gene of a waypoint that the route does not have
+_DIGITS = 6  # of decoded positions [m] and speeds [m/s], so that copies of a scenario are equal to it
 _STEPS = 64  # places tried along a lane for a vehicle that cannot start where its genes say
 
 
@@ -34,9 +35,14 @@ class Encoding:
         logical: what is encoded.
         n_npcs: blocks of a vector.
         n_genes: genes of a block.
+
+    Raises:
+        InputError: if there are no NPCs.
     """
 
     def __init__(self, logical: LogicalScenario) -> None:
+        if logical.n_npcs < 1:
+            raise InputError(f"{logical.name}: a scenario has no NPCs, so there is nothing to search")
         self.logical = logical
         self._routes = logical.roadmap.npc_routes
         self._n_waypoints = max(len(logical.position_ranges(route)) for route in self._routes)
@@ -74,7 +80,8 @@ class Encoding:
         return Scenario(self.logical.name, tuple(npcs))
 
     def encode(self, scenario: Scenario) -> Floats:
-        """The point of a scenario, the middle one of its type and route; `decode` restores it up to rounding.
+        """The point of a scenario, the middle one of its type and route; `decode` restores it, up to
+        the digits that it keeps.
 
         Args:
             scenario: valid in `logical`, with as many NPCs as that has.
@@ -124,8 +131,9 @@ class Encoding:
         positions = [0.0]
         for (first, high), share in zip(ranges.tolist(), shares, strict=True):
             low = max(first, positions[-1])
-            positions.append(min(low + share * (high - low), high))
-        waypoints = map(Waypoint, positions[1:], [*np.minimum(speeds, fastest).tolist(), 0.0])
+            positions.append(min(max(round(low + share * (high - low), _DIGITS), low), high))
+        speeds = np.clip(speeds.round(_DIGITS), slowest, fastest)
+        waypoints = map(Waypoint, positions[1:], [*speeds.tolist(), 0.0])
         return NPC(kinds[int(_parts(genes[TYPE], len(kinds)))], route.name, tuple(waypoints))
 
     def _block(self, npc: NPC) -> Floats:

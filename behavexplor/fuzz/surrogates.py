@@ -19,6 +19,7 @@ Floats = NDArray[np.float64]
 
 _HELD_OUT = 0.2  # share of the rows that models are weighted by
 _FEWEST = 10  # rows with which some are held out
+_LEAST_LENGTH = 0.1  # of kernels, where points are alike
 _RIDGE = 1e-2  # on the diagonal of the kernel matrix
 
 
@@ -113,7 +114,7 @@ def fit_rbf(points: Floats, values: Floats) -> Ensemble:
 def _fit(points: Floats, values: Floats, kernels: tuple[Kernel, ...], weights: Floats) -> Ensemble:
     """Models whose length is the median distance of the points, so that nothing has to be searched for."""
     squared, _ = _products(points, points)
-    length = max(float(np.sqrt(np.median(squared[np.triu_indices(len(points), 1)]))), 1e-3)
+    length = max(float(np.sqrt(np.median(squared[np.triu_indices(len(points), 1)]))), _LEAST_LENGTH)
     means = values.mean(0)
     coefficients = [_coefficients(kernel, length, points, values - means) for kernel in kernels]
     return Ensemble(kernels, points, length, np.stack(coefficients), means, weights)
