@@ -80,8 +80,7 @@ class Encoding:
         return Scenario(self.logical.name, tuple(npcs))
 
     def encode(self, scenario: Scenario) -> Floats:
-        """The point of a scenario, the middle one of its type and route; `decode` restores it, up to
-        the digits that it keeps.
+        """The point of a scenario, the middle one of its type and route; `decode` restores it to its six digits.
 
         Args:
             scenario: valid in `logical`, with as many NPCs as that has.

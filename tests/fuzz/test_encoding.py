@@ -31,7 +31,7 @@ def close(one, other):
         for npc, same in zip(one.npcs, other.npcs, strict=True)
         for point, twin in zip(npc.waypoints, same.waypoints, strict=True)
     ]
-    return bool(np.abs(pairs).max() <= 1e-6)
+    return bool(np.abs(pairs).max() < 1e-5)
 
 
 @EVERYWHERE
