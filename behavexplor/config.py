@@ -54,7 +54,7 @@ class CampaignConfig:
     Attributes:
         env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
         ads: system under test: "rule", or "package.module:attribute" of anything with a `predict` method.
-        method: search method: "behavexplor", "uniform", or "package.module:attribute".
+        method: search method, see `behavexplor.fuzz.methods`, or "package.module:attribute".
         budget: executions, such as "750", or a time, such as "30m".
         seed: the same seed gives the same campaign.
         batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the

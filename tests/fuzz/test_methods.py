@@ -30,7 +30,10 @@ OTHER_PLACES = [IntersectionLeftEnv.logical, LaneFollowEnv.logical, LaneChangeEn
 
 EVERY = pytest.mark.parametrize("name", sorted(METHODS))
 NEEDS = {"nsga2": "pymoo", "map-elites": "ribs", "novelty-search": "ribs"}
-QUICK = {"samota": {"generations": 5, "local_generations": 5}, "avfuzzer": {"restart_samples": 50}}  # what costs time and shows nothing here
+QUICK = {
+    "samota": {"generations": 5, "local_generations": 5},
+    "avfuzzer": {"restart_samples": 50},
+}  # what costs time and shows nothing here
 PRESETS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 
 

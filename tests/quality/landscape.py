@@ -13,7 +13,7 @@ from behavexplor.trace import Trace
 
 LOGICAL = IntersectionStraightEnv.logical
 
-STEP = 0.1  # [s]
+STEP = 0.25  # [s]
 SPEED = 9.0  # of the ego where nothing is near [m/s]
 FIRST, SPACING = 25.0, 25.0  # where NPCs stand along the way [m]
 LENGTH = FIRST + SPACING * LOGICAL.n_npcs
