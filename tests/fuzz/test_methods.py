@@ -268,6 +268,12 @@ def test_unknown_names():
         load_method("behavexplorer")
 
 
+@EVERY
+def test_a_slip_of_the_pen_is_recognised(name):
+    with pytest.raises(InputError, match=f"did you mean '{name}'"):
+        load_method(name[:-1])
+
+
 @pytest.mark.parametrize("name", ["no_such_package:Search", "behavexplor.fuzz.uniform:Nothing", ":", "math:"])
 def test_what_cannot_be_imported(name):
     with pytest.raises(InputError, match="cannot be imported"):

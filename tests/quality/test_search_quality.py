@@ -59,10 +59,8 @@ def compare(name, preset=None, spec=None, baseline="uniform"):
     other = failures(campaigns(baseline, None, budget), spec)
     statistic, p = mannwhitneyu(found, other, alternative="greater")
     wins = statistic / len(found) / len(other)
-    print(
-        f"{preset or name} {spec or 'failures'}: {found.mean():.1f} against {other.mean():.1f} of {baseline} ", end=""
-    )
-    print(f"({budget} executions, {SEEDS} seeds): more in {wins:.0%} of pairs, p = {p:.2g}")
+    versus = f"{found.mean():.1f} {spec or 'failures'} against {other.mean():.1f} of {baseline}"
+    print(f"{preset or name}: {versus}, {budget} executions, {SEEDS} seeds: more in {wins:.0%}, p = {p:.2g}")
     return wins, p
 
 
