@@ -2,9 +2,9 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar, get_type_hints
 
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -55,7 +55,7 @@ class CampaignConfig:
         env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
         ads: system under test: "rule", a policy's file, or "package.module:attribute" of anything with a
             `predict` method.
-        method: search method: "behavexplor", "uniform", or "package.module:attribute".
+        method: search method, see `behavexplor.fuzz.methods`, or "package.module:attribute".
         budget: executions, such as "750", or a time, such as "30m".
         seed: the same seed gives the same campaign.
         batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the
@@ -118,12 +118,7 @@ def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
     Raises:
         InputError: naming the first value that is wrong.
     """
-    known = [entry.name for entry in fields(kind)]  # type: ignore[arg-type]
-    for key in values:
-        if key not in known:
-            if not known:
-                raise InputError(f"{key!r} is not known: this {what} has no keys")
-            raise unknown_name(f"key of the {what}", str(key), known)
+    _refuse_unknown(kind, values, what)
     try:
         return TypeAdapter(kind).validate_python(dict(values))
     except ValidationError as error:
@@ -133,6 +128,19 @@ def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
             raise cause from None
         place = ".".join(str(part) for part in first["loc"])
         raise InputError(f"{place} of the {what}: {first['msg']}, got {first['input']!r:.80}") from None
+
+
+def _refuse_unknown(kind: type[Any], values: Mapping[str, Any], what: str) -> None:
+    """Refuse a key that is no field of the dataclass, or of the dataclass that a field holds."""
+    kinds = get_type_hints(kind)
+    known = [entry.name for entry in fields(kind)]
+    for key, value in values.items():
+        if key not in known and not known:
+            raise InputError(f"{key!r} is not known: this {what} has no keys")
+        if key not in known:
+            raise unknown_name(f"key of the {what}", str(key), known)
+        if is_dataclass(kinds[key]) and isinstance(value, Mapping):
+            _refuse_unknown(kinds[key], value, f"{key} of the {what}")
 
 
 def read_config(name: str) -> dict[str, Any]:

@@ -71,6 +71,25 @@ def test_unknown_options_are_refused(name):
         checked(load_method(name).Options, {"widnow": 5}, f"options of {name}")
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"miner": {"widnow": 5}},
+            "Unknown key of the miner of the options of behavexplor 'widnow': did you mean 'window'",
+        ),
+        ({"assessment": {"retreta": 5}}, "did you mean 'retreat'"),
+        ({"miner": 5}, "miner of the options of behavexplor"),
+        ({"selection": "energetic"}, "selection of the options of behavexplor"),
+        ({"assessment": {"retreat": -1.0}}, "retreat: must be a number at least 0"),
+    ],
+)
+def test_wrong_options_are_named_however_deep(options, message):
+    with pytest.raises(InputError) as error:
+        checked(load_method("behavexplor").Options, options, "options of behavexplor")
+    assert message in str(error.value)
+
+
 def test_missing_files_name_the_presets():
     with pytest.raises(InputError, match="did you mean 'paper'"):
         read_config("papr")

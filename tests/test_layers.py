@@ -35,6 +35,8 @@ HEAVY = {  # where the heavy libraries may be imported
     "sb3_contrib": {"ads", "training"},
     "numba": {"compiled"},
     "sklearn": {"fuzz"},
+    "pymoo": {"fuzz"},
+    "ribs": {"fuzz"},
     "rich": {"commands"},
     "tyro": {"commands"},
     "PIL": {"drawing"},

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
 from behavexplor.fuzz.corpus import Corpus, Testcase
 from behavexplor.fuzz.energy import SELECTION_CHANGE, degree_change, failure_change
 from behavexplor.fuzz.miner import Behavior, BehaviorMiner, MinerOptions
@@ -19,25 +20,33 @@ from behavexplor.fuzz.mutation import (
 )
 from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.search import INITIAL, Candidate, SearchExhausted, draws
+from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, SearchExhausted, draws
 from behavexplor.fuzz.specs import Verdict
 from behavexplor.logical import LogicalScenario
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
-MAX_FAILED_INITIAL = 1000
+_NOT_MINED = -1  # index of a behaviour that nobody looked at
+_NOVELTY_DRAWS = 1  # purpose of draws beside those that made the candidate
 
 
 @dataclass(frozen=True)
 class BehAVExplorOptions:
     """The options of `BehAVExplor`; the defaults are the paper's configuration (section IV).
 
+    What the authors' released program does otherwise, and the paper's ablations, are other values of these options;
+    they are in `configs/`, and docs/methods.md has the table.
+
     Attributes:
         initial_corpus: scenarios executed before the first mutation.
         initial_energy: E of the initial testcases.
+        novelty: what guides the search to new behaviours: the "measured" novelty of a mutant; a control, where
+            novelty and distance are drawn at "random" from [0, 1]; or "none" (the paper's w/o BG).
         novelty_threshold: theta_c; a behaviour is novel if its distance to all known ones is greater.
         known: which testcases' behaviours are known (the paper's Y): all that were "kept", or only initial and
             "novel" ones.
+        selection: of the testcase to mutate: by "energy", or "uniform" (the paper's w/o Energy).
+        mutation: what decides how it is mutated: its "energy", or a "random" choice of the two (w/o Energy).
         waypoint_energy: theta_e; the waypoints of testcases with more energy are mutated, the routes of others.
         waypoint_keep_probability: epsilon of waypoint mutation, the probability that an NPC stays as it is.
         route_keep_probability: epsilon of route mutation.
@@ -47,10 +56,14 @@ class BehAVExplorOptions:
         failure_weight: w_1, of the failure frequency.
         degree_weight: w_2, of the change of the violation degree.
         selection_weight: w_3, of the selection frequency.
+        route_cost: what a parent loses with each mutation of its routes, beside the three terms.
+        mutant_energy: what a kept mutant starts with: 1 + w_2 dE_V by its "degree-change" (paper equation 17), or
+            1 + dO / 2 + d / 2 by its "degree-and-novelty", where dO is what it gained in degree and d its novelty.
         success: which mutants the failure frequency counts: "failed" ones, or "failed-or-novel" ones.
         degree_distance: what the change of the violation degree is divided by one less of: the mutant's distance
             to its "parent", or to the nearest of all "known" behaviours.
         bounded: whether the change of the violation degree is bounded by tanh; the paper prints it unbounded.
+        assessment: what the search takes for the violation degree of a run, and for its failure.
         miner: how behaviours are abstracted.
 
     Raises:
@@ -59,8 +72,11 @@ class BehAVExplorOptions:
 
     initial_corpus: int = 4
     initial_energy: float = 1.0
+    novelty: Literal["measured", "random", "none"] = "measured"
     novelty_threshold: float = NOVELTY_THRESHOLD
     known: Literal["kept", "novel"] = "kept"
+    selection: Literal["energy", "uniform"] = "energy"
+    mutation: Literal["energy", "random"] = "energy"
     waypoint_energy: float = 0.5
     waypoint_keep_probability: float = 0.5
     route_keep_probability: float = 0.5
@@ -70,9 +86,12 @@ class BehAVExplorOptions:
     failure_weight: float = 0.5
     degree_weight: float = 0.5
     selection_weight: float = 1.0
+    route_cost: float = 0.0
+    mutant_energy: Literal["degree-change", "degree-and-novelty"] = "degree-change"
     success: Literal["failed", "failed-or-novel"] = "failed"
     degree_distance: Literal["parent", "known"] = "parent"
     bounded: bool = True
+    assessment: AssessmentOptions = field(default_factory=AssessmentOptions)
     miner: MinerOptions = field(default_factory=MinerOptions)
 
     def __post_init__(self) -> None:
@@ -121,9 +140,15 @@ class BehAVExplor:
         self._asked += 1
         if not self._ready:
             return Candidate(number, self._logical.sample(rng), INITIAL, None)
-        parent = self._corpus.select(rng)
-        kind = WAYPOINTS if parent.energy > self._options.waypoint_energy else ROUTES
+        parent = self._corpus.select(rng, uniform=self._options.selection == "uniform")
+        kind = self._kind(parent, rng)
         return Candidate(number, self._mutate(parent, kind, rng), kind, parent.number)
+
+    def _kind(self, parent: Testcase, rng: np.random.Generator) -> str:
+        """How the parent is mutated (Algorithm 2, line 3)."""
+        if self._options.mutation == "random":
+            return WAYPOINTS if rng.random() < 0.5 else ROUTES
+        return WAYPOINTS if parent.energy > self._options.waypoint_energy else ROUTES
 
     def _mutate(self, parent: Testcase, kind: str, rng: np.random.Generator) -> Scenario:
         options = self._options
@@ -147,33 +172,33 @@ class BehAVExplor:
             For an initial scenario: kept. For a mutant: `novelty`, its distance to the known behaviours; `novel`;
             `distance` to its parent; `kept`; `parent_energy` after the update; and, if kept, its own `energy`.
         """
-        self._n_failed += verdict.failed
-        behavior = self._miner.describe(trace)
+        run = assess(trace, verdict, self._logical.roadmap, self._options.assessment)
+        self._n_failed += run.failed
+        behavior = self._miner.describe(run.trace) if self._options.novelty == "measured" else None
         if candidate.parent is None:
-            return self._tell_initial(candidate, behavior, verdict)
-        return self._tell_mutant(candidate, self._corpus[candidate.parent], behavior, verdict)
+            return self._tell_initial(candidate, behavior, run)
+        return self._tell_mutant(candidate, self._corpus[candidate.parent], behavior, run)
 
-    def _tell_initial(self, candidate: Candidate, behavior: Behavior, verdict: Verdict) -> Mapping[str, Any]:
+    def _tell_initial(self, candidate: Candidate, behavior: Behavior | None, run: Assessment) -> Mapping[str, Any]:
         self._n_initial += 1
-        if not verdict.failed:
-            self._keep(candidate, behavior, verdict, self._options.initial_energy, known=True)
+        if not run.failed:
+            self._keep(candidate, behavior, run, self._options.initial_energy, known=True)
         if not self._ready and self._corpus and self._n_initial >= self._options.initial_corpus:
             self._miner.fit()
             self._ready = True
-        return {"kept": not verdict.failed}
+        return {"kept": not run.failed}
 
     def _tell_mutant(
-        self, candidate: Candidate, parent: Testcase, behavior: Behavior, verdict: Verdict
+        self, candidate: Candidate, parent: Testcase, behavior: Behavior | None, run: Assessment
     ) -> Mapping[str, Any]:
         options = self._options
-        distances = self._miner.distances(self._miner.abstract(behavior.merged))
-        distance = float(distances[parent.behavior])
-        novelty = float(distances[self._known].min())
+        novelty, distance = self._novelty(candidate, parent, behavior)
         novel = novelty > options.novelty_threshold
-        kept = not verdict.failed and (novel or verdict.degree < parent.degree)
+        kept = not run.failed and (novel or run.degree < parent.degree)
         apart = distance if options.degree_distance == "parent" else novelty
-        change = degree_change(parent.degree, verdict.degree, apart, bounded=options.bounded)
-        self._update_energy(parent, change, verdict.failed or (novel and options.success == "failed-or-novel"))
+        change = degree_change(parent.degree, run.degree, apart, bounded=options.bounded)
+        self._update_energy(parent, change, run.failed or (novel and options.success == "failed-or-novel"))
+        parent.energy -= options.route_cost * (candidate.origin == ROUTES)
         learned = {
             "novelty": novelty,
             "novel": novel,
@@ -182,13 +207,29 @@ class BehAVExplor:
             "parent_energy": parent.energy,
         }
         if kept:
-            energy = learned["energy"] = 1 + options.degree_weight * change  # paper equation 17
-            self._keep(candidate, behavior, verdict, energy, known=novel or options.known == "kept")
+            energy = learned["energy"] = self._energy(parent.degree - run.degree, change, novelty)
+            self._keep(candidate, behavior, run, energy, known=novel or options.known == "kept")
         if kept and novel:
             self._n_novel += 1
-            if self._miner.due:
+            if behavior is not None and self._miner.due:
                 self._miner.fit()
         return learned
+
+    def _novelty(self, candidate: Candidate, parent: Testcase, behavior: Behavior | None) -> tuple[float, float]:
+        """The distances of a mutant's behaviour to the nearest in Y, and to its parent's (paper equations 8, 9)."""
+        if self._options.novelty == "random":
+            novelty, distance = draws(self._seed, candidate.number, _NOVELTY_DRAWS).random(2).tolist()
+            return novelty, distance
+        if behavior is None:
+            return 0.0, 0.0
+        distances = self._miner.distances(self._miner.abstract(behavior.merged))
+        return float(distances[self._known].min()), float(distances[parent.behavior])
+
+    def _energy(self, gain: float, change: float, novelty: float) -> float:
+        """E_s' of a kept mutant."""
+        if self._options.mutant_energy == "degree-and-novelty":
+            return 1 + gain / 2 + novelty / 2
+        return 1 + self._options.degree_weight * change  # paper equation 17
 
     def _update_energy(self, parent: Testcase, change: float, failed: bool) -> None:
         """E_s after its mutant s' (paper equation 14)."""
@@ -198,13 +239,13 @@ class BehAVExplor:
         parent.energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
         parent.energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
 
-    def _keep(self, candidate: Candidate, behavior: Behavior, verdict: Verdict, energy: float, *, known: bool) -> None:
-        index = self._miner.add(behavior)
-        if known:
+    def _keep(
+        self, candidate: Candidate, behavior: Behavior | None, run: Assessment, energy: float, *, known: bool
+    ) -> None:
+        index = self._miner.add(behavior) if behavior is not None else _NOT_MINED
+        if known and behavior is not None:
             self._known = np.append(self._known, index)
-        self._corpus.add(
-            Testcase(candidate.number, candidate.scenario, candidate.parent, verdict.degree, index, energy)
-        )
+        self._corpus.add(Testcase(candidate.number, candidate.scenario, candidate.parent, run.degree, index, energy))
 
     def status(self) -> Mapping[str, float]:
         """Size of the corpus, its mean and greatest energy, and novel mutants kept."""

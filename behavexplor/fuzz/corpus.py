@@ -58,10 +58,10 @@ class Corpus:
         """Keep a testcase."""
         self._testcases[testcase.number] = testcase
 
-    def select(self, rng: np.random.Generator) -> Testcase:
-        """A testcase drawn by energy (paper equation 18); the selection is recorded."""
+    def select(self, rng: np.random.Generator, *, uniform: bool = False) -> Testcase:
+        """A testcase drawn by energy (paper equation 18), or uniformly; the selection is recorded."""
         testcases = list(self)
-        energies = np.array([testcase.energy for testcase in testcases])
+        energies = np.array([0.0 if uniform else testcase.energy for testcase in testcases])
         chosen = testcases[rng.choice(len(testcases), p=selection_probabilities(energies))]
         chosen.selections += 1
         return chosen

@@ -9,6 +9,12 @@ from behavexplor.fuzz.search import SearchMethod
 METHODS = MappingProxyType(
     {
         "behavexplor": "behavexplor.fuzz.behavexplor:BehAVExplor",
+        "random": "behavexplor.fuzz.random_mutation:RandomMutation",
+        "avfuzzer": "behavexplor.fuzz.avfuzzer:AVFuzzer",
+        "samota": "behavexplor.fuzz.samota:SAMOTA",
+        "nsga2": "behavexplor.fuzz.nsga2:NSGA2",
+        "map-elites": "behavexplor.fuzz.map_elites:MAPElites",
+        "novelty-search": "behavexplor.fuzz.novelty_search:NoveltySearch",
         "uniform": "behavexplor.fuzz.uniform:Uniform",
     }
 )

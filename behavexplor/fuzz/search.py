@@ -12,6 +12,7 @@ from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
+MAX_FAILED_INITIAL = 1000  # after so many initial scenarios that all failed, there is nothing to mutate
 
 
 class SearchExhausted(Exception):  # noqa: N818 - it ends a campaign, nothing went wrong
@@ -69,6 +70,12 @@ class SearchMethod(Protocol):
         ...
 
 
-def draws(seed: int, number: int) -> np.random.Generator:
-    """The random numbers of one candidate: they depend on nothing but the campaign's seed and its number."""
-    return np.random.default_rng([seed, number])
+def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
+    """The random numbers of one candidate: they depend on nothing but the campaign's seed and its number.
+
+    Args:
+        seed: of the campaign.
+        number: of the candidate.
+        purpose: tells draws apart that one candidate needs at different times.
+    """
+    return np.random.default_rng([seed, number, *purpose])

@@ -8,6 +8,7 @@ import pytest
 
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
+from behavexplor.fuzz.assessment import AssessmentOptions
 from behavexplor.fuzz.behavexplor import BehAVExplor, BehAVExplorOptions
 from behavexplor.fuzz.search import SearchExhausted
 from behavexplor.fuzz.specs import Verdict
@@ -251,6 +252,102 @@ def test_two_mutants_of_one_parent_in_flight():
     assert two["parent_energy"] > one["parent_energy"] > 1
     assert search._corpus[0].selections == 2
     assert search._corpus[0].n_passed == 2
+
+
+def test_without_behavior_guidance_only_the_degree_counts():
+    """The same behaviours, other or not: nobody looks."""
+    search = started(drive(5.0), degree=10.0, novelty="none")
+    _, learned = tell_next(search, drive(5.0, seconds=60), verdict(11.0))
+    assert (learned["novelty"], learned["distance"], learned["novel"], learned["kept"]) == (0.0, 0.0, False, False)
+    _, learned = tell_next(search, drive(5.0, seconds=60), verdict(9.0))
+    assert learned["kept"]
+    assert learned["energy"] == pytest.approx(1 + 0.5 * tanh(1 / (1 + 1e-5)))
+    assert len(search._miner) == 0
+
+
+def test_random_novelty_has_nothing_to_do_with_behavior():
+    search = started(drive(5.0), degree=10.0, novelty="random", novelty_threshold=0.75)
+    learned = [tell_next(search, drive(5.0), verdict(20.0))[1] for _ in range(200)]
+    for name in ("novelty", "distance"):
+        values = [entry[name] for entry in learned]
+        assert np.mean(values) == pytest.approx(0.5, abs=0.1)
+        assert len(set(values)) == 200
+    assert sum(entry["novel"] for entry in learned) == pytest.approx(50, abs=25)
+    assert all(entry["kept"] == entry["novel"] for entry in learned)
+    assert len(search._miner) == 0
+
+
+def test_random_novelty_depends_on_the_seed_and_the_number_alone():
+    def figures(order):
+        search = started(drive(5.0), novelty="random")
+        in_flight = [search.ask() for _ in range(3)]
+        return [search.tell(in_flight[i], drive(speed), verdict(20.0))["novelty"] for i, speed in order]
+
+    assert figures([(0, 1.0), (1, 2.0)]) == figures([(0, 7.0), (1, 8.0)])
+
+
+def test_uniform_selection_takes_no_notice_of_energy():
+    search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions(selection="uniform"))
+    for _ in range(4):
+        tell_next(search, OTHER, verdict(5.0))
+    for testcase, energy in zip(search._corpus, (100.0, 1.0, 0.0, -5.0), strict=True):
+        testcase.energy = energy
+    parents = [search.ask().parent for _ in range(200)]
+    assert [parents.count(number) for number in range(4)] == pytest.approx([50] * 4, abs=25)
+
+
+def test_random_mutation_takes_no_notice_of_energy():
+    for energy in (0.1, 5.0):
+        search = started(initial_energy=energy, mutation="random")
+        kinds = [search.ask().origin for _ in range(100)]
+        assert kinds.count("routes") == pytest.approx(50, abs=20)
+
+
+def test_the_cost_of_a_route_mutation():
+    for energy, cost in ((0.4, 0.1), (1.0, 0.0)):
+        before, after = (
+            tell_next(started(initial_energy=energy, route_cost=c), OTHER, verdict(10.0))[1]["parent_energy"]
+            for c in (0.0, 0.1)
+        )
+        assert before - after == pytest.approx(cost)
+
+
+def test_mutants_may_start_with_their_gain_and_novelty():
+    search = started(drive(5.0), degree=10.0, mutant_energy="degree-and-novelty", degree_weight=0.0)
+    _, learned = tell_next(search, drive(5.0, seconds=60), verdict(9.4))
+    assert learned["energy"] == pytest.approx(1 + 0.6 / 2 + learned["novelty"] / 2)
+
+
+def test_the_assessment_guides_in_place_of_the_verdict():
+    """It ends 5 m from its destination: a failure to the requirements, not to a search with a threshold of 10 m."""
+    missed = Verdict({"collision": 1.0}, ("destination",))
+    trace = drive(5.0)
+    trace = replace(trace, destination=trace.position[-1, 0] + [5.0, 0.0])
+    for threshold, kept in ((None, False), (10.0, True)):
+        search = BehAVExplor(
+            LOGICAL, 0, BehAVExplorOptions(assessment=AssessmentOptions(destination_threshold=threshold))
+        )
+        assert search.tell(search.ask(), trace, missed)["kept"] is kept
+
+
+def test_a_run_that_retreats_is_described_until_then():
+    x = np.concatenate([np.arange(200) * 0.4, 80 - np.arange(100) * 0.4])
+    trace = replace(make_trace(np.stack([x, 0 * x, 0 * x], axis=1)), destination=np.array([100.0, 0.0]))
+    start = replace(drive(8.0, seconds=10), destination=np.array([100.0, 0.0]))
+    search = started(start, assessment=AssessmentOptions(retreat=0.06))
+    _, learned = tell_next(search, trace, verdict(1.0))
+    assert learned["distance"] < 0.1
+    assert not learned["kept"]
+
+
+def test_the_energy_of_a_testcase_far_from_violation_grows():
+    """A known weakness: dE_V rewards almost any mutant of a testcase whose degree is great; see docs/methods.md."""
+    search = started(degree=1000.0)
+    for _ in range(20):
+        tell_next(search, OTHER, verdict(20.0))
+    far = search._corpus[0]
+    assert far.selections > 3
+    assert far.energy == pytest.approx(1 + far.selections * (0.5 - 0.05 - 0.05))
 
 
 @pytest.mark.parametrize(

@@ -40,3 +40,10 @@ def test_a_changed_energy_counts_at_once():
     corpus = corpus_of(0.0, 1.0)
     corpus[0].energy, corpus[10].energy = 1.0, 0.0
     assert corpus.select(np.random.default_rng(0)).number == 0
+
+
+def test_uniform_selection_takes_no_notice_of_energies():
+    corpus = corpus_of(1.0, 3.0, -2.0)
+    rng = np.random.default_rng(0)
+    counts = Counter(corpus.select(rng, uniform=True).number for _ in range(3000))
+    assert [counts[number] / 3000 for number in (0, 10, 20)] == pytest.approx([1 / 3] * 3, abs=0.03)

@@ -7,21 +7,34 @@ import sys
 from collections import deque
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
+from behavexplor.config import campaign_config, checked, read_config
+from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS, describe_method, load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted
-from behavexplor.fuzz.specs import Verdict, judge
+from behavexplor.fuzz.specs import SPECS, Verdict, judge
 
-from .fakes import simulate
+from .fakes import make_trace, simulate
 
 LOGICAL = IntersectionStraightEnv.logical
+OTHER_PLACES = [IntersectionLeftEnv.logical, LaneFollowEnv.logical, LaneChangeEnv.logical]
 
 EVERY = pytest.mark.parametrize("name", sorted(METHODS))
+NEEDS = {"nsga2": "pymoo", "map-elites": "ribs", "novelty-search": "ribs"}
+QUICK = {
+    "samota": {"generations": 5, "local_generations": 5},
+    "avfuzzer": {"restart_samples": 50},
+}  # what costs time and shows nothing here
+PRESETS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
 
 
 def some_fail(trace):
@@ -37,8 +50,10 @@ def none_fails(trace):
 
 
 def build(name, seed=0, logical=LOGICAL):
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
     method = load_method(name)
-    return method(logical, seed, method.Options())
+    return method(logical, seed, method.Options(**QUICK.get(name, {})))
 
 
 def campaign(search, executions, in_flight=1, verdict_of=some_fail, logical=LOGICAL):
@@ -134,6 +149,90 @@ def test_other_numbers_of_npcs(name, n_npcs):
 
 
 @EVERY
+def test_the_shortest_traces_without_npcs_or_lines(name):
+    search, trace = build(name), make_trace(np.zeros((1, 3)))
+    for _ in range(40):
+        candidate = search.ask()
+        assert json.dumps(dict(search.tell(candidate, trace, judge(trace, SPECS))), allow_nan=False)
+
+
+@EVERY
+def test_runs_that_are_all_the_same(name):
+    search, trace = build(name), simulate(LOGICAL.sample(np.random.default_rng(3)))
+    candidates = []
+    for _ in range(60):
+        candidates.append(search.ask())
+        search.tell(candidates[-1], trace, none_fails(trace))
+    assert len({candidate.scenario for candidate in candidates}) == 60
+
+
+@EVERY
+def test_candidates_in_flight_when_a_campaign_ends_are_no_trouble(name):
+    """And asks and tells may come in bursts."""
+    search, waiting = build(name), deque()
+    for burst in (1, 30, 3, 12):
+        waiting.extend(search.ask() for _ in range(burst))
+        for _ in range(len(waiting) // 2):
+            candidate = waiting.popleft()
+            trace = simulate(candidate.scenario)
+            search.tell(candidate, trace, judge(trace))
+    assert len(waiting) > 5
+
+
+@EVERY
+@pytest.mark.parametrize("logical", OTHER_PLACES, ids=lambda logical: logical.name)
+def test_other_places(name, logical):
+    for candidate, *_ in campaign(build(name, logical=logical), 30, logical=logical):
+        logical.check(candidate.scenario)
+
+
+class Watched:
+    """Options that note which of them are read."""
+
+    def __init__(self, options, read, prefix=""):
+        self._options, self._read, self._prefix = options, read, prefix
+
+    def __getattr__(self, name):
+        value = getattr(self._options, name)
+        self._read.add(f"{self._prefix}{name}")
+        return Watched(value, self._read, f"{self._prefix}{name}.") if is_dataclass(value) else value
+
+
+def keys(options, prefix=""):
+    """Names of all options, also within options."""
+    for field in fields(options):
+        yield f"{prefix}{field.name}"
+        if is_dataclass(value := getattr(options, field.name)):
+            yield from keys(value, f"{prefix}{field.name}.")
+
+
+@EVERY
+def test_every_option_is_read(name):
+    """By a campaign with the defaults, or by one with a preset."""
+    kind = load_method(name)
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    presets = [config for path in PRESETS if (config := campaign_config(read_config(str(path)))).method == name]
+    read = set()
+    for values in ({}, *(config.options for config in presets)):
+        options = checked(kind.Options, values, "options")
+        with suppress(SearchExhausted):
+            campaign(kind(LOGICAL, 0, Watched(options, read)), 80)
+    assert set(keys(kind.Options())) <= read
+
+
+@pytest.mark.parametrize("path", PRESETS, ids=lambda path: path.stem)
+def test_presets_are_campaigns_of_their_own(path):
+    """Each runs, says something else than the others, and names nothing that is the default anyway."""
+    config = campaign_config(read_config(str(path)))
+    kind = load_method(config.method)
+    options = checked(kind.Options, config.options, "options")
+    assert len(campaign(kind(LOGICAL, 0, options), 60)) == 60
+    if path.stem not in ("paper", "window-10"):
+        assert options != kind.Options()
+
+
+@EVERY
 def test_what_is_learned_and_shown_can_be_stored(name):
     search = build(name)
     assert all(math.isfinite(value) for value in search.status().values())
@@ -169,6 +268,12 @@ def test_unknown_names():
         load_method("behavexplorer")
 
 
+@EVERY
+def test_a_slip_of_the_pen_is_recognised(name):
+    with pytest.raises(InputError, match=f"did you mean '{name}'"):
+        load_method(name[:-1])
+
+
 @pytest.mark.parametrize("name", ["no_such_package:Search", "behavexplor.fuzz.uniform:Nothing", ":", "math:"])
 def test_what_cannot_be_imported(name):
     with pytest.raises(InputError, match="cannot be imported"):
@@ -198,7 +303,8 @@ def test_importing_every_method_stays_light():
     code = (
         "import sys; from behavexplor.fuzz.methods import *;"
         "[describe_method(name) for name in METHODS];"
-        "print([name for name in ('sklearn', 'scipy', 'torch', 'highway_env', 'pandas') if name in sys.modules])"
+        "heavy = ('sklearn', 'scipy', 'torch', 'highway_env', 'pandas', 'pymoo', 'ribs');"
+        "print([name for name in heavy if name in sys.modules])"
     )
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert output.strip() == "[]"

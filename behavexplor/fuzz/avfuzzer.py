@@ -1,0 +1,292 @@
+"""AVFuzzer: a genetic algorithm for high risk, restarts where nothing is known, and a local fuzzer.
+
+Source: Li et al., "AV-Fuzzer: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020; a gene is an
+NPC, a slice is a waypoint, a manoeuvre is a route. Docstrings and comments that begin with "AV-Fuzzer" say which of
+its steps they follow.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.fuzz.asker import Asker
+from behavexplor.fuzz.encoding import ROUTE
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.specs import Verdict
+from behavexplor.geometry import box_corners, box_distance
+from behavexplor.logical import LogicalScenario
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+
+GLOBAL, LOCAL, RESTART = "global", "local", "restart"  # origins of candidates
+_COLLISION = 100.0  # what a collision is worth beside its speed
+_NEAR = 256  # frames whose boxes are compared exactly
+
+
+@dataclass(frozen=True)
+class AVFuzzerOptions:
+    """The options of `AVFuzzer`; the defaults are the published ones.
+
+    Attributes:
+        population: individuals of a generation.
+        crossover_probability: for each pair of individuals to swap one NPC.
+        mutation_probability: for each individual to change one NPC in one respect.
+        patience: generations whose best may fail to improve before a restart.
+        restart_samples: scenarios drawn at a restart, of which the farthest from all earlier ones are kept.
+        local_after: generations since the start or restart before the local fuzzer may begin.
+        local_generations: of the local fuzzer.
+        local_factor: how much likelier mutations are in the local fuzzer.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    population: int = 4
+    crossover_probability: float = 0.4
+    mutation_probability: float = 0.4
+    patience: int = 5
+    restart_samples: int = 1000
+    local_after: int = 2
+    local_generations: int = 5
+    local_factor: float = 1.5
+
+    def __post_init__(self) -> None:
+        check_range("population", self.population, 2)
+        for name in ("crossover_probability", "mutation_probability"):
+            check_range(name, getattr(self, name), 0.01, 1)
+        for name in ("patience", "local_generations"):
+            check_range(name, getattr(self, name), 1)
+        check_range("restart_samples", self.restart_samples, self.population)
+        check_range("local_after", self.local_after, 0)
+        check_range("local_factor", self.local_factor, 0)
+
+
+@dataclass(slots=True)
+class _Individual:
+    """A scenario: its point, and what is known of it once it was executed."""
+
+    vector: Floats
+    number: int | None = None  # of the candidate, or of its parent while it was not asked for
+    fitness: float | None = None
+
+
+@dataclass(slots=True)
+class _Generation:
+    """Individuals that are executed together; complete once all have a fitness."""
+
+    kind: str
+    individuals: list[_Individual]
+
+    @property
+    def complete(self) -> bool:
+        return all(individual.fitness is not None for individual in self.individuals)
+
+    @property
+    def best(self) -> _Individual:
+        return max(self.individuals, key=_fitness)
+
+
+@dataclass(slots=True)
+class _LocalFuzzer:
+    """AV-Fuzzer's second genetic algorithm, around the best individual of the first."""
+
+    parents: list[_Individual]
+    planned: int = 0
+    completed: int = 0
+    best: _Individual | None = None
+
+
+@dataclass(slots=True)
+class _Epoch:
+    """What the genetic algorithm knows since its start or its last restart."""
+
+    population: list[_Individual] = field(default_factory=list)  # empty until the first generation is complete
+    generations: int = 0
+    best: float = -np.inf
+    stale: int = 0  # generations in a row whose best was no better
+
+
+class AVFuzzer:
+    """Genetic search for high relative speeds at small distances, with restarts and a local fuzzer (ISSRE 2020).
+
+    A generation is bred of the last one that is complete. With one candidate in flight that is the one before it;
+    with more, generations overlap. An individual that neither crossover nor mutation changed keeps its fitness and
+    is not executed again.
+    """
+
+    Options: ClassVar[type] = AVFuzzerOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: AVFuzzerOptions) -> None:
+        self._options = options
+        self._asker = Asker(logical, seed)
+        self._queue: deque[tuple[_Generation, _Individual]] = deque()
+        self._in_flight: dict[int, tuple[_Generation, _Individual, _Epoch]] = {}
+        self._epoch = _Epoch()
+        self._local: _LocalFuzzer | None = None
+        self._restarts = 0
+
+    def ask(self) -> Candidate:
+        """The next individual of a generation that is not executed yet."""
+        rng = self._asker.draws()
+        while not self._queue:
+            generation = self._plan(rng)
+            self._queue.extend((generation, one) for one in generation.individuals if one.fitness is None)
+            if generation.complete:  # nothing was changed
+                self._end(generation)
+        generation, individual = self._queue.popleft()
+        candidate = self._asker.candidate(individual.vector, rng, generation.kind, individual.number)
+        individual.number = candidate.number
+        self._in_flight[candidate.number] = generation, individual, self._epoch
+        return candidate
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
+        """Give an individual its fitness, and end its generation if it was the last one.
+
+        Returns:
+            `fitness`.
+        """
+        generation, individual, epoch = self._in_flight.pop(candidate.number)
+        individual.vector = self._asker.told(candidate)
+        individual.fitness = fitness(trace, collided="collision" in verdict.violated)
+        if generation.complete and epoch is self._epoch:
+            self._end(generation)
+        return {"fitness": individual.fitness}
+
+    def _plan(self, rng: np.random.Generator) -> _Generation:
+        """The next generation."""
+        local, epoch = self._local, self._epoch
+        if local is not None and local.planned < self._options.local_generations:
+            local.planned += 1
+            rate = self._options.mutation_probability * self._options.local_factor
+            return _Generation(LOCAL, self._bred(local.parents, rate, rng))
+        if epoch.population:
+            return _Generation(GLOBAL, self._bred(epoch.population, self._options.mutation_probability, rng))
+        if not self._restarts:
+            return _Generation(INITIAL, [_Individual(v) for v in self._asker.uniform(rng, self._options.population)])
+        # AV-Fuzzer, restart: of many random scenarios those farthest from all earlier ones
+        far = self._asker.farthest(rng, self._options.restart_samples, self._options.population)
+        return _Generation(RESTART, [_Individual(vector) for vector in far])
+
+    def _bred(self, parents: list[_Individual], mutation: float, rng: np.random.Generator) -> list[_Individual]:
+        """AV-Fuzzer: selection by roulette, crossover, mutation."""
+        weights = np.array([_fitness(parent) for parent in parents]) + 1e-9
+        chosen = rng.choice(len(parents), self._options.population, p=weights / weights.sum())
+        children = [parents[i] for i in chosen]
+        for i in range(0, len(children) - 1, 2):
+            if rng.random() < self._options.crossover_probability:
+                children[i : i + 2] = self._crossed(children[i], children[i + 1], rng)
+        return [self._mutated(child, rng) if rng.random() < mutation else child for child in children]
+
+    def _crossed(self, one: _Individual, other: _Individual, rng: np.random.Generator) -> list[_Individual]:
+        """AV-Fuzzer: one random NPC's whole motion is swapped between two individuals."""
+        first, second = self._blocks(one), self._blocks(other)
+        npc = rng.integers(len(first))
+        if np.array_equal(first[npc], second[npc]):
+            return [one, other]
+        first[npc], second[npc] = second[npc].copy(), first[npc].copy()
+        return [_Individual(first.ravel(), one.number), _Individual(second.ravel(), other.number)]
+
+    def _mutated(self, parent: _Individual, rng: np.random.Generator) -> _Individual:
+        """AV-Fuzzer: one NPC, one slice: a new speed, or a new manoeuvre."""
+        blocks = self._blocks(parent)
+        gene = ROUTE if rng.random() < 0.5 else rng.choice(self._asker.encoding.speed_genes)
+        blocks[rng.integers(len(blocks)), gene] = rng.random()
+        return _Individual(blocks.ravel(), parent.number)
+
+    def _blocks(self, individual: _Individual) -> Floats:
+        return individual.vector.reshape(self._asker.encoding.n_npcs, -1).copy()
+
+    def _end(self, generation: _Generation) -> None:
+        """A generation is complete: what it changes, and what comes after it."""
+        if generation.kind == LOCAL:
+            self._end_local(generation)
+            return
+        epoch = self._epoch
+        epoch.population = generation.individuals
+        epoch.generations += 1
+        best = generation.best
+        improved = _fitness(best) > epoch.best
+        epoch.best = max(epoch.best, _fitness(best))
+        epoch.stale = 0 if improved else epoch.stale + 1
+        if improved and epoch.generations > self._options.local_after and self._local is None:
+            self._local = _LocalFuzzer([best] * self._options.population)  # AV-Fuzzer: mutated copies of the best
+        elif epoch.stale >= self._options.patience and self._local is None:
+            self._restart()
+
+    def _end_local(self, generation: _Generation) -> None:
+        local = self._local
+        if local is None:
+            return
+        local.completed += 1
+        local.parents = generation.individuals
+        if local.best is None or _fitness(generation.best) > _fitness(local.best):
+            local.best = generation.best
+        if local.completed == self._options.local_generations:
+            worst = min(range(len(self._epoch.population)), key=lambda i: _fitness(self._epoch.population[i]))
+            self._epoch.population = [*self._epoch.population]
+            self._epoch.population[worst] = local.best  # AV-Fuzzer: the local fuzzer's best goes back
+            self._epoch.best = max(self._epoch.best, _fitness(local.best))
+            self._local = None
+
+    def _restart(self) -> None:
+        self._restarts += 1
+        self._epoch = _Epoch()
+        self._queue.clear()
+
+    def status(self) -> Mapping[str, float]:
+        """Best fitness since the last restart, restarts, and whether the local fuzzer runs."""
+        best = max(self._epoch.best, 0.0)
+        return {"best_fitness": best, "restarts": self._restarts, "local": int(self._local is not None)}
+
+
+def fitness(trace: Trace, *, collided: bool) -> float:
+    """AV-Fuzzer's objective, greater is riskier [1/(m s)].
+
+    Over frames and NPCs the largest |v_ego - v_npc| / (d + 1)^2, where d is the distance of the boxes [m]. A run
+    that collided has 100 + |v_ego - v_npc| of its last frame and nearest NPC.
+
+    Args:
+        trace: of the run.
+        collided: whether the ego touched an NPC.
+    """
+    if len(trace.size) == 1:
+        return 0.0
+    gap = trace.position[:, 1:] - trace.position[:, :1]
+    centres = np.hypot(gap[..., 0], gap[..., 1])
+    change = trace.velocity[:, 1:] - trace.velocity[:, :1]
+    speeds = np.hypot(change[..., 0], change[..., 1])
+    if collided:
+        return _COLLISION + float(speeds[-1, _distances(trace, len(trace.time) - 1).argmin()])
+    reach = (np.hypot(*trace.size[0]) + np.hypot(trace.size[1:, 0], trace.size[1:, 1])) / 2
+    most = speeds / (np.maximum(centres - reach, 0.0) + 1) ** 2  # bounds, by circles round the boxes
+    order = np.argsort(-most, axis=None, kind="stable")
+    best = 0.0
+    for start in range(0, len(order), _NEAR):
+        frame, npc = np.unravel_index(order[start : start + _NEAR], most.shape)
+        if most[frame[0], npc[0]] <= best:
+            break
+        exact = speeds[frame, npc] / (_pair_distances(trace, frame, npc + 1) + 1) ** 2
+        best = max(best, float(exact.max()))
+    return best
+
+
+def _distances(trace: Trace, frame: int) -> Floats:
+    """Distances of the ego's box to every NPC's in a frame [m], shape (n_npcs,)."""
+    npcs = np.arange(1, len(trace.size))
+    return _pair_distances(trace, np.full(len(npcs), frame), npcs)
+
+
+def _pair_distances(trace: Trace, frame: NDArray[np.intp], vehicle: NDArray[np.intp]) -> Floats:
+    ego = box_corners(trace.position[frame, 0], trace.heading[frame, 0], trace.size[0])
+    other = box_corners(trace.position[frame, vehicle], trace.heading[frame, vehicle], trace.size[vehicle])
+    return box_distance(ego, other)
+
+
+def _fitness(individual: _Individual) -> float:
+    return individual.fitness if individual.fitness is not None else 0.0

@@ -1,0 +1,106 @@
+"""MAP-Elites: the most dangerous scenario of every kind of behaviour, in an archive of pyribs.
+
+Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015; variation of Vassiliades and Mouret,
+"Discovering the elite hypervolume by leveraging interspecies correlation", GECCO 2018; archive of pyribs (Tjanaka et
+al., GECCO 2023).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from behavexplor.errors import InputError
+from behavexplor.fuzz.asker import Asker
+from behavexplor.fuzz.descriptors import Measure, check_measures, describe
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.specs import Verdict
+from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_variation
+from behavexplor.logical import LogicalScenario
+from behavexplor.trace import Trace
+
+MAX_CELLS = 1_000_000
+
+
+@dataclass(frozen=True)
+class MAPElitesOptions:
+    """The options of `MAPElites`.
+
+    Attributes:
+        initial: uniform scenarios executed before the first variation.
+        measures: what spans the archive, see `behavexplor.fuzz.descriptors`.
+        bins: cells of the archive along each measure.
+        variation: how elites are varied.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    initial: int = 20
+    measures: tuple[Measure, ...] = ("mean-speed", "braking")
+    bins: int = 12
+    variation: VariationOptions = field(default_factory=VariationOptions)
+
+    def __post_init__(self) -> None:
+        check_range("initial", self.initial, 1)
+        check_range("bins", self.bins, 1)
+        check_measures(self.measures)
+        check_range("bins to the power of measures", self.bins ** len(self.measures), 1, MAX_CELLS)
+
+
+class MAPElites:
+    """The scenario of least degree for every kind of behaviour: MAP-Elites (needs pyribs)."""
+
+    Options: ClassVar[type] = MAPElitesOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: MAPElitesOptions) -> None:
+        self._options = options
+        self._asker = Asker(logical, seed)
+        self._archive = _archive(self._asker.encoding.size, options)
+        self._asked = 0
+
+    def ask(self) -> Candidate:
+        """A uniform scenario at first, then variations of elites."""
+        rng = self._asker.draws()
+        self._asked += 1
+        if self._archive.empty or self._asked <= self._options.initial:
+            return self._asker.candidate(self._asker.uniform(rng)[0], rng, INITIAL)
+        return ask_variation(self._asker, self._archive, self._options.variation, rng)
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
+        """Put a scenario into its cell if it is the first one there, or better than the one there.
+
+        Returns:
+            `cell`, and whether it was `kept` there.
+        """
+        measures = describe(trace, self._options.measures)
+        objective = 0.0 if verdict.failed else -verdict.degree
+        status = self._archive.add_single(
+            self._asker.told(candidate), objective, measures, **{ELITES: candidate.number}
+        )["status"]
+        return {"cell": int(self._archive.index_of_single(measures)), "kept": bool(np.ravel(status)[0] > 0)}
+
+    def status(self) -> Mapping[str, float]:
+        """Cells with an elite, and their share of all."""
+        return {"elites": len(self._archive), "coverage": float(self._archive.stats.coverage)}
+
+
+def _archive(size: int, options: MAPElitesOptions) -> Any:
+    """An archive of pyribs.
+
+    Raises:
+        InputError: if pyribs is not installed.
+    """
+    try:
+        from ribs.archives import GridArchive  # noqa: PLC0415 - slow to import
+    except ImportError as error:
+        raise InputError("The search method 'map-elites' needs pyribs: pip install 'behavexplor[search]'") from error
+    return GridArchive(
+        solution_dim=size,
+        dims=[options.bins] * len(options.measures),
+        ranges=[(0.0, 1.0)] * len(options.measures),
+        extra_fields={ELITES: ((), np.int64)},
+        seed=0,
+    )

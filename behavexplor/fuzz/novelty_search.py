@@ -1,0 +1,109 @@
+"""Novelty search: scenarios whose runs are unlike those before them, in an archive of pyribs.
+
+Source: Lehman and Stanley, "Abandoning objectives: evolution through the search for novelty alone", Evolutionary
+Computation 19(2), 2011; archive of pyribs (Tjanaka et al., GECCO 2023).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from behavexplor.errors import InputError
+from behavexplor.fuzz.asker import Asker
+from behavexplor.fuzz.descriptors import SCALES, Measure, check_measures, describe
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.specs import Verdict
+from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_variation
+from behavexplor.logical import LogicalScenario
+from behavexplor.trace import Trace
+
+
+@dataclass(frozen=True)
+class NoveltySearchOptions:
+    """The options of `NoveltySearch`.
+
+    Attributes:
+        initial: uniform scenarios executed before the first variation.
+        measures: what behaviours are told apart by, see `behavexplor.fuzz.descriptors`.
+        neighbors: nearest neighbours whose mean distance is the novelty.
+        threshold: least novelty of a scenario that is kept, in the measures, each of which spans [0, 1].
+        variation: how kept scenarios are varied.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    initial: int = 20
+    measures: tuple[Measure, ...] = tuple(SCALES)
+    neighbors: int = 15
+    threshold: float = 0.1
+    variation: VariationOptions = field(default_factory=VariationOptions)
+
+    def __post_init__(self) -> None:
+        check_range("initial", self.initial, 1)
+        check_range("neighbors", self.neighbors, 1)
+        check_range("threshold", self.threshold, 0)
+        check_measures(self.measures)
+
+
+class NoveltySearch:
+    """Scenarios whose runs are unlike those kept before, whatever their degree: novelty search (needs pyribs)."""
+
+    Options: ClassVar[type] = NoveltySearchOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: NoveltySearchOptions) -> None:
+        self._options = options
+        self._asker = Asker(logical, seed)
+        self._archive = _archive(self._asker.encoding.size, options)
+        self._asked = 0
+
+    def ask(self) -> Candidate:
+        """A uniform scenario at first, then variations of kept ones."""
+        rng = self._asker.draws()
+        self._asked += 1
+        if self._archive.empty or self._asked <= self._options.initial:
+            return self._asker.candidate(self._asker.uniform(rng)[0], rng, INITIAL)
+        return ask_variation(self._asker, self._archive, self._options.variation, rng)
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
+        """Keep a scenario if its run was novel.
+
+        Returns:
+            `distance`, the mean one to the nearest kept runs (1 for the first), and whether it was `kept`.
+        """
+        measures = describe(trace, self._options.measures)
+        first = self._archive.empty
+        added = self._archive.add_single(self._asker.told(candidate), None, measures, **{ELITES: candidate.number})
+        return {
+            "distance": 1.0 if first else float(np.ravel(added["novelty"])[0]),
+            "kept": bool(np.ravel(added["status"])[0] > 0),
+        }
+
+    def status(self) -> Mapping[str, float]:
+        """Size of the archive."""
+        return {"archive": len(self._archive)}
+
+
+def _archive(size: int, options: NoveltySearchOptions) -> Any:
+    """An archive of pyribs.
+
+    Raises:
+        InputError: if pyribs is not installed.
+    """
+    try:
+        from ribs.archives import ProximityArchive  # noqa: PLC0415 - slow to import
+    except ImportError as error:
+        raise InputError(
+            "The search method 'novelty-search' needs pyribs: pip install 'behavexplor[search]'"
+        ) from error
+    return ProximityArchive(
+        solution_dim=size,
+        measure_dim=len(options.measures),
+        k_neighbors=options.neighbors,
+        novelty_threshold=options.threshold,
+        extra_fields={ELITES: ((), np.int64)},
+        seed=0,
+    )

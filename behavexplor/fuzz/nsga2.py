@@ -1,0 +1,154 @@
+"""NSGA-II on the degrees of all specs, by pymoo.
+
+Source: Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on Evolutionary
+Computation 6(2), 2002, as pymoo (Blank and Deb, IEEE Access 8, 2020) has it.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.errors import InputError
+from behavexplor.fuzz.asker import Asker
+from behavexplor.fuzz.objectives import objectives
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.specs import SPECS, Verdict
+from behavexplor.logical import LogicalScenario
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+
+OFFSPRING = "offspring"  # origin of candidates
+
+
+@dataclass(frozen=True)
+class NSGA2Options:
+    """The options of `NSGA2`; the defaults are pymoo's, but for the population, which is smaller.
+
+    Attributes:
+        population: individuals of a generation.
+        crossover_probability: of simulated binary crossover.
+        crossover_eta: its distribution index; the greater, the more a child resembles a parent.
+        mutation_eta: distribution index of polynomial mutation.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    population: int = 20
+    crossover_probability: float = 0.9
+    crossover_eta: float = 15.0
+    mutation_eta: float = 20.0
+
+    def __post_init__(self) -> None:
+        check_range("population", self.population, 4)
+        check_range("crossover_probability", self.crossover_probability, 0, 1)
+        for name in ("crossover_eta", "mutation_eta"):
+            check_range(name, getattr(self, name), 0)
+
+
+class _Generation:
+    """Individuals of pymoo that are executed together; complete once each has objectives."""
+
+    def __init__(self, population: Any) -> None:
+        self.population = population
+        self.vectors: Floats = population.get("X").astype(np.float64)
+        self.values: dict[int, Floats] = {}  # by index
+
+    @property
+    def complete(self) -> bool:
+        return len(self.values) == len(self.vectors)
+
+
+class NSGA2:
+    """Multi-objective genetic search on the degrees of all specs: NSGA-II (needs pymoo).
+
+    A generation is bred of the population as it is when it is asked for. With one candidate in flight that is after
+    the generation before it; with more, generations overlap.
+    """
+
+    Options: ClassVar[type] = NSGA2Options
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: NSGA2Options) -> None:
+        self._asker = Asker(logical, seed)
+        self._algorithm = _algorithm(self._asker.encoding.size, options)
+        self._queue: deque[tuple[_Generation, int]] = deque()
+        self._in_flight: dict[int, tuple[_Generation, int]] = {}
+        self._generations = 0
+
+    def ask(self) -> Candidate:
+        """The next individual of a generation that is not executed yet."""
+        rng = self._asker.draws()
+        if not self._queue:
+            self._plan(rng)
+        generation, index = self._queue.popleft()
+        origin = OFFSPRING if self._generations else INITIAL
+        candidate = self._asker.candidate(generation.vectors[index], rng, origin)
+        self._in_flight[candidate.number] = generation, index
+        return candidate
+
+    def _plan(self, rng: np.random.Generator) -> None:
+        self._algorithm.random_state = rng
+        bred = self._algorithm.infill()
+        if bred is None:  # it found no offspring that is not in the population
+            bred = self._algorithm.initialization.do(
+                self._algorithm.problem, self._algorithm.pop_size, random_state=rng
+            )
+        generation = _Generation(bred)
+        self._queue.extend((generation, index) for index in range(len(generation.vectors)))
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
+        """Give an individual its objectives, and end its generation if it was the last one.
+
+        Returns:
+            `objectives`, one for each spec.
+        """
+        generation, index = self._in_flight.pop(candidate.number)
+        generation.vectors[index] = self._asker.told(candidate)
+        generation.values[index] = objectives(verdict)
+        if generation.complete:
+            self._end(generation)
+        return {"objectives": generation.values[index].tolist()}
+
+    def _end(self, generation: _Generation) -> None:
+        """Survival of the fittest among the population and a complete generation."""
+        from pymoo.core.evaluator import Evaluator  # noqa: PLC0415
+        from pymoo.problems.static import StaticProblem  # noqa: PLC0415
+
+        values = np.array([generation.values[index] for index in range(len(generation.vectors))])
+        generation.population.set("X", generation.vectors)
+        Evaluator().eval(StaticProblem(self._algorithm.problem, F=values), generation.population)
+        self._algorithm.advance(infills=generation.population)
+        self._generations += 1
+
+    def status(self) -> Mapping[str, float]:
+        """Generations that are complete."""
+        return {"generations": self._generations}
+
+
+def _algorithm(size: int, options: NSGA2Options) -> Any:
+    """Pymoo's algorithm on points of [0, 1]^size.
+
+    Raises:
+        InputError: if pymoo is not installed.
+    """
+    try:
+        from pymoo.algorithms.moo.nsga2 import NSGA2 as Algorithm  # noqa: PLC0415, N811 - slow to import
+        from pymoo.core.problem import Problem  # noqa: PLC0415
+        from pymoo.core.termination import NoTermination  # noqa: PLC0415
+        from pymoo.operators.crossover.sbx import SBX  # noqa: PLC0415
+        from pymoo.operators.mutation.pm import PM  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError("The search method 'nsga2' needs pymoo: pip install 'behavexplor[search]'") from error
+    algorithm = Algorithm(
+        pop_size=options.population,
+        crossover=SBX(prob=options.crossover_probability, eta=options.crossover_eta),
+        mutation=PM(eta=options.mutation_eta),
+    )
+    algorithm.setup(Problem(n_var=size, n_obj=len(SPECS), xl=0.0, xu=1.0), termination=NoTermination(), seed=0)
+    return algorithm

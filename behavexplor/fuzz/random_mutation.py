@@ -1,0 +1,116 @@
+"""The paper's Random: mutations of random testcases, without any feedback (section IV, baselines and ablation)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from behavexplor.fuzz.mutation import (
+    MAX_KEEP_PROBABILITY,
+    MIN_SIGMA,
+    ROUTES,
+    WAYPOINTS,
+    mutate_routes,
+    mutate_waypoints,
+)
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, SearchExhausted, draws
+from behavexplor.fuzz.specs import Verdict
+from behavexplor.logical import LogicalScenario
+from behavexplor.scenario import Scenario
+from behavexplor.trace import Trace
+
+_KEEPING_DRAWS = 1  # purpose of draws beside those that made the candidate
+
+
+@dataclass(frozen=True)
+class RandomMutationOptions:
+    """The options of `RandomMutation`; mutations are those of the paper.
+
+    Attributes:
+        initial_corpus: scenarios executed before the first mutation.
+        keep_probability: of a mutant that passed to become a testcase; the paper does not say. 0: only initial
+            scenarios are ever mutated; 1: every mutant that passed is, in its turn.
+        npc_keep_probability: epsilon, the probability that an NPC stays as it is.
+        sigma_position: deviation of waypoint mutation [m].
+        sigma_speed: deviation of waypoint mutation [m/s].
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    initial_corpus: int = 4
+    keep_probability: float = 0.5
+    npc_keep_probability: float = 0.5
+    sigma_position: float = 12.0
+    sigma_speed: float = 6.0
+
+    def __post_init__(self) -> None:
+        check_range("initial_corpus", self.initial_corpus, 1)
+        check_range("keep_probability", self.keep_probability, 0, 1)
+        check_range("npc_keep_probability", self.npc_keep_probability, 0, MAX_KEEP_PROBABILITY)
+        for name in ("sigma_position", "sigma_speed"):
+            check_range(name, getattr(self, name), MIN_SIGMA)
+
+
+class RandomMutation:
+    """A random testcase mutated at random, nothing is learned: the paper's Random.
+
+    It is BehAVExplor with a coin in place of each decision: which testcase is mutated, how, and whether the mutant
+    is kept. Failures are never kept.
+    """
+
+    Options: ClassVar[type] = RandomMutationOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: RandomMutationOptions) -> None:
+        self._logical = logical
+        self._seed = seed
+        self._options = options
+        self._corpus: list[tuple[int, Scenario]] = []  # with the numbers of the candidates
+        self._asked = 0
+        self._told = 0
+
+    def ask(self) -> Candidate:
+        """An initial scenario, or the mutant of a testcase.
+
+        Raises:
+            SearchExhausted: if none of `MAX_FAILED_INITIAL` initial scenarios passed.
+        """
+        if not self._corpus and self._told >= MAX_FAILED_INITIAL:
+            raise SearchExhausted(
+                f"All {self._told} initial scenarios failed: the ADS fails everywhere, there is nothing to mutate."
+            )
+        number = self._asked
+        rng = draws(self._seed, number)
+        self._asked += 1
+        if self._told < self._options.initial_corpus or not self._corpus:
+            return Candidate(number, self._logical.sample(rng), INITIAL, None)
+        parent, scenario = self._corpus[rng.integers(len(self._corpus))]
+        keep = self._options.npc_keep_probability
+        if rng.random() < 0.5:
+            return Candidate(number, mutate_routes(scenario, self._logical, rng, keep_probability=keep), ROUTES, parent)
+        mutant = mutate_waypoints(
+            scenario,
+            self._logical,
+            rng,
+            keep_probability=keep,
+            sigma_position=self._options.sigma_position,
+            sigma_speed=self._options.sigma_speed,
+        )
+        return Candidate(number, mutant, WAYPOINTS, parent)
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
+        """Keep a scenario that passed: an initial one always, a mutant by chance.
+
+        Returns:
+            `kept`.
+        """
+        self._told += 1
+        lucky = draws(self._seed, candidate.number, _KEEPING_DRAWS).random() < self._options.keep_probability
+        kept = not verdict.failed and (candidate.parent is None or lucky)
+        if kept:
+            self._corpus.append((candidate.number, candidate.scenario))
+        return {"kept": bool(kept)}
+
+    def status(self) -> Mapping[str, float]:
+        """Size of the corpus."""
+        return {"corpus": len(self._corpus)}

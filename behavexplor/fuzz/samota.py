@@ -1,0 +1,212 @@
+"""SAMOTA: many-objective search that asks surrogate models first, globally and locally in turn.
+
+Source: Haq et al., "Efficient Online Testing for DNN-Enabled Systems using Surrogate-Assisted and Many-Objective
+Optimization", ICSE 2022. Comments that begin with "SAMOTA" say which of its steps a line follows.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from behavexplor.fuzz.asker import Asker
+from behavexplor.fuzz.many_objective import survivors
+from behavexplor.fuzz.objectives import objectives
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.specs import Verdict
+from behavexplor.fuzz.surrogates import Ensemble, fit_ensemble, fit_rbf
+from behavexplor.logical import LogicalScenario
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
+
+
+@dataclass(frozen=True)
+class SAMOTAOptions:
+    """The options of `SAMOTA`.
+
+    Attributes:
+        population: initial scenarios, and predicted individuals of a generation.
+        adaptive_samples: points drawn for each initial scenario, of which the farthest from all others is taken.
+        generations: of predicted individuals in a global search.
+        database_limit: most executions that a global surrogate learns from: half of them the best ones. It bounds
+            the cost of an execution, which grows with its cube.
+        local_share: of the executions, the best of each objective, that a local search starts from.
+        local_limit: most of them.
+        cluster_size: fewest of them in a cluster.
+        local_population: predicted individuals of a generation in a local search.
+        local_generations: of predicted individuals in a local search.
+        crossover_probability: for an NPC to come from the other parent.
+        mutation_probability: for a gene to get noise.
+        mutation_sigma: its deviation, a share of the gene's range.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    population: int = 6
+    adaptive_samples: int = 10
+    generations: int = 200
+    database_limit: int = 300
+    local_share: float = 0.2
+    local_limit: int = 100
+    cluster_size: int = 5
+    local_population: int = 20
+    local_generations: int = 50
+    crossover_probability: float = 0.3
+    mutation_probability: float = 0.05
+    mutation_sigma: float = 0.2
+
+    def __post_init__(self) -> None:
+        for name in ("population", "cluster_size", "local_population"):
+            check_range(name, getattr(self, name), 2)
+        for name in ("adaptive_samples", "generations", "local_generations"):
+            check_range(name, getattr(self, name), 1)
+        for name in ("database_limit", "local_limit"):
+            check_range(name, getattr(self, name), 10, 10_000)
+        for name in ("local_share", "crossover_probability", "mutation_probability", "mutation_sigma"):
+            check_range(name, getattr(self, name), 0.001, 1)
+
+
+class SAMOTA:
+    """Many-objective search on surrogate models of the degrees, global and local in turn: SAMOTA (ICSE 2022).
+
+    A search is planned from all that has been told when its first candidate is asked for. With one candidate in
+    flight that is all that was asked for.
+    """
+
+    Options: ClassVar[type] = SAMOTAOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: SAMOTAOptions) -> None:
+        self._options = options
+        self._asker = Asker(logical, seed)
+        self._queue: deque[tuple[Floats, str]] = deque()
+        self._vectors: list[Floats] = []  # SAMOTA's database: what was executed,
+        self._values: list[Floats] = []  # and with what objectives
+        self._uncovered: Ints = np.zeros(0, dtype=np.intp)  # objectives that no execution has violated
+        self._searches = 0
+
+    def ask(self) -> Candidate:
+        """An initial scenario, or the next one of a search."""
+        rng = self._asker.draws()
+        if not self._queue:
+            with threadpool_limits(limits=1):  # the last bits of a model must not depend on how many there are
+                self._queue.extend(self._plan(rng))
+        vector, origin = self._queue.popleft()
+        return self._asker.candidate(vector, rng, origin)
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
+        """Add an execution to the database.
+
+        Returns:
+            `objectives`, one for each spec.
+        """
+        values = objectives(verdict)
+        if not self._values:
+            self._uncovered = np.arange(len(values))
+        self._vectors.append(self._asker.told(candidate))
+        self._values.append(values)
+        self._uncovered = self._uncovered[values[self._uncovered] > 0]
+        if not len(self._uncovered):
+            self._uncovered = np.arange(len(values))  # SAMOTA: when all is covered, all is searched for again
+        return {"objectives": values.tolist()}
+
+    def _plan(self, rng: np.random.Generator) -> list[tuple[Floats, str]]:
+        """What to execute next; SAMOTA: a loop of global and local search."""
+        if len(self._vectors) < self._options.population:
+            return [(self._asker.farthest(rng, self._options.adaptive_samples, 1)[0], INITIAL)]
+        self._searches += 1
+        vectors, values = np.array(self._vectors), np.array(self._values)[:, self._uncovered]
+        return self._global(vectors, values, rng) if self._searches % 2 else self._local(vectors, values, rng)
+
+    def _global(self, vectors: Floats, values: Floats, rng: np.random.Generator) -> list[tuple[Floats, str]]:
+        """SAMOTA, global search: per uncovered objective the predicted best, and the one models disagree most about."""
+        rows = self._training_rows(values, rng)
+        features = self._asker.encoding.features
+        ensemble = fit_ensemble(features(vectors[rows]), values[rows], rng)
+        population = vectors[survivors(values, min(self._options.population, len(values)))]
+        predicted, unsure = ensemble.predict(features(population))
+        best, doubtful = population[predicted.argmin(0)], population[unsure.argmax(0)]
+        least, most = np.full(values.shape[1], np.inf), np.full(values.shape[1], -np.inf)
+        for _ in range(self._options.generations):
+            children = self._children(population, self._options.population, rng)
+            expected, unsure = ensemble.predict(features(children))
+            better, wider = expected.min(0) < least, unsure.max(0) > most
+            best[better], doubtful[wider] = children[expected.argmin(0)[better]], children[unsure.argmax(0)[wider]]
+            least, most = np.minimum(least, expected.min(0)), np.maximum(most, unsure.max(0))
+            population, predicted = np.concatenate([population, children]), np.concatenate([predicted, expected])
+            fittest = survivors(predicted, self._options.population)
+            population, predicted = population[fittest], predicted[fittest]
+        return _distinct([*((vector, PROMISING) for vector in best), *((vector, UNCERTAIN) for vector in doubtful)])
+
+    def _training_rows(self, values: Floats, rng: np.random.Generator) -> Ints:
+        """All executions; of too many the best in any objective, and others at random."""
+        limit = self._options.database_limit
+        if len(values) <= limit:
+            return np.arange(len(values))
+        order = np.argsort(values.min(1), kind="stable")
+        rest = order[limit // 2 :]
+        return np.concatenate([order[: limit // 2], rng.choice(rest, limit - limit // 2, replace=False)])
+
+    def _local(self, vectors: Floats, values: Floats, rng: np.random.Generator) -> list[tuple[Floats, str]]:
+        """SAMOTA, local search: the predicted best within each cluster of each objective's best executions."""
+        from sklearn.cluster import HDBSCAN  # noqa: PLC0415 - slow to import, needed only once a campaign runs
+
+        options = self._options
+        found = []
+        for column in values.T:
+            count = min(max(int(options.local_share * len(column)), options.cluster_size), options.local_limit)
+            top = np.argsort(column, kind="stable")[:count]
+            points = self._asker.encoding.features(vectors[top])
+            labels = np.zeros(len(top), dtype=np.intp)
+            if len(top) > options.cluster_size:
+                labels = HDBSCAN(min_cluster_size=options.cluster_size, copy=True).fit_predict(points)
+            if (labels < 0).all():  # no cluster: all of them are one
+                labels[:] = 0
+            for label in range(labels.max() + 1):
+                members = labels == label
+                model = fit_rbf(points[members], column[top][members, None])
+                found.append((self._minimum(vectors[top][members], model, rng), LOCAL))
+        return _distinct(found)
+
+    def _minimum(self, members: Floats, model: Ensemble, rng: np.random.Generator) -> Floats:
+        """The point of least predicted value in the box round the members, by a small genetic algorithm; shape (n,)."""
+        low, high = members.min(0), members.max(0)
+        features = self._asker.encoding.features
+        population = members
+        expected = model.predict(features(members))[0][:, 0]
+        for _ in range(self._options.local_generations):
+            children = np.clip(self._children(population, self._options.local_population, rng), low, high)
+            population = np.concatenate([population, children])
+            expected = np.concatenate([expected, model.predict(features(children))[0][:, 0]])
+            fittest = np.argsort(expected, kind="stable")[: self._options.local_population]
+            population, expected = population[fittest], expected[fittest]
+        return np.asarray(population[0])
+
+    def _children(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
+        """Points made of parents: NPCs exchanged between two of them, then noise on some genes; shape (count, n)."""
+        options, n_npcs = self._options, self._asker.encoding.n_npcs
+        first, second = rng.integers(len(parents), size=(2, count))
+        other = rng.random((count, n_npcs)) < options.crossover_probability
+        other_genes = np.repeat(other, self._asker.encoding.n_genes, axis=1)
+        children = np.where(other_genes, parents[second], parents[first])
+        noisy = rng.random(children.shape) < options.mutation_probability
+        noise = rng.normal(0.0, options.mutation_sigma, children.shape)
+        return np.asarray(np.clip(children + noise * noisy, 0.0, 1.0))
+
+    def status(self) -> Mapping[str, float]:
+        """Searches planned, and objectives that are not covered."""
+        return {"searches": self._searches, "uncovered": len(self._uncovered)}
+
+
+def _distinct(found: list[tuple[Floats, str]]) -> list[tuple[Floats, str]]:
+    """The first of each point."""
+    return list({vector.tobytes(): (vector, origin) for vector, origin in reversed(found)}.values())[::-1]

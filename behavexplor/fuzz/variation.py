@@ -1,0 +1,58 @@
+"""How quality-diversity methods make a scenario of two that they kept."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from behavexplor.fuzz.asker import Asker
+from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.search import Candidate
+
+VARIATION: Final = "variation"  # origin of candidates
+ELITES: Final = "number"  # name of an archive's field: the candidate that an elite was
+
+
+@dataclass(frozen=True)
+class VariationOptions:
+    """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1).
+
+    Attributes:
+        iso_sigma: deviation of the noise on every gene, a share of its range.
+        line_sigma: deviation of the step towards the second elite, a share of the way.
+        npc_keep_probability: the probability that an NPC stays as it is in the first elite; noise on all of them at
+            once would leave little of what made it good.
+
+    Raises:
+        InputError: naming the option that is out of range.
+    """
+
+    iso_sigma: float = 0.05
+    line_sigma: float = 0.2
+    npc_keep_probability: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_range("iso_sigma", self.iso_sigma, 1e-3, 1)
+        check_range("line_sigma", self.line_sigma, 0, 10)
+        check_range("npc_keep_probability", self.npc_keep_probability, 0, 0.95)
+
+
+def ask_variation(asker: Asker, archive: Any, options: VariationOptions, rng: np.random.Generator) -> Candidate:
+    """A candidate made of two uniformly drawn elites.
+
+    Args:
+        asker: makes it.
+        archive: of pyribs, not empty, with the field `ELITES`.
+        options: of the variation.
+        rng: source of the draws.
+    """
+    from ribs.emitters.operators import IsoLineOperator  # noqa: PLC0415 - slow to import
+
+    elites = archive.data(["solution", ELITES])
+    first, second = rng.integers(len(elites[ELITES]), size=2)
+    parents = elites["solution"][[first, second]]
+    operator = IsoLineOperator(options.iso_sigma, options.line_sigma, seed=int(rng.integers(2**63)))
+    blocks = operator.ask(parents[:, None])[0].reshape(asker.encoding.n_npcs, -1)
+    stay = rng.random(len(blocks)) < options.npc_keep_probability
+    blocks[stay] = parents[0].reshape(blocks.shape)[stay]
+    return asker.candidate(np.clip(blocks.ravel(), 0.0, 1.0), rng, VARIATION, int(elites[ELITES][first]))
