@@ -99,7 +99,7 @@ def _line(learned: "Learned") -> str:
 
 def _card(config: "TrainingConfig", found: Evaluation) -> str:
     """What a user of the policy should know."""
-    command = [program(), "train", "--env", config.env, "--algo", config.algo, "--steps", str(config.steps)]
+    command = ["behavexplor", "train", "--env", config.env, "--algo", config.algo, "--steps", str(config.steps)]
     rates = {name: round(found.rate(name), 4) for name in found.counts}
     card: dict[str, Any] = {
         "trained_by": shlex.join([*command, "--seed", str(config.seed), "--envs", str(config.envs)]),
