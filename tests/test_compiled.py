@@ -1,5 +1,6 @@
 """Machine code that is kept is dropped when what it was made from changes; making it is announced."""
 
+import ast
 import os
 import subprocess
 import sys
@@ -16,8 +17,12 @@ SOURCES = {
     "rooms/first.py": "from behavexplor.constants import LIMIT\n\n\n@kernel\ndef f(x): ...\n",
     "rooms/second.py": "from behavexplor.rooms import (\n    first,\n)\n\n\n@kernel\ndef g(x): ...\n",
     "rooms/third.py": "import behavexplor.other\n\n\n@kernel\ndef h(x): ...\n",
+    "rooms/fourth.py": (
+        "from behavexplor.rooms import third  # one\nfrom behavexplor.constants import (\n    LIMIT,\n)\n"
+        "from behavexplor.other import UNUSED as U\n\n\n@kernel\ndef i(x): ...\n"
+    ),
 }
-KERNELS = ("first.f", "second.g", "third.h")
+KERNELS = ("first.f", "second.g", "third.h", "fourth.i")
 
 
 def put(package, sources):
@@ -56,9 +61,10 @@ def test_nothing_is_dropped_while_nothing_changes(package):
 @pytest.mark.parametrize(
     ("changed", "left"),
     [
-        ("rooms/first.py", {"third.h"}),
+        ("rooms/first.py", {"third.h", "fourth.i"}),
         ("constants.py", {"third.h"}),
-        ("rooms/second.py", {"first.f", "third.h"}),
+        ("rooms/second.py", {"first.f", "third.h", "fourth.i"}),
+        ("rooms/third.py", {"first.f", "second.g"}),
         ("other.py", {"first.f", "second.g"}),
     ],
 )
@@ -73,6 +79,19 @@ def test_a_stamp_that_cannot_be_read_drops_everything(package, text):
     (package / "__pycache__/kernels.json").write_text(text)
     compiled.drop_stale_code(package)
     assert kept(package) == set()
+
+
+def test_every_module_with_kernels_is_known_with_all_that_it_imports():
+    """As Python itself reads the imports."""
+    package = compiled._PACKAGE
+    for path in compiled._modules_with_kernels(package):
+        expected = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module.startswith("behavexplor"):
+                names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+                files = {package.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names}
+                expected |= {file for file in files if file.is_file()}
+        assert compiled._imported(path.read_text(), package) == expected
 
 
 def test_a_kernel_computes_what_its_python_source_says():
