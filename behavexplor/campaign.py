@@ -274,6 +274,10 @@ def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMet
 
 def run_folder(config: CampaignConfig, root: Path) -> Path:
     """A new folder for a campaign below `root`, named after what it is and when it began."""
-    names = [name.rsplit("/", 1)[-1].replace(":", "-") for name in (config.env, config.ads, config.method)]
+    names = [
+        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1]) for name in (config.env, config.ads, config.method)
+    ]
     stamp = time.strftime("%Y%m%d-%H%M%S")
-    return root / "-".join([*names, str(config.seed), stamp])
+    name = "-".join([*names, str(config.seed), stamp])
+    taken = sum(1 for _ in root.glob(f"{name}*"))
+    return root / (f"{name}-{taken + 1}" if taken else name)

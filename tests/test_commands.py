@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -12,7 +13,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from behavexplor.campaign import run_folder
 from behavexplor.commands import main
+from behavexplor.config import CampaignConfig
 from behavexplor.errors import InputError
 from behavexplor.store import Store
 
@@ -340,3 +343,19 @@ def test_records_can_be_cut_off_by_head(finished):
     result = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
     assert result.stderr == ""
     assert json.loads(result.stdout)["id"] == 0
+
+
+def test_the_version_is_told(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"behavexplor \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+def test_every_campaign_has_a_folder_of_its_own(tmp_path):
+    config = CampaignConfig(ads="models/best one.zip", env="behavexplor/lane-follow-v0")
+    folders = set()
+    for _ in range(4):
+        folder = run_folder(config, tmp_path)
+        folder.mkdir()
+        folders.add(folder)
+    assert len(folders) == 4
+    assert all(folder.name.startswith("lane-follow-v0-best-one.zip-behavexplor-0-") for folder in folders)

@@ -8,6 +8,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    if list(sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+        print(f"behavexplor {version('behavexplor')}")
+        return OK
     import tyro  # noqa: PLC0415 - a library user of this package never needs it
 
     from behavexplor.commands.evaluate import evaluate  # noqa: PLC0415
