@@ -2,19 +2,17 @@
 
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.commands import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
 
 Floats = NDArray[np.float64]
 
-ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
-STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
 DEFAULT: Final = "2,0"
 
 
@@ -34,24 +32,18 @@ class ConstantDriver:
         InputError: if a value is out of its range.
     """
 
-    observation: Mapping[str, Any] = MappingProxyType({"type": "Scene"})
-    action: Mapping[str, Any] = MappingProxyType(
-        {
-            "type": "ContinuousAction",
-            "acceleration_range": list(ACCELERATION_RANGE),
-            "steering_range": list(STEERING_RANGE),
-        }
-    )
+    observation: Mapping[str, Any] = OBSERVATION
+    action: Mapping[str, Any] = ACTION
     policy_frequency: int = 10
 
     def __init__(self, acceleration: float, steering: float) -> None:
-        low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
-        self._command = 2 * (np.array([acceleration, steering]) - low) / (high - low) - 1
-        if np.abs(self._command).max() > 1:
-            raise InputError(
-                f"A constant driver accelerates between {low[0]:g} and {high[0]:g} m/s2 and steers between {low[1]:g} "
-                f"and {high[1]:g} rad, got {acceleration:g} and {steering:g}"
-            )
+        for name, value, (low, high) in (
+            ("accelerates", acceleration, ACCELERATION_RANGE),
+            ("steers", steering, STEERING_RANGE),
+        ):
+            if not low <= value <= high:
+                raise InputError(f"A constant driver {name} between {low:g} and {high:g}, got {value:g}")
+        self._action = as_actions(np.array([[acceleration, steering]]))
 
     def predict(
         self,
@@ -61,7 +53,7 @@ class ConstantDriver:
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
         """The same command for each ego, shape (B, 2); see `behavexplor.ads.interface.ADS`."""
-        return np.tile(self._command, (len(observation), 1)), state
+        return np.repeat(self._action, len(observation), axis=0), state
 
 
 def constant_driver(roadmap: RoadMap, variant: str = "") -> ConstantDriver:  # noqa: ARG001

@@ -6,15 +6,15 @@ simulations, Physical Review E 62 (2000), equations 1 and 2; with the constants 
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.commands import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions
 from behavexplor.ads.learned.course import Course, make_course, pose_on_course, project_on_course
 from behavexplor.ads.learned.features import row_at
-from behavexplor.ads.learned.tracker import ACCELERATION_RANGE, STEERING_RANGE, steer
+from behavexplor.ads.learned.tracker import steer
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
 from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
@@ -42,14 +42,8 @@ class IDMDriver:
         roadmap: the map that it drives by.
     """
 
-    observation: Mapping[str, Any] = MappingProxyType({"type": "Scene"})
-    action: Mapping[str, Any] = MappingProxyType(
-        {
-            "type": "ContinuousAction",
-            "acceleration_range": list(ACCELERATION_RANGE),
-            "steering_range": list(STEERING_RANGE),
-        }
-    )
+    observation: Mapping[str, Any] = OBSERVATION
+    action: Mapping[str, Any] = ACTION
     policy_frequency: int = round(1 / PERIOD)
 
     def __init__(self, roadmap: RoadMap) -> None:
@@ -72,8 +66,7 @@ class IDMDriver:
         """
         scenes = np.rint(np.asarray(observation, dtype=np.float64) / RESOLUTION) * RESOLUTION
         commands = np.array([_decide(self._course, scene) for scene in scenes])
-        low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
-        return 2 * (commands - low) / (high - low) - 1, state
+        return as_actions(commands), state
 
 
 def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:

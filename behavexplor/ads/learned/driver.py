@@ -4,22 +4,20 @@ from collections.abc import Mapping
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions
 from behavexplor.ads.learned.course import Course, make_course
 from behavexplor.ads.learned.features import N_FEATURES, see
 from behavexplor.ads.learned.tracker import (
-    ACCELERATION_RANGE,
     N_ACTIONS,
     N_MEMORIES,
     PERIOD,
     STARTED,
-    STEERING_RANGE,
     WANTED,
     begin,
     track,
@@ -30,14 +28,6 @@ from behavexplor.roadmap import RoadMap
 
 Floats = NDArray[np.float64]
 
-OBSERVATION: Final = MappingProxyType({"type": "Scene"})
-ACTION: Final = MappingProxyType(
-    {
-        "type": "ContinuousAction",
-        "acceleration_range": list(ACCELERATION_RANGE),
-        "steering_range": list(STEERING_RANGE),
-    }
-)
 POLICY_FREQUENCY: Final = round(1 / PERIOD)
 
 
@@ -133,9 +123,7 @@ def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memo
     """
     commands = np.empty((len(scenes), 2))
     _track_all(course, scenes, actions, memory, commands)
-    low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
-    shares: Floats = 2 * (commands - low) / (high - low) - 1
-    return shares
+    return as_actions(commands)
 
 
 @kernel

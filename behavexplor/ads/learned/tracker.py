@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.commands import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.ads.learned.course import Course, pose_on_course, project_on_course
 from behavexplor.ads.learned.features import lanes_beside, row_at
 from behavexplor.compiled import kernel
@@ -17,9 +18,6 @@ PERIOD: Final = 0.2  # between decisions [s]
 ACCELERATIONS: Final = (-6.0, -3.0, -1.0, 0.0, 2.0)  # [m/s2]
 SIDES: Final = (0, -1, 1)  # keep the lane, one to the left, one to the right
 N_ACTIONS: Final = len(ACCELERATIONS) * len(SIDES)  # action a is acceleration a % 5 and side a // 5
-
-ACCELERATION_RANGE: Final = (-8.0, 4.0)  # of the commands [m/s2]
-STEERING_RANGE: Final = (-0.6, 0.6)  # of the commands [rad]
 
 SIDEWAYS: Final = 1.5  # speed at which the path moves from one lane to another [m/s]
 LAST_CHANGE: Final = 20.0  # least distance to the end of lanes side by side at which a change begins [m]

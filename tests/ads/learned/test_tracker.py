@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.commands import STEERING_RANGE
 from behavexplor.ads.learned import tracker
 from behavexplor.ads.learned.tracker import (
     ACCELERATIONS,
     N_MEMORIES,
     PERIOD,
     SIDES,
-    STEERING_RANGE,
     WANTED,
     begin,
     track,
