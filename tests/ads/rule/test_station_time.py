@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.rule.lateral import keep_profile
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.path import ego_path, pose_on_path, project_on_path
 from behavexplor.ads.rule.prediction import lane_graph
@@ -18,6 +19,7 @@ from behavexplor.geometry import box_corners, boxes_overlap
 from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
 from tests.ads.rule.world import SEDAN, scene
 
+KEEP = keep_profile(0.0)
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
 
 
@@ -26,7 +28,7 @@ def graph_of(roadmap, npcs, station=20.0):
     graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
     ego = (*roadmap.ego_route.pose(station), 5.0)
     path = ego_path(roadmap, Parameters())
-    project_obstacles(path, graph, scene(ego, npcs), station, numbers(Parameters()), room)
+    project_obstacles(path, KEEP, graph, scene(ego, npcs), station, -np.inf, numbers(Parameters()), room)
     return room
 
 
@@ -46,7 +48,7 @@ def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
     touched = 0
     for _ in range(300):
         x, y, heading = rng.uniform(-6, 9), rng.uniform(-20, 60), rng.uniform(-np.pi, np.pi)
-        low, high = box_on_path(path, x, y, heading, *size, half)
+        low, high = box_on_path(path, KEEP, x, y, np.cos(heading), np.sin(heading), *size, half)
         box = box_corners(np.array([x, y]), heading, np.array(size))
         strip = box_corners(np.array([1.75, 20.0]), np.array(0.0), np.array([2 * half, 200.0]))
         assert (low <= high) == bool(boxes_overlap(box, strip))
@@ -90,8 +92,8 @@ def test_an_absent_npc_takes_up_nothing():
     observation = scene((1.75, 85.0, -np.pi / 2, 5.0), [(*STRAIGHT.ego_route.pose(40.0), 0.0, 0.0)])
     room = empty_station_time(1)
     graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT, Parameters())
-    project_obstacles(path, graph, observation, 20.0, numbers(Parameters()), room)
+    project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.min() > 0
     observation[1, 0] = 0.0
-    project_obstacles(path, graph, observation, 20.0, numbers(Parameters()), room)
+    project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.max() == 0
