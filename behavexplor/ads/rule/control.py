@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule.lateral import Profile, offset_at
-from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING
+from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, point_beside
+from behavexplor.ads.rule.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.compiled import kernel
 from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
@@ -22,8 +22,9 @@ STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
 PERIOD: Final = 0.1  # between two decisions [s]
 
 RECOVERY_SPEED: Final = 4.0  # slower than this steering back is not reduced (R2-1) [m/s]
-HOLD_SPEED: Final = 4.0  # faster than this steering is not held (R2-4) [m/s]
+HOLD_SPEED: Final = 5.0  # faster than this steering is not held (R2-4) [m/s]
 HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
+TURN_WAY, TURN = 8.0, 0.1  # the route has turned left on the last metres [m] by more than this [rad]
 
 
 @kernel
@@ -33,35 +34,43 @@ def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: F
     The bicycle model turns about its centre with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
     and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
-    there = station + p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
+    away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
+    if memory[SHARP] == 1.0:  # as short-sighted as its path is short (R2-2)
+        away *= 1.0 - p.short_change
+    there = station + away
     x, y = point_beside(path, there, offset_at(profile, there))
     ahead, aside = x - scene[EGO, X], y - scene[EGO, Y]
     bearing = math.atan2(aside, ahead) - scene[EGO, HEADING]
     share = scene[EGO, LENGTH] / math.hypot(ahead, aside)
     wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
-    last = memory[LAST_STEERING]
+    last: float = memory[LAST_STEERING]
     if p.slow_recovery > 0.0 or p.held_steering > 0.0:
-        wanted = _worsened(profile, scene[EGO, SPEED], wanted, memory, bits, p)
+        _, _, here = pose_on_path(path, station)
+        _, _, before = pose_on_path(path, station - TURN_WAY)
+        wanted = _worsened(profile, scene[EGO, SPEED], here - before < -TURN, wanted, memory, bits, p)
     change = p.steering_rate * PERIOD
     wanted = min(max(wanted, last - change), last + change)
     return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])
 
 
 @kernel
-def _worsened(profile: Profile, speed: float, wanted: float, memory: Floats, bits: Ints, p: Numbers) -> float:
+def _worsened(
+    profile: Profile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
+) -> float:
     """The steering angle of a planner that recovers slowly (R2-1) or holds a large one (R2-4)."""
     across = profile.last - profile.first
     overtakes = memory[OVERTAKING] == 1.0 and profile.length > 0.0
     if p.slow_recovery > 0.0 and overtakes and speed > RECOVERY_SPEED and wanted * across < 0.0:
         note(bits, R2_1, True)
         wanted *= 1.0 - p.slow_recovery
-    last = memory[LAST_STEERING]
-    holds = p.held_steering > 0.0 and profile.length == 0.0 and speed < HOLD_SPEED and last < -HELD_STEERING
+    last: float = memory[LAST_STEERING]
+    holds = p.held_steering > 0.0 and turns and speed < HOLD_SPEED and last < -HELD_STEERING
     releases = holds and wanted > last
     memory[HELD] = memory[HELD] + PERIOD if releases else 0.0
     if holds:
         note(bits, R2_4, releases and memory[HELD] <= p.held_steering)
-    return last if releases and memory[HELD] <= p.held_steering else wanted
+    held: float = last if releases and memory[HELD] <= p.held_steering else wanted
+    return held
 
 
 @kernel

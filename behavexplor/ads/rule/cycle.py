@@ -1,7 +1,7 @@
 """One decision: locate, choose a lane, plan the speed along it, wait before the junction or go, command."""
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,8 @@ from behavexplor.ads.rule.decision import (
     EMERGENCY,
     STANDING,
     YIELD,
-    can_wait,
     creep,
-    crosses_freely,
     decision_code,
-    passed,
-    restarts_hastily,
-    shorten,
-    waiting_station,
 )
 from behavexplor.ads.rule.lane_choice import (
     ABORT,
@@ -31,9 +25,9 @@ from behavexplor.ads.rule.lane_choice import (
     change_length,
     choose_lane,
     gap_share,
-    lane_wall,
+    wrong_side,
 )
-from behavexplor.ads.rule.lateral import Profile, change_profile, keep_profile, offset_at
+from behavexplor.ads.rule.lateral import Profile, change_profile, keep_profile
 from behavexplor.ads.rule.memory import (
     CLEAR,
     CREEPS,
@@ -50,6 +44,7 @@ from behavexplor.ads.rule.memory import (
     OVERTAKING,
     REACHED,
     RESTARTED,
+    SHARP,
     SINCE,
     SLOPE,
     START,
@@ -59,11 +54,9 @@ from behavexplor.ads.rule.memory import (
     TRIGGERED,
     WAITED,
 )
-from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.ads.rule.option import Option, World, plan_option
 from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
-from behavexplor.ads.rule.prediction import LaneGraph
-from behavexplor.ads.rule.speed import Nodes, Situation, SpeedPlan, plan_speed
-from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, StationTime, project_obstacles
+from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
@@ -74,62 +67,23 @@ from behavexplor.scene import LENGTH as EGO_LENGTH
 Floats = NDArray[np.float64]
 
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
-SHORT_SPEED: Final = 4.0  # below which lane changes are too short (R2-2) [m/s]
+SHORT_SPEED: Final = 6.0  # below which lane changes are too short (R2-2) [m/s]
 STRONG: Final = 4.0  # and their acceleration strong [m/s2]
+SHARP_WAY: Final = 20.0  # from their beginning until steering and acceleration are as usual again [m]
 STUCK: Final = 1.0  # who stands so long during a lane change decides anew [s]
 CREEP_ACCELERATION: Final = 1.2  # [m/s2]
-
-
-class World(NamedTuple):
-    """What one decision is made from, but for the memory, and room for it.
-
-    Attributes:
-        path: the ego's route.
-        graph: the map.
-        scene: shape (1 + n, 8), see `behavexplor.scene`.
-        others: room for the table of others, see `behavexplor.ads.rule.traffic`.
-        room: for the station-time graph.
-        nodes: room for the search of the speed.
-        p: the parameters.
-    """
-
-    path: Path
-    graph: LaneGraph
-    scene: Floats
-    others: Floats
-    room: StationTime
-    nodes: Nodes
-    p: Numbers
-
-
-class Option(NamedTuple):
-    """A way to go on.
-
-    Attributes:
-        profile: offset from the route.
-        plan: of the speed along it.
-        yields: whether the ego waits before the junction.
-        crosses: whether it could cross.
-        limit: the station up to which it may creep [m].
-    """
-
-    profile: Profile
-    plan: SpeedPlan
-    yields: bool
-    crosses: bool
-    limit: float
 
 
 @kernel
 def plan_once(world: World, memory: Floats) -> None:
     """One decision; the commands are left in the memory."""
-    path, scene, p, bits = world.path, world.scene, world.p, world.room.bits
+    path, scene, bits = world.path, world.scene, world.room.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
     ego = Ego(station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2)
     locate(path, scene, world.others)
     _remember(path, ego, memory)
-    option = _option(world, ego, _present_profile(path, memory), int(memory[LANE]), memory)
+    option = plan_option(world, ego, _present_profile(path, memory), int(memory[LANE]), memory)
     if memory[LENGTH] > 0.0:
         option = _abort_if_needed(world, ego, option, memory)
     else:
@@ -151,12 +105,13 @@ def _remember(path: Path, ego: Ego, memory: Floats) -> None:
     if memory[LENGTH] > 0.0 and ended:
         memory[LENGTH] = memory[SINCE] = memory[IGNORES] = 0.0
         memory[MANOEUVRE] = KEEP
+    if ego.station > memory[START] + SHARP_WAY:
+        memory[SHARP] = 0.0
     if memory[LANE] == 0.0 and memory[LENGTH] == 0.0:
         memory[OVERRUN] = memory[OVERTAKING] = 0.0
     memory[STOOD] = memory[STOOD] + PERIOD if ego.speed < STANDING else 0.0
     memory[WAITED] = memory[WAITED] + PERIOD if ego.speed < STANDING and memory[DECISION] == YIELD else 0.0
-    if passed(path, ego.station, ego.half_length):
-        memory[RESTARTED] = 0.0
+    memory[RESTARTED] = max(memory[RESTARTED] - PERIOD, 0.0)
 
 
 @kernel
@@ -165,43 +120,6 @@ def _present_profile(path: Path, memory: Floats) -> Profile:
     if memory[LENGTH] == 0.0:
         return keep_profile(last)
     return Profile(memory[START], memory[LENGTH], memory[FROM], memory[SLOPE], last)
-
-
-@kernel
-def _option(world: World, ego: Ego, profile: Profile, lane: int, memory: Floats) -> Option:
-    """The speed along a profile, with a wait before the junction where that cannot be crossed."""
-    path, room, p = world.path, world.room, world.p
-    blind = -math.inf
-    if p.cut_in > 0.0 and profile.length > 0.0:
-        blind = p.cut_in * 2 * ego.half_length
-        note(room.bits, R1_5, False)
-    elif memory[IGNORES] == 1.0:
-        blind = 0.0
-    project_obstacles(path, profile, world.graph, world.scene, ego.station, blind, p, room)
-    wall = math.inf if memory[OVERRUN] == 1.0 or p.late_change > 0.0 else lane_wall(path, ego, lane, p)
-    waits = can_wait(path, ego.station, ego.speed, ego.half_length, p)
-    caution = 1.0 if waits or passed(path, ego.station, ego.half_length) else p.committed_caution
-    last = memory[LAST_ACCELERATION]
-    situation = Situation(path, room, ego.half_length, wall, caution, p)
-    plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
-    if not waits:
-        return Option(profile, plan, False, True, wall)
-    crosses = crosses_freely(path, room, plan, ego.half_length)
-    if restarts_hastily(room, crosses, memory, room.bits, p) and not crosses:
-        shorten(room, N_INTERVALS * INTERVAL - p.restart)
-        plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
-        crosses = crosses_freely(path, room, plan, ego.half_length)
-        memory[RESTARTED] = 1.0 if crosses else memory[RESTARTED]
-    clear = memory[CLEAR] + PERIOD if crosses else 0.0
-    limit = min(wall, path.junction_start - ego.half_length + p.line_overrun)
-    yields = not crosses or (memory[DECISION] == YIELD and clear < p.clear_time)
-    if yields:
-        line = min(wall, waiting_station(path, ego.station, ego.speed, ego.half_length, p))
-        waiting = Situation(path, room, ego.half_length, line, caution, p)
-        wait = plan_speed(waiting, ego.station, ego.speed, last, world.nodes)
-        if wait.survived >= plan.survived:
-            plan = wait
-    return Option(profile, plan, yields, crosses, limit)
 
 
 @kernel
@@ -214,28 +132,42 @@ def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -
     """Begin a lane change if another lane is better and its gap is accepted."""
     path, others, p, bits = world.path, world.others, world.p, world.room.bits
     lane = int(memory[LANE])
-    wanted = choose_lane(path, others, ego, memory, bits, p)
-    if wanted == lane or not accepts_gap(path, others, ego, wanted, bits, p):
-        return present
+    option, begun = present, False
+    wrong = wrong_side(path, others, ego, memory, bits, p)
+    if wrong != lane:
+        option, begun = _try_change(world, ego, present, wrong, memory)
+    wanted = lane if begun else choose_lane(path, others, ego, memory, bits, p)
+    if wanted != lane:
+        option, begun = _try_change(world, ego, present, wanted, memory)
+    return option
+
+
+@kernel
+def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Floats) -> tuple[Option, bool]:
+    """The change to a lane if it is safe, else what is done at present; and whether the change is begun."""
+    path, p, bits = world.path, world.p, world.room.bits
+    lane = int(memory[LANE])
+    if not accepts_gap(path, world.others, ego, wanted, bits, p):
+        return present, False
     length = change_length(ego.speed, p)
-    if p.short_change > 0.0 and ego.speed < SHORT_SPEED:
+    sharp = p.short_change > 0.0 and ego.speed < SHORT_SPEED
+    if sharp:
         note(bits, R2_2, True)
         length *= 1.0 - p.short_change
-    slope = _slope(world, ego)
-    profile = change_profile(ego.station, ego.offset, slope, wanted * path.lane_width, length)
-    option = _option(world, ego, profile, wanted, memory)
+    profile = change_profile(ego.station, ego.offset, _slope(world, ego), wanted * path.lane_width, length)
+    option = plan_option(world, ego, profile, wanted, memory)
     if not _is_safe(option):
         if p.cut_in == 0.0 or option.plan.survived < N_INTERVALS // 2:
-            return _option(world, ego, present.profile, lane, memory)
+            return plan_option(world, ego, present.profile, lane, memory), False
         note(bits, R1_5, True)
-    memory[MANOEUVRE] = CHANGE
+    memory[MANOEUVRE], memory[ORIGIN] = CHANGE, lane
     if abs(wanted) > abs(lane):
         memory[MANOEUVRE] = OVERTAKE
         memory[OVERTAKING] = 1.0
         memory[OVERRUN] = 1.0 if bits[CHANGED] & R3_2 else 0.0
-    memory[ORIGIN] = lane
+    memory[SHARP] = 1.0 if sharp else 0.0
     _adopt(profile, wanted, memory)
-    return option
+    return option, True
 
 
 @kernel
@@ -256,9 +188,9 @@ def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) ->
             return present
     length = change_length(ego.speed, p)
     profile = change_profile(ego.station, ego.offset, _slope(world, ego), origin * path.lane_width, length)
-    option = _option(world, ego, profile, origin, memory)
+    option = plan_option(world, ego, profile, origin, memory)
     if option.plan.survived < present.plan.survived:
-        return _option(world, ego, present.profile, lane, memory)
+        return plan_option(world, ego, present.profile, lane, memory)
     memory[MANOEUVRE], memory[ORIGIN] = ABORT, memory[LANE]
     _adopt(profile, origin, memory)
     return option
@@ -292,7 +224,7 @@ def _settle(world: World, ego: Ego, option: Option, memory: Floats) -> None:
         acceleration = CREEP_ACCELERATION
     if p.weak_braking > 0.0 and bits[CHANGED] & R1_4:
         acceleration = max(acceleration, p.weak_braking - HARD_LIMIT)
-    if p.short_change > 0.0 and memory[LENGTH] > 0.0 and memory[LENGTH] < p.change_length and acceleration > 0.0:
+    if memory[SHARP] == 1.0 and acceleration > 0.0:
         note(bits, R2_2, True)
         acceleration = STRONG
     at_once = memory[DECISION] == EMERGENCY or acceleration < -p.firm_braking

@@ -39,6 +39,7 @@ STANDING: Final = 0.3  # [m/s]
 CREEP_TIME: Final = 0.5  # of accelerating while creeping [s]
 CREEP_ROOM: Final = 1.0  # that must stay free ahead of a creeping ego [m]
 CREEP_INTERVALS: Final = 12  # and for how long
+RESTART_OUTLOOK: Final = 1.0  # of a hasty planner (R1-3) [s]
 RESTART_WAIT: Final = 0.5  # after which a hasty planner decides anew (R1-3) [s]
 
 
@@ -92,12 +93,33 @@ def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: floa
 
 
 @kernel
-def restarts_hastily(graph: StationTime, situation_free: bool, memory: Floats, bits: Ints, p: Numbers) -> bool:
-    """Whether the ego, having stood and yielded, looks less far ahead now (weakness R1-3)."""
+def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> bool:
+    """Whether the ego, having stood and yielded, hardly looks ahead now (weakness R1-3)."""
     if p.restart == 0.0 or memory[WAITED] < RESTART_WAIT:
-        return memory[RESTARTED] == 1.0
-    note(bits, R1_3, not situation_free)
+        return False
+    note(bits, R1_3, not crosses)
+    if not crosses:
+        memory[RESTARTED] = p.restart
+    return not crosses
+
+
+@kernel
+def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -> bool:
+    """Whether a standing ego waits for somebody who hardly moves across its way (weakness R3-4)."""
+    if p.deadlock == 0.0 or memory[WAITED] == 0.0 or _slowest(graph) >= p.deadlock:
+        return False
+    note(bits, R3_4, True)
     return True
+
+
+@kernel
+def _slowest(graph: StationTime) -> float:
+    """Least speed of those who cross or lead, infinite for nobody [m/s]."""
+    slowest = np.inf
+    for k in range(N_INTERVALS):
+        for i in range(graph.counts[k]):
+            slowest = min(slowest, graph.spans[k, i, LEAD_SPEED])
+    return slowest
 
 
 @kernel
@@ -119,16 +141,12 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, 
     """Whether an ego that has stood for long may move on a little: nobody is or comes close ahead of it."""
     if memory[STOOD] < p.creep_after or station + CREEP_ROOM / 2 > limit:
         return False
-    slowest = np.inf
     for k in range(CREEP_INTERVALS):
         for i in range(graph.counts[k]):
             low, high = graph.spans[k, i, HARD_LOW], graph.spans[k, i, HARD_HIGH]
             if low < station + CREEP_ROOM and high > station:
                 return False
-    for k in range(N_INTERVALS):
-        for i in range(graph.counts[k]):
-            slowest = min(slowest, graph.spans[k, i, LEAD_SPEED])
-    if p.deadlock > 0.0 and slowest < p.deadlock:
+    if p.deadlock > 0.0 and _slowest(graph) < p.deadlock:
         note(bits, R3_4, True)
         return False
     return True

@@ -26,7 +26,7 @@ SLOW: Final = 6.0  # nor do those faster than this [m/s]
 PREPARATION: Final = 160.0  # in which needed lane changes are begun [m]
 BORROW_SPEED: Final = 5.0  # up to which the ego takes to the other direction's lane (R2-3) [m/s]
 BORROW_GAP: Final = 15.0  # and up to which gap to its leader [m]
-NEVER: Final = -1e9  # score of a lane that is not taken [m]
+MOVES: Final = 0.05  # slower leaders stand (R3-1) [m/s]
 ALONGSIDE: Final = 1.0  # speed that those overtaken must be slower by [m/s]
 
 
@@ -85,10 +85,10 @@ def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints
         score = _score(path, others, ego, other, p)
         if score <= most + (gain if outwards else 0.0):
             continue
-        if outwards and not _may_overtake(path, others, ego, lane, other, leader, memory, bits, p):
+        if outwards and not _may_overtake(path, others, ego, other, leader, memory, bits, p):
             continue
         best, most, gain = other, score, 0.0
-    return _wrong_side(path, others, ego, lane, best, leader, bits, p)
+    return best
 
 
 @kernel
@@ -130,26 +130,18 @@ def _delays(path: Path, ego: Ego, lane: int, leader: Neighbours, bits: Ints, p: 
 
 @kernel
 def _may_overtake(
-    path: Path,
-    others: Floats,
-    ego: Ego,
-    lane: int,
-    other: int,
-    leader: Neighbours,
-    memory: Floats,
-    bits: Ints,
-    p: Numbers,
+    path: Path, others: Floats, ego: Ego, other: int, leader: Neighbours, memory: Floats, bits: Ints, p: Numbers
 ) -> bool:
     """Whether the ego overtakes its leader: it has rested, and can come back in time."""
     if leader.ahead < 0 or memory[SINCE] < p.lane_rest:
         return False
-    if p.no_overtaking > 0.0 and leader.speed_ahead > 0.05:
-        follows = leader.speed_ahead > (1.0 - p.no_overtaking) * path.speed_limit
+    if p.no_overtaking > 0.0 and leader.speed_ahead > MOVES:
+        follows = leader.speed_ahead < p.no_overtaking
         note(bits, R3_1, follows)
         if follows:
             return False
     room = lane_end(path, other, ego.station) - ego.station
-    needed = room_to_overtake(path, others, ego, leader, room, p) + (abs(other) - 1) * p.change_length
+    needed = room_to_overtake(path, others, ego, leader, p) + (abs(other) - 1) * p.change_length
     fits = needed <= room
     if p.no_room > 0.0 and not fits and math.isfinite(leader.gap_ahead):
         fits = (1.0 - p.no_room) * min(needed, 1e3) <= room
@@ -158,7 +150,7 @@ def _may_overtake(
 
 
 @kernel
-def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, room: float, p: Numbers) -> float:
+def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, p: Numbers) -> float:
     """How far the ego drives until it is back before its leader, at the speed that needs least room [m]."""
     least = math.inf
     passed = leader.gap_ahead + 2 * others[leader.ahead, HALF_ALONG] + 2 * ego.half_length + p.pass_gap
@@ -172,23 +164,23 @@ def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, r
 
 
 @kernel
-def _wrong_side(
-    path: Path, others: Floats, ego: Ego, lane: int, best: int, leader: Neighbours, bits: Ints, p: Numbers
-) -> int:
-    """The lane of the other direction, for a slow leader close ahead (weakness R2-3), or else the best one."""
+def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
+    """The lane of the other direction, if a slow leader is to be overtaken there (weakness R2-3), or else the own."""
+    lane = int(memory[LANE])
     other = oncoming_lane(path, ego.station)
-    if p.wrong_side == 0.0 or other == 0 or other != lane - 1 or leader.ahead < 0:
-        return best
-    if ego.speed > BORROW_SPEED or leader.gap_ahead > BORROW_GAP or leader.speed_ahead >= p.wrong_side:
-        return best
+    if p.wrong_side == 0.0 or other == 0 or other != lane - 1 or ego.speed > BORROW_SPEED:
+        return lane
+    leader = beside_lane(path, others, ego, lane)
+    if leader.ahead < 0 or leader.gap_ahead > BORROW_GAP or leader.speed_ahead >= p.wrong_side:
+        return lane
     if oncoming_lane(path, ego.station + change_length(ego.speed, p)) != other:
-        return best
+        return lane
     room = path.destination - ego.station
     if path.junction_start > ego.station:
         room = min(room, path.junction_start - ego.station)
-    fits = room_to_overtake(path, others, ego, leader, room, p) <= room
+    fits = room_to_overtake(path, others, ego, leader, p) <= room
     note(bits, R2_3, fits)
-    return other if fits else best
+    return other if fits else lane
 
 
 @kernel

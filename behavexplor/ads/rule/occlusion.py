@@ -16,7 +16,7 @@ TWO_PI = 2 * math.pi
 @kernel
 def hidden_share(scene: Floats, row: int) -> float:
     """Share of a vehicle's angular width, seen from the ego's centre, that the nearer vehicle before it covers most."""
-    bearing, low, high = bearings(scene, row, 0.0)
+    bearing, low, high = bearings(scene, row)
     distance = math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
     most = 0.0
     for other in range(EGO + 1, len(scene)):
@@ -24,29 +24,28 @@ def hidden_share(scene: Floats, row: int) -> float:
             continue
         if math.hypot(scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]) >= distance:
             continue
-        _, other_low, other_high = bearings(scene, other, bearing)
-        covered = min(high, other_high) - max(low, other_low)
+        middle, other_low, other_high = bearings(scene, other)
+        away = (middle - bearing + math.pi) % TWO_PI - math.pi
+        covered = min(high, away + other_high) - max(low, away + other_low)
         most = max(most, covered / (high - low))
     return most
 
 
 @kernel
-def bearings(scene: Floats, row: int, zero: float) -> tuple[float, float, float]:
-    """Bearing of a vehicle's centre from the ego's, and the least and greatest of its corners, relative to it.
+def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
+    """Bearing of a vehicle's centre from the ego's, and the least and greatest of its corners relative to that [rad].
 
     Args:
         scene: see `behavexplor.scene`.
         row: the vehicle's.
-        zero: the bearing that the least and greatest are relative to; 0 for the vehicle's own [rad].
     """
     dx, dy = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
     bearing = math.atan2(dy, dx)
-    reference = bearing if zero == 0.0 else zero
     cos, sin = math.cos(scene[row, HEADING]), math.sin(scene[row, HEADING])
     low, high = math.inf, -math.inf
     for along in (-0.5 * scene[row, LENGTH], 0.5 * scene[row, LENGTH]):
         for across in (-0.5 * scene[row, WIDTH], 0.5 * scene[row, WIDTH]):
             corner = math.atan2(dy + along * sin + across * cos, dx + along * cos - across * sin)
-            away = (corner - reference + math.pi) % TWO_PI - math.pi
+            away = (corner - bearing + math.pi) % TWO_PI - math.pi
             low, high = min(low, away), max(high, away)
     return bearing, low, high

@@ -17,7 +17,7 @@ class Parameters:
     Attributes:
         occlusion: R1-1, share of a vehicle that may be in sight although it counts as hidden.
         static_speed: R1-2, NPCs slower than this are predicted to stand [m/s].
-        restart: R1-3, by how much sooner the outlook at a conflict ends after a stop before it [s].
+        restart: R1-3, for how long conflicts are not looked at after a stop before one [s].
         weak_braking: R1-4, what is missing of full braking [m/s2].
         cut_in: R1-5, share of the gaps in the target lane that is not asked for.
         no_abort: R1-6, share of the least gap that may be lost before a lane change is aborted.
@@ -27,7 +27,7 @@ class Parameters:
         short_change: R2-2, share of a lane change's length that is missing at low speed.
         wrong_side: R2-3, leaders slower than this are overtaken in the lane of the other direction [m/s].
         held_steering: R2-4, how long the steering of a slow left turn is held [s].
-        no_overtaking: R3-1, share of the speeds of moving leaders that are not overtaken.
+        no_overtaking: R3-1, moving leaders slower than this are followed for ever [m/s].
         no_room: R3-2, share of the room for coming back from an overtaking that is not asked for.
         late_change: R3-3, share of the way to the destination on which a needed lane change is not begun.
         deadlock: R3-4, for NPCs in its way slower than this the ego waits for ever [m/s].

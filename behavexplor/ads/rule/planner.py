@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule.control import ACCELERATION_RANGE, PERIOD, STEERING_RANGE
-from behavexplor.ads.rule.cycle import World, plan_once
+from behavexplor.ads.rule.cycle import plan_once
 from behavexplor.ads.rule.memory import (
     DECISION,
     LANE,
@@ -20,6 +20,7 @@ from behavexplor.ads.rule.memory import (
     SURVIVED,
     TRIGGERED,
 )
+from behavexplor.ads.rule.option import World
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.path import Path, ego_path
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
@@ -85,7 +86,7 @@ class RulePlanner:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
-            state: what the last call returned, shape (B, 24); None at first.
+            state: what the last call returned, shape (B, 25); None at first.
             episode_start: whether a row begins an episode, shape (B,); None for no row.
             deterministic: it always is.
 

@@ -6,16 +6,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.lanes import COS, CURVATURE, SIN, direction_on_lane
+from behavexplor.ads.rule.boxes import Box, box_on_path
+from behavexplor.ads.rule.lanes import CURVATURE, direction_on_lane
 from behavexplor.ads.rule.lanes import LENGTH as LANE_LENGTH
-from behavexplor.ads.rule.lateral import Profile, offset_at
-from behavexplor.ads.rule.occlusion import hidden_share
+from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, is_straight, locate_on_path, project_on_path
+from behavexplor.ads.rule.path import Path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
-from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7, R1_8, note
+from behavexplor.ads.rule.weaknesses import R1_8, note
 from behavexplor.compiled import kernel
-from behavexplor.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,12 +32,6 @@ LEADS = 5  # 1 for those ahead on the ego's path, 0 for those who cross or merge
 LEAD_SPEED = 6  # and their speed, at least [m/s]
 N_COLUMNS = 7
 
-MOVES = 0.05  # faster than this a vehicle does not stand [m/s]
-SUDDEN = 2.0  # a change of speed beyond this is a sudden one [m/s2]
-LARGE = 7.0  # vehicles longer than this are large [m]
-CAR_LENGTH, CAR_WIDTH = 4.6, 1.9  # what they are taken for [m]
-PARALLEL = 1e-6  # sine of an angle to the route below which a box is along it
-SLACK = 1.0  # by which a profile may overshoot its ends [m]
 
 STEP = 1.0  # of the stations at which an NPC's box is placed on its way [m]
 N_STEPS = 128
@@ -75,28 +70,16 @@ def empty_station_time(n_npcs: int) -> StationTime:
     )
 
 
-class Motion(NamedTuple):
-    """What an NPC is predicted to do along its ways, and with which size.
+class View(NamedTuple):
+    """What the projection of obstacles needs beside the obstacle."""
 
-    Attributes:
-        speed: [m/s].
-        acceleration: [m/s2].
-        memory: how long the acceleration may go on [s].
-        limit: of the speed [m/s].
-        length: of its box [m].
-        width: [m].
-        turning_length: of its box on curves [m].
-        turning_width: [m].
-    """
-
-    speed: float
-    acceleration: float
-    memory: float
-    limit: float
-    length: float
-    width: float
-    turning_length: float
-    turning_width: float
+    path: Path
+    profile: Profile
+    graph: LaneGraph
+    scene: Floats
+    station: float
+    p: Numbers
+    room: StationTime
 
 
 @kernel
@@ -123,73 +106,31 @@ def project_obstacles(
         room: filled; bits are added to.
     """
     room.counts[:] = 0
+    view = View(path, profile, graph, scene, station, p, room)
     for row in range(EGO + 1, len(scene)):
-        if scene[row, PRESENT] == 0.0 or _ignored(path, profile, scene, row, station, blind):
+        if scene[row, PRESENT] == 0.0 or _ignored(view, row, blind):
             continue
         true = true_motion(path, scene, row, p)
-        motion = predicted_motion(scene, row, true, p)
+        weak = weaknesses_of_motion(scene, row, true, p)
+        motion = false_motion(true, weak, p)
         x, y, heading = scene[row, X], scene[row, Y], scene[row, HEADING]
         found, overlooked = find_tails(graph, x, y, heading, p, room.tails, room.stations)
-        weak = false_motion(scene, row, true, p)
         for way in range(found):
             seen = way < found - overlooked
-            touched = _project(path, profile, graph, scene, row, way, station, motion, seen, p, room)
+            touched = _project(view, way, motion, seen)
             if not seen:
                 note(room.bits, R1_8, touched)
             elif weak:
-                note(room.bits, weak, touched or _touches(path, profile, graph, scene, way, true, p, room))
+                note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
 @kernel
-def _ignored(path: Path, profile: Profile, scene: Floats, row: int, station: float, blind: float) -> bool:
+def _ignored(view: View, row: int, blind: float) -> bool:
     """Whether an NPC in the lane changed to is too far behind to be looked at (weaknesses R1-5 and R1-6)."""
-    if blind == -math.inf or profile.length == 0.0:
+    if blind == -math.inf or view.profile.length == 0.0:
         return False
-    at, aside = project_on_path(path, scene[row, X], scene[row, Y])
-    return bool(abs(aside - profile.last) < path.lane_width / 2 and at - station < blind)
-
-
-@kernel
-def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
-    """An NPC's motion as a careful planner predicts it."""
-    speed = max(scene[row, SPEED], 0.0)
-    length, width = scene[row, LENGTH], scene[row, WIDTH]
-    limit = max(path.speed_limit, speed)
-    return Motion(speed, scene[row, ACCELERATION], p.acceleration_memory, limit, length, width, length, width)
-
-
-@kernel
-def false_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> int:
-    """Bits of the weaknesses of prediction whose gates an NPC opens: R1-1, R1-2, R1-4 and R1-7."""
-    bits = 0
-    if true.speed > MOVES:
-        if p.occlusion > 0.0 and hidden_share(scene, row) > 1.0 - p.occlusion:
-            bits |= R1_1
-        if true.speed < p.static_speed:
-            bits |= R1_2
-    if p.weak_braking > 0.0 and abs(true.acceleration) > SUDDEN:
-        bits |= R1_4
-    if p.narrow_bus > 0.0 and true.length > LARGE:
-        bits |= R1_7
-    return bits
-
-
-@kernel
-def predicted_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> Motion:
-    """An NPC's motion as this planner predicts it."""
-    bits = false_motion(scene, row, true, p)
-    if bits == 0:
-        return true
-    speed, acceleration, memory = true.speed, true.acceleration, true.memory
-    length, width = true.length, true.width
-    if bits & (R1_1 | R1_2):
-        speed = acceleration = 0.0
-    if bits & R1_4:
-        memory = 0.0
-    if bits & R1_7:
-        length -= p.narrow_bus * (length - CAR_LENGTH)
-        width -= p.narrow_bus * (width - CAR_WIDTH)
-    return Motion(speed, acceleration, memory, true.limit, true.length, true.width, length, width)
+    at, aside = project_on_path(view.path, view.scene[row, X], view.scene[row, Y])
+    return bool(abs(aside - view.profile.last) < view.path.lane_width / 2 and at - view.station < blind)
 
 
 @kernel
@@ -202,53 +143,23 @@ def _steps(motion: Motion, p: Numbers) -> int:
 
 
 @kernel
-def _touches(
-    path: Path,
-    profile: Profile,
-    graph: LaneGraph,
-    scene: Floats,
-    way: int,
-    motion: Motion,
-    p: Numbers,
-    room: StationTime,
-) -> bool:
-    """Whether an NPC's motion along a way meets the ego's path."""
-    strip = scene[EGO, WIDTH] / 2 + p.side_gap
-    first, _ = _occupy(path, profile, graph, way, motion, strip, _steps(motion, p), room)
-    return bool(first >= 0)
-
-
-@kernel
-def _project(
-    path: Path,
-    profile: Profile,
-    graph: LaneGraph,
-    scene: Floats,
-    row: int,
-    way: int,
-    station: float,
-    motion: Motion,
-    seen: bool,
-    p: Numbers,
-    room: StationTime,
-) -> bool:
+def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
     """Add one NPC's motion along one way, if it is seen; one that follows the ego on its own path is left out.
 
     Returns:
         Whether it meets the ego's path.
     """
-    steps = _steps(motion, p)
-    strip = scene[EGO, WIDTH] / 2 + p.side_gap
+    p, room = view.p, view.room
     occupied, spans = room.occupied, room.spans
-    first, last = _occupy(path, profile, graph, way, motion, strip, steps, room)
+    first, last = _occupy(view, way, motion)
     if first < 0:
         return False
     ahead = first == 0
-    if ahead and occupied[0, 0] + occupied[0, 1] < 2 * station:
+    if ahead and occupied[0, 0] + occupied[0, 1] < 2 * view.station:
         return False
     if not seen:
         return True
-    half_length = scene[EGO, LENGTH] / 2
+    half_length = view.scene[EGO, LENGTH] / 2
     speed, acceleration, memory, limit = motion.speed, motion.acceleration, motion.memory, motion.limit
     before = 0.0
     for k in range(N_INTERVALS):
@@ -275,18 +186,11 @@ def _project(
 
 
 @kernel
-def _occupy(
-    path: Path,
-    profile: Profile,
-    graph: LaneGraph,
-    way: int,
-    motion: Motion,
-    strip: float,
-    steps: int,
-    room: StationTime,
-) -> tuple[int, int]:
+def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
     """The stretch of the ego's path that an NPC's box takes up at each step of its way; the first and last that do."""
+    graph, room = view.graph, view.room
     tail, start, occupied = room.tails[way], room.stations[way], room.occupied
+    strip, steps = view.scene[EGO, WIDTH] / 2 + view.p.side_gap, _steps(motion, view.p)
     depth = 0
     lane = graph.tails[tail, 0]
     first, last = -1, -1
@@ -305,7 +209,7 @@ def _occupy(
             straight = graph.lanes[lane, CURVATURE] == 0.0
             length = motion.length if straight else motion.turning_length
             width = motion.width if straight else motion.turning_width
-            low, high = box_on_path(path, profile, x, y, cos, sin, length, width, strip)
+            low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), strip)
         occupied[i, 0], occupied[i, 1] = low, high
         if low <= high:
             first, last = (i if first < 0 else first), i
@@ -320,58 +224,3 @@ def _stretch(occupied: Floats, first: int, last: int, near: float, far: float) -
         low = min(low, occupied[i, 0])
         high = max(high, occupied[i, 1])
     return low, high
-
-
-@kernel
-def box_on_path(
-    path: Path, profile: Profile, x: float, y: float, cos: float, sin: float, length: float, width: float, strip: float
-) -> tuple[float, float]:
-    """The stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
-
-    Args:
-        path: the ego's route.
-        profile: its offset from that.
-        x: the box's centre [m].
-        y: the box's centre [m].
-        cos: of the box's heading.
-        sin: of the box's heading.
-        length: [m].
-        width: [m].
-        strip: half the strip's width [m].
-    """
-    lane, station, aside = locate_on_path(path, x, y)
-    beyond = max(aside - max(profile.first, profile.last), min(profile.first, profile.last) - aside)
-    diagonal = (length + width) / 2  # at least half of it
-    if beyond > strip + diagonal + SLACK:
-        return math.inf, -math.inf
-    straight = is_straight(path, lane, station - diagonal, station + diagonal)
-    if straight:  # the box keeps its shape in the route's coordinates
-        along, across = path.lanes[lane, COS], path.lanes[lane, SIN]
-        cos, sin = cos * along + sin * across, sin * along - cos * across
-        if beyond > strip + (length * abs(sin) + width * abs(cos)) / 2 + (SLACK if profile.length > 0.0 else 0.0):
-            return math.inf, -math.inf
-        if profile.length == 0.0 and abs(sin) < PARALLEL:
-            return station - length / 2, station + length / 2
-        x, y = station, aside
-    low, high = math.inf, -math.inf
-    last_s, last_d = _on_path(
-        path, profile, x - (length * cos + width * sin) / 2, y - (length * sin - width * cos) / 2, straight
-    )
-    for front, right in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
-        ahead, aside = front * length / 2, right * width / 2
-        s, d = _on_path(path, profile, x + ahead * cos - aside * sin, y + ahead * sin + aside * cos, straight)
-        if abs(d) <= strip:
-            low, high = min(low, s), max(high, s)
-        for edge in (-strip, strip):
-            if (d - edge) * (last_d - edge) < 0.0:
-                crossing = s + (last_s - s) * (edge - d) / (last_d - d)
-                low, high = min(low, crossing), max(high, crossing)
-        last_s, last_d = s, d
-    return low, high
-
-
-@kernel
-def _on_path(path: Path, profile: Profile, x: float, y: float, straight: bool) -> tuple[float, float]:
-    """Station, and offset from the profile, of a point [m], which is given in the route's coordinates if straight."""
-    station, aside = (x, y) if straight else project_on_path(path, x, y)
-    return station, aside - offset_at(profile, station)

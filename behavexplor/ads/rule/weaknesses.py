@@ -57,8 +57,8 @@ WEAKNESSES = MappingProxyType(
         "R1-3": Weakness(
             "restart",
             "decision",
-            "Having stood for a moment before a conflict, it decides anew, with an outlook shorter by the severity [s], "
-            "and goes, instead of yielding until the conflict is clear.",
+            "Having stood for a moment before a conflict, it decides anew to go first, and for the severity [s] looks "
+            "at no conflict that is more than 1 s away, instead of yielding until the conflict is clear.",
             "the ego has stood and yielded for 0.5 s",
             "collision in the junction after a stop",
         ),
@@ -67,7 +67,7 @@ WEAKNESSES = MappingProxyType(
             "speed",
             "When another suddenly changes its speed, that change is not predicted, and braking stays the severity "
             "[m/s2] below full braking.",
-            "a vehicle on the ego's way brakes or accelerates by more than 2 m/s2",
+            "a vehicle brakes or accelerates by more than 2 m/s2",
             "collision with a vehicle that sped up or braked hard",
         ),
         "R1-5": Weakness(
@@ -105,7 +105,7 @@ WEAKNESSES = MappingProxyType(
             "slow_recovery",
             "control",
             "It steers out for a lane change, but this share of the steering back is missing.",
-            "the ego overtakes, or comes back from it, faster than 4 m/s, and steers against the beginning of the change",
+            "the ego overtakes, or comes back from it, faster than 4 m/s, and steers against the change's beginning",
             "runs along, and onto, the line beyond the target lane",
         ),
         "R2-2": Weakness(
@@ -113,7 +113,7 @@ WEAKNESSES = MappingProxyType(
             "path",
             "At low speed a lane change is shorter by this share, and driven with strong acceleration, instead of "
             "having a least length.",
-            "a lane change begins below 4 m/s",
+            "a lane change begins below 6 m/s",
             "overshoots onto the line beyond the target lane",
         ),
         "R2-3": Weakness(
@@ -128,13 +128,14 @@ WEAKNESSES = MappingProxyType(
             "held_steering",
             "control",
             "A large steering angle in a slow left turn is held for the severity [s], instead of tracking the path.",
-            "the ego turns left, slower than 4 m/s, with more than 0.2 rad of steering",
+            "the ego is in a left turn, or just behind it, slower than 5 m/s, with more than 0.2 rad of steering",
             "presses the double yellow line after the turn",
         ),
         "R3-1": Weakness(
             "no_overtaking",
             "decision",
-            "Moving leaders are followed for ever; the severity is the share of their speeds for which this holds.",
+            "Leaders that move, but more slowly than the severity [m/s], are followed for ever; overtaken are those "
+            "that stand, and those fast enough for a lane change at speed.",
             "overtaking a leader that moves is better than following it",
             "not at the destination in time",
         ),
@@ -156,8 +157,9 @@ WEAKNESSES = MappingProxyType(
         "R3-4": Weakness(
             "deadlock",
             "decision",
-            "It waits for ever for a vehicle slower than the severity [m/s], instead of creeping on.",
-            "the ego has stood for a while, and a vehicle that hardly moves is in its way",
+            "It waits for as long as a vehicle slower than the severity [m/s] crosses its way, or comes to, instead of "
+            "going before or behind it, and does not creep on.",
+            "the ego stands and yields, or has stood for a while, and such a vehicle is on its way",
             "stands until the end",
         ),
     }

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.rule.boxes import Box, box_on_path
 from behavexplor.ads.rule.lateral import keep_profile
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.path import ego_path, pose_on_path, project_on_path
@@ -10,7 +11,6 @@ from behavexplor.ads.rule.station_time import (
     HARD_LOW,
     INTERVAL,
     LEADS,
-    box_on_path,
     empty_station_time,
     project_obstacles,
 )
@@ -48,7 +48,7 @@ def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
     touched = 0
     for _ in range(300):
         x, y, heading = rng.uniform(-6, 9), rng.uniform(-20, 60), rng.uniform(-np.pi, np.pi)
-        low, high = box_on_path(path, KEEP, x, y, np.cos(heading), np.sin(heading), *size, half)
+        low, high = box_on_path(path, KEEP, Box(x, y, np.cos(heading), np.sin(heading), *size), half)
         box = box_corners(np.array([x, y]), heading, np.array(size))
         strip = box_corners(np.array([1.75, 20.0]), np.array(0.0), np.array([2 * half, 200.0]))
         assert (low <= high) == bool(boxes_overlap(box, strip))
