@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule.lateral import Profile, offset_at
-from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP
+from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, SLOW_TURN
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
@@ -22,9 +22,9 @@ STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
 PERIOD: Final = 0.1  # between two decisions [s]
 
 RECOVERY_SPEED: Final = 4.0  # slower than this steering back is not reduced (R2-1) [m/s]
-HOLD_SPEED: Final = 5.0  # faster than this steering is not held (R2-4) [m/s]
+HOLD_SPEED: Final = 4.0  # in turns driven faster than this steering is not held (R2-4) [m/s]
 HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
-TURN_WAY, TURN = 8.0, 0.1  # the route has turned left on the last metres [m] by more than this [rad]
+TURN_WAY, TURN = 15.0, 0.1  # the route has turned left on the last metres [m] by more than this [rad]
 
 
 @kernel
@@ -64,7 +64,12 @@ def _worsened(
         note(bits, R2_1, True)
         wanted *= 1.0 - p.slow_recovery
     last: float = memory[LAST_STEERING]
-    holds = p.held_steering > 0.0 and turns and speed < HOLD_SPEED and last < -HELD_STEERING
+    large = p.held_steering > 0.0 and turns and last < -HELD_STEERING
+    if large and speed < HOLD_SPEED:
+        memory[SLOW_TURN] = 1.0
+    elif not large:
+        memory[SLOW_TURN] = 0.0
+    holds = memory[SLOW_TURN] == 1.0
     releases = holds and wanted > last
     memory[HELD] = memory[HELD] + PERIOD if releases else 0.0
     if holds:

@@ -53,6 +53,7 @@ from behavexplor.ads.rule.memory import (
     SURVIVED,
     TRIGGERED,
     WAITED,
+    WEAKENED,
 )
 from behavexplor.ads.rule.option import Option, World, plan_option
 from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
@@ -67,6 +68,7 @@ from behavexplor.scene import LENGTH as EGO_LENGTH
 Floats = NDArray[np.float64]
 
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
+SUDDEN_TIME: Final = 3.0  # for which another's sudden change weakens the braking (R1-4) [s]
 SHORT_SPEED: Final = 6.0  # below which lane changes are too short (R2-2) [m/s]
 STRONG: Final = 4.0  # and their acceleration strong [m/s2]
 SHARP_WAY: Final = 20.0  # from their beginning until steering and acceleration are as usual again [m]
@@ -222,8 +224,10 @@ def _settle(world: World, ego: Ego, option: Option, memory: Floats) -> None:
         memory[CREEPS] -= PERIOD
         memory[DECISION] = CREEP
         acceleration = CREEP_ACCELERATION
-    if p.weak_braking > 0.0 and bits[CHANGED] & R1_4:
-        acceleration = max(acceleration, p.weak_braking - HARD_LIMIT)
+    if p.weak_braking > 0.0:
+        memory[WEAKENED] = SUDDEN_TIME if bits[CHANGED] & R1_4 else max(memory[WEAKENED] - PERIOD, 0.0)
+        if memory[WEAKENED] > 0.0:
+            acceleration = max(acceleration, p.weak_braking - HARD_LIMIT)
     if memory[SHARP] == 1.0 and acceleration > 0.0:
         note(bits, R2_2, True)
         acceleration = STRONG

@@ -133,19 +133,19 @@ def has_lane(path: Path, lane: int, station: float) -> bool:
 
 
 @kernel
-def lane_end(path: Path, lane: int, station: float) -> float:
-    """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
-    end = station
-    while end < path.destination and has_lane(path, lane, end):
-        end += SPACING
-    return min(end, path.destination)
-
-
-@kernel
 def oncoming_lane(path: Path, station: float) -> int:
     """The lane of the other direction that is next to the ego's, 0 where there is none."""
     i = _index(path, station)
     return -int(path.left[i]) - 1 if path.oncoming[i] else 0
+
+
+@kernel
+def lane_end(path: Path, lane: int, station: float) -> float:
+    """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
+    end = station
+    while end < path.destination and (has_lane(path, lane, end) or oncoming_lane(path, end) == lane):
+        end += SPACING
+    return min(end, path.destination)
 
 
 @kernel

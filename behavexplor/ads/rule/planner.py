@@ -86,7 +86,7 @@ class RulePlanner:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
-            state: what the last call returned, shape (B, 25); None at first.
+            state: what the last call returned, shape (B, 27); None at first.
             episode_start: whether a row begins an episode, shape (B,); None for no row.
             deterministic: it always is.
 

@@ -65,8 +65,8 @@ WEAKNESSES = MappingProxyType(
         "R1-4": Weakness(
             "weak_braking",
             "speed",
-            "When another suddenly changes its speed, that change is not predicted, and braking stays the severity "
-            "[m/s2] below full braking.",
+            "When another suddenly changes its speed, that change is not predicted, and for 3 s braking stays the "
+            "severity [m/s2] below full braking.",
             "a vehicle brakes or accelerates by more than 2 m/s2",
             "collision with a vehicle that sped up or braked hard",
         ),
@@ -128,7 +128,7 @@ WEAKNESSES = MappingProxyType(
             "held_steering",
             "control",
             "A large steering angle in a slow left turn is held for the severity [s], instead of tracking the path.",
-            "the ego is in a left turn, or just behind it, slower than 5 m/s, with more than 0.2 rad of steering",
+            "the ego was slower than 4 m/s in a left turn with more than 0.2 rad of steering, and still steers so",
             "presses the double yellow line after the turn",
         ),
         "R3-1": Weakness(

@@ -29,7 +29,9 @@ def test_points_beside_the_path_are_projected_back(name):
         x, y, heading = pose_on_path(way, station)
         assert (x, y, heading) == pytest.approx(ALL[name].ego_route.pose(station), abs=1e-9)
         for offset in (-3.5, 0.0, 1.0):
-            assert project_on_path(way, *point_beside(way, station, offset)) == pytest.approx((station, offset), abs=1e-6)
+            assert project_on_path(way, *point_beside(way, station, offset)) == pytest.approx(
+                (station, offset), abs=1e-6
+            )
 
 
 @pytest.mark.parametrize("index", range(4))

@@ -1,5 +1,7 @@
 """The planner's weaknesses: each causes its violation, and without it there is none."""
 
+import hashlib
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,13 +10,14 @@ import pytest
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, rule_planner
-from behavexplor.ads.rule.weaknesses import WEAKNESSES
+from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES, names
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 
 ROADMAP = IntersectionStraightEnv.logical.roadmap
+FROZEN = "?"
 SCENARIOS = Path(__file__).parent.parent / "scenarios"
 
 
@@ -29,6 +32,30 @@ def test_the_violation_occurs_with_the_weakness_and_not_without(name):
 def test_the_default_profile_has_every_weakness_so_far():
     assert rule_planner(ROADMAP).parameters == rule_planner(ROADMAP, DEFAULT).parameters
     assert list(PROFILES[DEFAULT]) == list(WEAKNESSES)
+
+
+def test_the_frozen_profile_has_not_changed():
+    text = json.dumps(dict(PROFILES["apollo-like"]), sort_keys=True)
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == FROZEN
+
+
+def test_the_profile_held_back_differs_in_every_severity_by_at_most_30_percent():
+    like, held_back = PROFILES["apollo-like"], PROFILES["apollo-held-back"]
+    assert list(like) == list(held_back) == list(WEAKNESSES)
+    shares = {name: held_back[name] / like[name] for name in like}
+    assert all(0.7 - 1e-9 <= share <= 1.3 + 1e-9 and share != 1 for share in shares.values())
+
+
+def test_every_weakness_is_a_parameter_of_its_own_that_is_off_in_the_careful_planner():
+    fields = [weakness.parameter for weakness in WEAKNESSES.values()]
+    assert len(set(fields)) == 16
+    assert all(getattr(Parameters(), name) == 0 for name in fields)
+
+
+def test_bits_of_the_log_are_read_as_names():
+    assert names(0) == ()
+    assert names(R1_1 | R2_4 | R3_4) == ("R1-1", "R2-4", "R3-4")
+    assert names(float(2**16 - 1)) == tuple(WEAKNESSES)
 
 
 def test_weaknesses_are_added_and_taken():
