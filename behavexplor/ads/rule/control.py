@@ -21,6 +21,7 @@ ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
 PERIOD: Final = 0.1  # between two decisions [s]
 
+TWO_PI: Final = 2 * math.pi
 RECOVERY_SPEED: Final = 4.0  # slower than this steering back is not reduced (R2-1) [m/s]
 HOLD_SPEED: Final = 4.0  # in turns driven faster than this steering is not held (R2-4) [m/s]
 HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
@@ -47,7 +48,8 @@ def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: F
     if p.slow_recovery > 0.0 or p.held_steering > 0.0:
         _, _, here = pose_on_path(path, station)
         _, _, before = pose_on_path(path, station - TURN_WAY)
-        wanted = _worsened(profile, scene[EGO, SPEED], here - before < -TURN, wanted, memory, bits, p)
+        turned = (here - before + math.pi) % TWO_PI - math.pi
+        wanted = _worsened(profile, scene[EGO, SPEED], turned < -TURN, wanted, memory, bits, p)
     change = p.steering_rate * PERIOD
     wanted = min(max(wanted, last - change), last + change)
     return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])
