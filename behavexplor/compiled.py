@@ -13,7 +13,7 @@ import numba
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
-_IMPORT = re.compile(r"^(?:from|import) (behavexplor[.\w]*)(?: import \(?([\w, \n]+))?", re.MULTILINE)
+_IMPORT = re.compile(r"^(?:from|import) (behavexplor[.\w]*)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 
 
 def kernel(function: Function) -> Function:
@@ -69,9 +69,9 @@ def _digest(path: Path, package: Path) -> str:
 
 def _imported(source: str, package: Path) -> set[Path]:
     found: set[Path] = set()
-    for module, names in _IMPORT.findall(source):
+    for module, *names in _IMPORT.findall(source):
         path = package.joinpath(*module.split(".")[1:])
-        found |= {path.with_suffix(".py"), *(path / f"{name}.py" for name in re.findall(r"\w+", names))}
+        found |= {path.with_suffix(".py"), *(path / f"{name}.py" for name in re.findall(r"\w+", " ".join(names)))}
     return {path for path in found if path.is_file()}
 
 

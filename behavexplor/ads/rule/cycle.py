@@ -59,7 +59,7 @@ from behavexplor.ads.rule.option import Option, World, plan_option
 from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
 from behavexplor.ads.rule.traffic import locate
-from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, note
+from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.compiled import kernel
 from behavexplor.scene import EGO, HEADING, SPEED, WIDTH, X, Y
@@ -70,7 +70,7 @@ Floats = NDArray[np.float64]
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
 SUDDEN_TIME: Final = 3.0  # for which another's sudden change weakens the braking (R1-4) [s]
 SHORT_SPEED: Final = 6.0  # below which lane changes are too short (R2-2) [m/s]
-STRONG: Final = 4.0  # and their acceleration strong [m/s2]
+STRONGER: Final = 2.0  # and how much more they are accelerated for all of the severity [m/s2]
 SHARP_WAY: Final = 20.0  # from their beginning until steering and acceleration are as usual again [m]
 STUCK: Final = 1.0  # who stands so long during a lane change decides anew [s]
 CREEP_ACCELERATION: Final = 1.2  # [m/s2]
@@ -139,6 +139,8 @@ def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -
     if wrong != lane:
         option, begun = _try_change(world, ego, present, wrong, memory)
     wanted = lane if begun else choose_lane(path, others, ego, memory, bits, p)
+    if bits[CHANGED] & R3_3:
+        memory[OVERRUN] = 1.0
     if wanted != lane:
         option, begun = _try_change(world, ego, present, wanted, memory)
     return option
@@ -230,7 +232,7 @@ def _settle(world: World, ego: Ego, option: Option, memory: Floats) -> None:
             acceleration = max(acceleration, p.weak_braking - HARD_LIMIT)
     if memory[SHARP] == 1.0 and acceleration > 0.0:
         note(bits, R2_2, True)
-        acceleration = STRONG
+        acceleration = p.comfortable_acceleration + STRONGER * p.short_change
     at_once = memory[DECISION] == EMERGENCY or acceleration < -p.firm_braking
     memory[LAST_ACCELERATION] = accelerate(acceleration, memory[LAST_ACCELERATION], ego.speed, at_once, p)
     memory[LAST_STEERING] = steer(path, option.profile, world.scene, ego.station, memory, bits, p)

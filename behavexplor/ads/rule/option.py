@@ -95,7 +95,7 @@ def plan_option(world: World, ego: Ego, profile: Profile, lane: int, memory: Flo
     project_obstacles(path, profile, world.graph, world.scene, ego.station, blind, p, room)
     if memory[RESTARTED] > 0.0:
         shorten(room, RESTART_OUTLOOK)
-    wall = math.inf if memory[OVERRUN] == 1.0 or p.late_change > 0.0 else lane_wall(path, ego, lane, p)
+    wall = math.inf if memory[OVERRUN] == 1.0 else lane_wall(path, ego, lane, p)
     waits = can_wait(path, ego.station, ego.speed, ego.half_length, p)
     caution = 1.0 if waits or passed(path, ego.station, ego.half_length) else p.committed_caution
     last = memory[LAST_ACCELERATION]
