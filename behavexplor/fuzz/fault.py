@@ -65,7 +65,7 @@ def _struck_from_behind(trace: Trace, npc: int) -> bool:
     ahead = (trace.position[-1, npc] - trace.position[-1, 0]) @ (math.cos(heading), math.sin(heading))
     turned = math.remainder(trace.heading[-1, npc] - heading, 2 * math.pi)
     ego_speed, npc_speed = np.hypot(*trace.velocity[-1, [0, npc]].T)
-    # With its centre behind the ego's rear bumper's half of the way it came from behind, not from the side.
+    # One whose centre is ahead of the ego's rear bumper came alongside, not from behind.
     return bool(ahead < -trace.size[0, 0] / 2 and abs(turned) < ALIGNED and npc_speed > ego_speed)
 
 

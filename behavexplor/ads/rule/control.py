@@ -6,33 +6,78 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.rule.lateral import Profile, offset_at
+from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, SLOW_TURN
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, pose_on_path
+from behavexplor.ads.rule.path import Path, point_beside, pose_on_path
+from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.compiled import kernel
 from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
 PERIOD: Final = 0.1  # between two decisions [s]
 
+TWO_PI: Final = 2 * math.pi
+RECOVERY_SPEED: Final = 4.0  # slower than this steering back is not reduced (R2-1) [m/s]
+HOLD_SPEED: Final = 4.0  # in turns driven faster than this steering is not held (R2-4) [m/s]
+HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
+TURN_WAY, TURN = 15.0, 0.1  # the route has turned left on the last metres [m] by more than this [rad]
+
 
 @kernel
-def steer(path: Path, scene: Floats, station: float, last: float, p: Numbers) -> float:
+def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers) -> float:
     """Steering angle [rad] by pure pursuit: the circle that leads through a point ahead on the path.
 
     The bicycle model turns about its centre with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
     and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
-    x, y, _ = pose_on_path(path, station + p.look_ahead + p.look_ahead_time * scene[EGO, SPEED])
+    away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
+    if memory[SHARP] == 1.0:  # as short-sighted as its path is short (R2-2)
+        away *= 1.0 - p.short_change
+    there = station + away
+    x, y = point_beside(path, there, offset_at(profile, there))
     ahead, aside = x - scene[EGO, X], y - scene[EGO, Y]
     bearing = math.atan2(aside, ahead) - scene[EGO, HEADING]
     share = scene[EGO, LENGTH] / math.hypot(ahead, aside)
     wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
+    last: float = memory[LAST_STEERING]
+    if p.slow_recovery > 0.0 or p.held_steering > 0.0:
+        _, _, here = pose_on_path(path, station)
+        _, _, before = pose_on_path(path, station - TURN_WAY)
+        turned = (here - before + math.pi) % TWO_PI - math.pi
+        wanted = _worsened(profile, scene[EGO, SPEED], turned < -TURN, wanted, memory, bits, p)
     change = p.steering_rate * PERIOD
     wanted = min(max(wanted, last - change), last + change)
     return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])
+
+
+@kernel
+def _worsened(
+    profile: Profile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
+) -> float:
+    """The steering angle of a planner that recovers slowly (R2-1) or holds a large one (R2-4)."""
+    across = profile.last - profile.first
+    overtakes = memory[OVERTAKING] == 1.0 and profile.length > 0.0
+    if p.slow_recovery > 0.0 and overtakes and speed > RECOVERY_SPEED and wanted * across < 0.0:
+        note(bits, R2_1, True)
+        wanted *= 1.0 - p.slow_recovery
+    last: float = memory[LAST_STEERING]
+    large = p.held_steering > 0.0 and turns and last < -HELD_STEERING
+    if large and speed < HOLD_SPEED:
+        memory[SLOW_TURN] = 1.0
+    elif not large:
+        memory[SLOW_TURN] = 0.0
+    holds = memory[SLOW_TURN] == 1.0
+    releases = holds and wanted > last
+    memory[HELD] = memory[HELD] + PERIOD if releases else 0.0
+    if holds:
+        note(bits, R2_4, releases and memory[HELD] <= p.held_steering)
+    held: float = last if releases and memory[HELD] <= p.held_steering else wanted
+    return held
 
 
 @kernel

@@ -17,11 +17,8 @@ Y: Final = 1
 HEADING: Final = 2  # direction there [rad]
 LENGTH: Final = 3  # [m]
 CURVATURE: Final = 4  # [1/m], positive to the right
-
-
 COS: Final = 5  # of the heading
 SIN: Final = 6
-
 N_COLUMNS: Final = 7
 
 
@@ -41,6 +38,18 @@ def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float
     x += (math.sin(heading) - lanes[lane, SIN]) / curvature
     y -= (math.cos(heading) - lanes[lane, COS]) / curvature
     return x, y, heading
+
+
+@kernel
+def direction_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float, float]:
+    """Position, and cosine and sine of the heading, at a station of a lane, also beyond its ends."""
+    x, y, start_cos, start_sin = lanes[lane, X], lanes[lane, Y], lanes[lane, COS], lanes[lane, SIN]
+    curvature = lanes[lane, CURVATURE]
+    if curvature == 0.0:
+        return x + station * start_cos, y + station * start_sin, start_cos, start_sin
+    heading = lanes[lane, HEADING] + curvature * station
+    cos, sin = math.cos(heading), math.sin(heading)
+    return x + (sin - start_sin) / curvature, y - (cos - start_cos) / curvature, cos, sin
 
 
 @kernel

@@ -12,10 +12,25 @@ from behavexplor.errors import InputError
 class Parameters:
     """The planner's numbers, all >= 0.
 
+    The first sixteen are the severities of the weaknesses, see `behavexplor.ads.rule.weaknesses`; 0 is without.
+
     Attributes:
-        static_speed: NPCs slower than this are predicted to stand [m/s]; 0 for none (weakness R1-2).
-        branch_turn: how far an NPC must have turned before another branch of a junction is predicted than straight on
-            [rad]; 0 for all branches at once (weakness R1-8).
+        occlusion: R1-1, share of a vehicle that may be in sight although it counts as hidden.
+        static_speed: R1-2, NPCs slower than this are predicted to stand [m/s].
+        restart: R1-3, for how long conflicts are not looked at after a stop before one [s].
+        weak_braking: R1-4, what is missing of full braking [m/s2].
+        cut_in: R1-5, share of the gaps in the target lane that is not asked for.
+        no_abort: R1-6, share of the least gap that may be lost before a lane change is aborted.
+        narrow_bus: R1-7, share of a large vehicle's excess over a car that is not seen while it turns.
+        branch_turn: R1-8, how far an NPC must have turned before another branch is predicted than straight on [rad].
+        slow_recovery: R2-1, share of the steering back that is missing at the end of a lane change.
+        short_change: R2-2, share of a lane change's length that is missing at low speed.
+        wrong_side: R2-3, leaders slower than this are overtaken in the lane of the other direction [m/s].
+        held_steering: R2-4, how long the steering of a slow left turn is held [s].
+        no_overtaking: R3-1, moving leaders slower than this are followed for ever [m/s].
+        no_room: R3-2, share of the room for coming back from an overtaking that is not asked for.
+        late_change: R3-3, share of the way to the destination on which a needed lane change is not begun.
+        deadlock: R3-4, for NPCs in its way slower than this the ego waits for ever [m/s].
         match_offset: an NPC may be on a lane if its centre is this close to the centre line [m]
         match_heading: and its heading this close to the lane's [rad].
         acceleration_memory: how long an NPC's present acceleration may go on [s].
@@ -25,6 +40,20 @@ class Parameters:
         crossing_time: and the time kept to those who cross or merge [s],
         crossing_time_growth: growing with how far ahead their motion is predicted [s/s],
         following_time: and the time kept to those ahead on the own path [s].
+        standoff: distance kept from slow vehicles ahead where there is a lane to pass them [m].
+        outlook: how far ahead lanes are compared [s].
+        lane_cost: of every lane that lies between the ego and its route, when lanes are compared [m].
+        lane_gain: by which another lane must be better than the present one [m].
+        lane_rest: between two lane changes that are not needed [s].
+        pass_gap: distance to those overtaken that allows to come back [m].
+        change_time: that a change to the next lane takes [s],
+        change_length: and its least length [m].
+        gap: least distance from others in the target lane, ahead and behind [m],
+        gap_ahead_time: more for how fast the ego closes up to those ahead [s],
+        gap_behind_time: and for how fast those behind close up to the ego [s].
+        abort_share: a lane change is aborted while the gaps are less than this share of those,
+        abort_time: or if contact would come sooner than this [s].
+        creep_after: an ego that stood for so long creeps forward a little [s].
         stop_line_gap: distance between the stop line and the front bumper of the waiting ego [m].
         line_overrun: how far behind the stop line the ego may still wait, out of the way of crossing traffic [m].
         firm_braking: a junction is still refused if this deceleration stops the ego before it [m/s2].
@@ -52,8 +81,22 @@ class Parameters:
         InputError: if a value is not a finite number >= 0.
     """
 
+    occlusion: float = 0.0
     static_speed: float = 0.0
+    restart: float = 0.0
+    weak_braking: float = 0.0
+    cut_in: float = 0.0
+    no_abort: float = 0.0
+    narrow_bus: float = 0.0
     branch_turn: float = 0.0
+    slow_recovery: float = 0.0
+    short_change: float = 0.0
+    wrong_side: float = 0.0
+    held_steering: float = 0.0
+    no_overtaking: float = 0.0
+    no_room: float = 0.0
+    late_change: float = 0.0
+    deadlock: float = 0.0
     match_offset: float = 1.0
     match_heading: float = 0.35
     acceleration_memory: float = 2.0
@@ -63,7 +106,21 @@ class Parameters:
     crossing_time: float = 0.6
     crossing_time_growth: float = 0.05
     following_time: float = 1.0
-    stop_line_gap: float = 1.0
+    standoff: float = 7.0
+    outlook: float = 8.0
+    lane_cost: float = 6.0
+    lane_gain: float = 6.0
+    lane_rest: float = 1.0
+    pass_gap: float = 8.0
+    change_time: float = 3.5
+    change_length: float = 15.0
+    gap: float = 3.0
+    gap_ahead_time: float = 1.0
+    gap_behind_time: float = 4.0
+    abort_share: float = 0.5
+    abort_time: float = 3.0
+    creep_after: float = 12.0
+    stop_line_gap: float = 2.0
     line_overrun: float = 1.5
     firm_braking: float = 4.0
     clear_time: float = 0.3

@@ -1,4 +1,4 @@
-"""Path: the ego's way in Frenet coordinates; for now it keeps to the centre line of its route."""
+"""Path: the ego's route as a reference line with its lanes to the left and right, and places beside it."""
 
 import math
 from collections.abc import Iterable
@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.lanes import LENGTH, lane_array, pose_on_lane, project_on_lane
+from behavexplor.ads.rule.lanes import CURVATURE, LENGTH, lane_array, pose_on_lane, project_on_lane
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.compiled import kernel
 from behavexplor.roadmap import Lane, RoadMap
 
 Floats = NDArray[np.float64]
 
-SPACING = 1.0  # of the stations at which the speed limit is kept [m]
+SPACING = 1.0  # of the stations at which speed limit and neighbouring lanes are kept [m]
 
 
 class Path(NamedTuple):
@@ -25,32 +25,68 @@ class Path(NamedTuple):
         lanes: its lanes, those of equal curvature joined, shape (lanes, 7), see `behavexplor.ads.rule.lanes`.
         bounds: stations where they begin, and where the last one ends [m], shape (lanes + 1,).
         limits: greatest speed every `SPACING` metres [m/s], shape (stations,).
+        left: number of lanes of the same direction to the left of the route's there, shape (stations,).
+        right: and to the right, shape (stations,).
+        oncoming: 1 where a lane of the other direction lies left of them, else 0, shape (stations,).
         junction_start: station of the stop line [m], infinite without a junction.
         junction_end: station where the junction ends [m], minus infinity without one.
+        destination: station of the destination [m].
+        lane_width: [m].
         speed_limit: of the map [m/s].
     """
 
     lanes: Floats
     bounds: Floats
     limits: Floats
+    left: Floats
+    right: Floats
+    oncoming: Floats
     junction_start: float
     junction_end: float
+    destination: float
+    lane_width: float
     speed_limit: float
 
 
 def ego_path(roadmap: RoadMap, parameters: Parameters) -> Path:
-    """The path along the centre line of the ego's route."""
+    """The ego's route and what lies beside it."""
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
     lanes = _joined(route.lanes)
+    beside = np.array([_beside(roadmap, lane) for lane in route.lanes], dtype=np.float64)
+    stations = np.arange(0.0, route.length + SPACING, SPACING)
+    left, right, oncoming = beside[np.searchsorted(route.bounds[1:-1], stations, side="right")].T
     return Path(
         lanes=lane_array(lanes),
         bounds=np.concatenate([[0.0], np.cumsum([lane.length for lane in lanes])]),
-        limits=_speed_limits(roadmap, parameters),
+        limits=_speed_limits(roadmap, parameters, stations),
+        left=np.ascontiguousarray(left),
+        right=np.ascontiguousarray(right),
+        oncoming=np.ascontiguousarray(oncoming),
         junction_start=float(route.bounds[inside[0]]) if inside else math.inf,
         junction_end=float(route.bounds[inside[-1] + 1]) if inside else -math.inf,
+        destination=float(roadmap.destination),
+        lane_width=float(route.lanes[0].width),
         speed_limit=float(roadmap.speed_limit),
     )
+
+
+def _beside(roadmap: RoadMap, lane: Lane) -> tuple[int, int, bool]:
+    """Number of lanes to the left and right of a lane that run its way, and whether one runs against them."""
+    group = [other for other in roadmap.lanes if (other.origin, other.target) == (lane.origin, lane.target)]
+    left = group.index(lane)
+    x, y, heading = lane.pose(lane.length / 2)
+    aside = -(left + 1) * lane.width
+    x, y = x - aside * math.sin(heading), y + aside * math.cos(heading)
+    oncoming = any(_runs_against(other, x, y, heading) for other in roadmap.lanes if not other.junction)
+    return left, len(group) - 1 - left, oncoming and not lane.junction
+
+
+def _runs_against(lane: Lane, x: float, y: float, heading: float) -> bool:
+    """Whether a lane's centre line runs through a point in the opposite direction."""
+    station, offset = lane.project(x, y)
+    turned = math.remainder(lane.heading - heading, 2 * math.pi)
+    return abs(offset) < 0.1 and 0 <= station <= lane.length and abs(turned) > math.pi / 2
 
 
 def _joined(lanes: Iterable[Lane]) -> list[Lane]:
@@ -64,10 +100,9 @@ def _joined(lanes: Iterable[Lane]) -> list[Lane]:
     return joined
 
 
-def _speed_limits(roadmap: RoadMap, parameters: Parameters) -> Floats:
+def _speed_limits(roadmap: RoadMap, parameters: Parameters, stations: Floats) -> Floats:
     """The map's limit, lower in curves, and before them as far as braking takes."""
     route = roadmap.ego_route
-    stations = np.arange(0.0, route.length + SPACING, SPACING)
     lane = np.searchsorted(route.bounds[1:-1], stations, side="right")
     curvature = np.abs([route.lanes[i].curvature for i in lane])
     limits = np.full(len(stations), float(roadmap.speed_limit))
@@ -79,17 +114,45 @@ def _speed_limits(roadmap: RoadMap, parameters: Parameters) -> Floats:
 
 
 @kernel
+def _index(path: Path, station: float) -> int:
+    return min(max(int(station / SPACING), 0), len(path.limits) - 1)
+
+
+@kernel
 def limit_at(path: Path, station: float) -> float:
     """Greatest speed [m/s] at a station [m]."""
-    limit: float = path.limits[min(max(int(station / SPACING), 0), len(path.limits) - 1)]
+    limit: float = path.limits[_index(path, station)]
     return limit
 
 
 @kernel
-def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
-    """Station and offset (positive to the right) of a point [m]; the outer lanes are continued."""
+def has_lane(path: Path, lane: int, station: float) -> bool:
+    """Whether a lane (0 is the route's, 1 the next to the right) runs the ego's way at a station."""
+    i = _index(path, station)
+    return bool(-path.left[i] <= lane <= path.right[i])
+
+
+@kernel
+def oncoming_lane(path: Path, station: float) -> int:
+    """The lane of the other direction that is next to the ego's, 0 where there is none."""
+    i = _index(path, station)
+    return -int(path.left[i]) - 1 if path.oncoming[i] else 0
+
+
+@kernel
+def lane_end(path: Path, lane: int, station: float) -> float:
+    """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
+    end = station
+    while end < path.destination and (has_lane(path, lane, end) or oncoming_lane(path, end) == lane):
+        end += SPACING
+    return min(end, path.destination)
+
+
+@kernel
+def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
+    """The lane of the route that is nearest to a point; the point's station on the route, and its offset [m]."""
     last = len(path.lanes) - 1
-    nearest, best_station, best_offset = math.inf, 0.0, 0.0
+    nearest, best, best_station, best_offset = math.inf, 0, 0.0, 0.0
     for i in range(last + 1):
         station, offset = project_on_lane(path.lanes, i, x, y)
         outside = 0.0
@@ -97,10 +160,26 @@ def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
             outside = max(outside, -station)
         if i < last:
             outside = max(outside, station - path.lanes[i, LENGTH])
-        gap = math.hypot(offset, outside)
+        gap = offset * offset + outside * outside
         if gap < nearest:
-            nearest, best_station, best_offset = gap, path.bounds[i] + station, offset
-    return best_station, best_offset
+            nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
+    return best, best_station, best_offset
+
+
+@kernel
+def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
+    """Station and offset (positive to the right) of a point [m]; the outer lanes are continued."""
+    _, station, offset = locate_on_path(path, x, y)
+    return station, offset
+
+
+@kernel
+def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
+    """Whether the route is straight between two stations about one of its lanes; its ends are continued."""
+    if path.lanes[lane, CURVATURE] != 0.0:
+        return False
+    starts = lane == 0 or low >= path.bounds[lane]
+    return bool(starts and (lane == len(path.lanes) - 1 or high <= path.bounds[lane + 1]))
 
 
 @kernel
@@ -110,3 +189,10 @@ def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     while i < len(path.lanes) - 1 and station > path.bounds[i + 1]:
         i += 1
     return pose_on_lane(path.lanes, i, station - path.bounds[i])
+
+
+@kernel
+def point_beside(path: Path, station: float, offset: float) -> tuple[float, float]:
+    """The point at a station and offset."""
+    x, y, heading = pose_on_path(path, station)
+    return x - offset * math.sin(heading), y + offset * math.cos(heading)

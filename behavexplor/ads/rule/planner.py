@@ -1,6 +1,5 @@
 """The rule planner: prediction, decision, path, speed and control, asked for a batch of egos."""
 
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
@@ -8,36 +7,46 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.control import ACCELERATION_RANGE, PERIOD, STEERING_RANGE, accelerate, steer
-from behavexplor.ads.rule.decision import (
-    EMERGENCY,
-    YIELD,
-    can_wait,
-    crosses_freely,
-    decision_code,
-    passed,
-    waiting_station,
+from behavexplor.ads.rule.control import ACCELERATION_RANGE, PERIOD, STEERING_RANGE
+from behavexplor.ads.rule.cycle import plan_once
+from behavexplor.ads.rule.memory import (
+    DECISION,
+    LANE,
+    LAST_ACCELERATION,
+    LAST_STEERING,
+    MANOEUVRE,
+    N_MEMORIES,
+    REACHED,
+    SURVIVED,
+    TRIGGERED,
 )
+from behavexplor.ads.rule.option import World
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
-from behavexplor.ads.rule.path import Path, ego_path, project_on_path
+from behavexplor.ads.rule.path import Path, ego_path
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
-from behavexplor.ads.rule.speed import Nodes, Situation, empty_nodes, plan_speed
-from behavexplor.ads.rule.station_time import INTERVAL, StationTime, empty_station_time, project_obstacles
+from behavexplor.ads.rule.speed import empty_nodes
+from behavexplor.ads.rule.station_time import empty_station_time
+from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
 from behavexplor.compiled import kernel
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
-from behavexplor.scene import EGO, LENGTH, N_COLUMNS, SPEED, X, Y
+from behavexplor.scene import N_COLUMNS
 
 Floats = NDArray[np.float64]
 
 RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
 
-DECISION: Final = 0  # code, see `behavexplor.ads.rule.decision`
-CLEAR: Final = 1  # how long the junction has been free [s]
-LAST_ACCELERATION: Final = 2  # commanded [m/s2]
-LAST_STEERING: Final = 3  # commanded [rad]
-SURVIVED: Final = 4  # how long the plan is free of contact [s]
-N_MEMORIES: Final = 5  # columns of the state; all zero at the start of an episode
+
+_LOG: Final = MappingProxyType(
+    {
+        "decision": DECISION,
+        "manoeuvre": MANOEUVRE,
+        "lane": LANE,
+        "survived": SURVIVED,
+        "reached": REACHED,
+        "triggered": TRIGGERED,
+    }
+)
 
 
 class RulePlanner:
@@ -77,7 +86,7 @@ class RulePlanner:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
-            state: what the last call returned, shape (B, 5); None at first.
+            state: what the last call returned, shape (B, 27); None at first.
             episode_start: whether a row begins an episode, shape (B,); None for no row.
             deterministic: it always is.
 
@@ -105,45 +114,19 @@ class RulePlanner:
         """The last decisions, from the state that `predict` returned.
 
         Returns:
-            `decision`, the code of `behavexplor.ads.rule.decision`, shape (B,), and `survived`, how long the
-            plan was free of contact, shape (B,) [s].
+            `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, that of
+            `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's and 1 the next to the right; `survived`,
+            how long the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
+            `behavexplor.ads.rule.weaknesses.names`. Each of shape (B,).
         """
-        return {"decision": state[:, DECISION], "survived": state[:, SURVIVED]}
+        return {name: state[:, column] for name, column in _LOG.items()}
 
 
 @kernel
 def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memory: Floats, p: Numbers) -> None:
     graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.near)  # the spare lane is written to
-    room, nodes = empty_station_time(scenes.shape[1] - 1), empty_nodes()
+    n_npcs = scenes.shape[1] - 1
+    room, nodes = empty_station_time(n_npcs), empty_nodes()
+    others = np.empty((n_npcs, N_OTHER_COLUMNS))
     for i in range(len(scenes)):
-        _plan(path, graph, scenes[i], memory[i], p, room, nodes)
-
-
-@kernel
-def _plan(
-    path: Path, graph: LaneGraph, scene: Floats, memory: Floats, p: Numbers, room: StationTime, nodes: Nodes
-) -> None:
-    """One decision; the commands are left in the memory."""
-    speed, half_length, last = scene[EGO, SPEED], scene[EGO, LENGTH] / 2, memory[LAST_ACCELERATION]
-    station, _ = project_on_path(path, scene[EGO, X], scene[EGO, Y])
-    project_obstacles(path, graph, scene, station, p, room)
-
-    waits = can_wait(path, station, speed, half_length, p)
-    caution = 1.0 if waits or passed(path, station, half_length) else p.committed_caution
-    plan = plan_speed(Situation(path, room, half_length, math.inf, caution, p), station, speed, last, nodes)
-    yields = False
-    if waits:
-        crosses = crosses_freely(path, room, plan, half_length)
-        memory[CLEAR] = memory[CLEAR] + PERIOD if crosses else 0.0
-        yields = not crosses or (memory[DECISION] == YIELD and memory[CLEAR] < p.clear_time)
-    if yields:
-        wall = waiting_station(path, station, speed, half_length, p)
-        waiting = plan_speed(Situation(path, room, half_length, wall, caution, p), station, speed, last, nodes)
-        if waiting.survived >= plan.survived:
-            plan = waiting
-
-    memory[DECISION] = decision_code(path, plan, station, half_length, yields)
-    memory[SURVIVED] = plan.survived * INTERVAL
-    at_once = memory[DECISION] == EMERGENCY or plan.acceleration < -p.firm_braking
-    memory[LAST_ACCELERATION] = accelerate(plan.acceleration, last, speed, at_once, p)
-    memory[LAST_STEERING] = steer(path, scene, station, memory[LAST_STEERING], p)
+        plan_once(World(path, graph, scenes[i], others, room, nodes, p), memory[i])

@@ -57,10 +57,11 @@ def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
     depth = max(map(len, tails))
     padded = [tail + (-1,) * (depth - len(tail)) for tail in tails]
     way = ego_route.polyline(0.0, ego_route.length)
+    reach = NEAR + ego_route.lanes[0].width  # it may overtake in the next lane; a straight road has no others
     return LaneGraph(
         lanes=np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)]),
         tails=np.array(padded, dtype=np.int64),
-        near=np.array([*(_distance(lane, way) <= NEAR for lane in lanes), True]),
+        near=np.array([*(_distance(lane, way) <= reach for lane in lanes), True]),
     )
 
 
@@ -72,7 +73,9 @@ def _distance(lane: Lane, way: Floats) -> float:
 
 
 @kernel
-def find_tails(graph: LaneGraph, x: float, y: float, heading: float, p: Numbers, tails: Ints, stations: Floats) -> int:
+def find_tails(
+    graph: LaneGraph, x: float, y: float, heading: float, p: Numbers, tails: Ints, stations: Floats
+) -> tuple[int, int]:
     """Every way on that a vehicle has, at a junction all branches; on no lane, straight on.
 
     Args:
@@ -85,10 +88,10 @@ def find_tails(graph: LaneGraph, x: float, y: float, heading: float, p: Numbers,
         stations: filled with the vehicle's stations along them [m], shape (most,).
 
     Returns:
-        How many were found, at least 1.
+        How many were found, at least 1, and how many of them, the last ones, are overlooked (weakness R1-8).
     """
     lanes, spare = graph.lanes, len(graph.tails) - 1
-    count = 0
+    count, overlooked = 0, 0
     lane, station, fits = -1, 0.0, False
     for tail in range(spare):
         if graph.tails[tail, 0] != lane:
@@ -98,14 +101,21 @@ def find_tails(graph: LaneGraph, x: float, y: float, heading: float, p: Numbers,
             turned = abs((heading - along + math.pi) % TWO_PI - math.pi)
             beside = abs(aside) <= p.match_offset and 0.0 <= station <= lanes[lane, LENGTH]
             fits = beside and turned <= p.match_heading
-        if fits and count < len(tails) and not (p.branch_turn > 0.0 and _overlooked(graph, tail, heading, p)):
-            tails[count], stations[count] = tail, station
-            count += 1
+        if not fits or count + overlooked == len(tails):
+            continue
+        if p.branch_turn > 0.0 and _overlooked(graph, tail, heading, p):
+            overlooked += 1
+            tails[-overlooked], stations[-overlooked] = tail, station
+            continue
+        tails[count], stations[count] = tail, station
+        count += 1
+    for i in range(overlooked):
+        tails[count + i], stations[count + i] = tails[i - overlooked], stations[i - overlooked]
     if count == 0:
         lanes[-1, X], lanes[-1, Y], lanes[-1, HEADING] = x, y, heading
         lanes[-1, COS], lanes[-1, SIN] = math.cos(heading), math.sin(heading)
-        tails[0], stations[0], count = spare, 0.0, 1
-    return count
+        tails[0], stations[0], count, overlooked = spare, 0.0, 1, 0
+    return count + overlooked, overlooked
 
 
 @kernel

@@ -1,46 +1,88 @@
-"""Weaknesses that the planner can be given, and profiles: named sets of them.
+"""Profiles: named sets of weaknesses with their severities.
 
-Each weakness is one that the paper found in a real system (section IV-B2), under the paper's name. It is nothing
-but parameters; a planner without any is the careful one.
+`hardened` has none. `apollo-like` has all sixteen, each about as rare as in the paper's experiments, and is frozen:
+its numbers do not change any more, so that results stay comparable. `apollo-held-back` is the same with every severity
+30 % up or down, for checking that a conclusion does not hang on the exact numbers. `apollo-easy` has all sixteen so
+severely that failures are met at once; it is the default.
 """
 
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Final
 
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.ads.rule.planner import RulePlanner
+from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.roadmap import RoadMap
 
-
-@dataclass(frozen=True)
-class Weakness:
-    """What a planner does wrong.
-
-    Attributes:
-        description: in one sentence.
-        parameters: the values that make it do so.
-    """
-
-    description: str
-    parameters: MappingProxyType[str, float]
-
-
-WEAKNESSES = MappingProxyType(
+APOLLO_LIKE = MappingProxyType(
     {
-        "R1-2": Weakness(
-            "Vehicles slower than 2 m/s are taken for standing ones; their motion is not predicted.",
-            MappingProxyType({"static_speed": 2.0}),
-        ),
-        "R1-8": Weakness(
-            "Before a junction every vehicle is predicted to go straight on, until it has clearly turned.",
-            MappingProxyType({"branch_turn": 0.3}),
-        ),
+        "R1-1": 0.3,
+        "R1-2": 1.0,
+        "R1-3": 2.5,
+        "R1-4": 4.0,
+        "R1-5": 0.6,
+        "R1-6": 0.8,
+        "R1-7": 0.8,
+        "R1-8": 0.08,
+        "R2-1": 0.25,
+        "R2-2": 0.2,
+        "R2-3": 1.0,
+        "R2-4": 0.8,
+        "R3-1": 1.0,
+        "R3-2": 0.2,
+        "R3-3": 0.6,
+        "R3-4": 0.5,
     }
 )
-PROFILES = MappingProxyType({"hardened": (), "apollo-easy": tuple(WEAKNESSES)})
-DEFAULT = "apollo-easy"
+APOLLO_EASY = MappingProxyType(
+    {
+        "R1-1": 0.8,
+        "R1-2": 2.0,
+        "R1-3": 4.0,
+        "R1-4": 6.0,
+        "R1-5": 0.95,
+        "R1-6": 1.0,
+        "R1-7": 1.0,
+        "R1-8": 0.3,
+        "R2-1": 0.45,
+        "R2-2": 0.45,
+        "R2-3": 3.0,
+        "R2-4": 1.5,
+        "R3-1": 4.0,
+        "R3-2": 0.5,
+        "R3-3": 0.9,
+        "R3-4": 1.5,
+    }
+)
+_MOST: Final = MappingProxyType(  # of severities that are shares
+    {
+        "R1-1": 1.0,
+        "R1-5": 1.0,
+        "R1-6": 1.0,
+        "R1-7": 1.0,
+        "R2-1": 1.0,
+        "R2-2": 0.9,
+        "R3-1": 1.0,
+        "R3-2": 1.0,
+        "R3-3": 1.0,
+    }
+)
+_HELD_BACK = MappingProxyType(
+    {
+        name: min(severity * (1.3 if i % 2 else 0.7), _MOST.get(name, severity * 1.3))
+        for i, (name, severity) in enumerate(APOLLO_LIKE.items())
+    }
+)
+PROFILES = MappingProxyType(
+    {
+        "hardened": MappingProxyType({}),
+        "apollo-like": APOLLO_LIKE,
+        "apollo-held-back": _HELD_BACK,
+        "apollo-easy": APOLLO_EASY,
+    }
+)
+DEFAULT: Final = "apollo-easy"
 
 
 def rule_planner(roadmap: RoadMap, variant: str = "") -> RulePlanner:
@@ -49,7 +91,16 @@ def rule_planner(roadmap: RoadMap, variant: str = "") -> RulePlanner:
     Args:
         roadmap: the map that it drives by.
         variant: a profile, the default one if empty, then weaknesses to add to it or to take from it, such as
-            "hardened+R1-2" or "apollo-easy~R1-8".
+            "hardened+R1-2" or "apollo-like~R2-1". One that is added is as severe as in `apollo-easy`.
+
+    Raises:
+        InputError: if there is no such profile or weakness.
+    """
+    return RulePlanner(roadmap, Parameters(**variant_parameters(variant)))
+
+
+def variant_parameters(variant: str) -> dict[str, float]:
+    """The severities of a variant, by the fields of `Parameters`; see `rule_planner`.
 
     Raises:
         InputError: if there is no such profile or weakness.
@@ -57,15 +108,15 @@ def rule_planner(roadmap: RoadMap, variant: str = "") -> RulePlanner:
     profile, *changes = variant.replace("+", "\0+").replace("~", "\0~").split("\0")
     if (profile or DEFAULT) not in PROFILES:
         raise unknown_name("profile of the rule planner", profile, PROFILES)
-    active = set(PROFILES[profile or DEFAULT])
+    severities: dict[str, float] = dict(PROFILES[profile or DEFAULT])
     for change in changes:
-        name = change[1:]
+        sign, name = change[0], change[1:]
         if name not in WEAKNESSES:
             raise unknown_name("weakness of the rule planner", name, WEAKNESSES)
-        if (name in active) == (change[0] == "+"):
-            raise InputError(f"{change}: the weakness is {'already on' if change[0] == '+' else 'not on'}")
-        active ^= {name}
-    values: dict[str, Any] = {}
-    for name in active:
-        values |= WEAKNESSES[name].parameters
-    return RulePlanner(roadmap, Parameters(**values))
+        if (name in severities) == (sign == "+"):
+            raise InputError(f"{change}: the weakness is {'already on' if sign == '+' else 'not on'}")
+        if sign == "+":
+            severities[name] = APOLLO_EASY[name]
+        else:
+            del severities[name]
+    return {WEAKNESSES[name].parameter: severity for name, severity in severities.items()}

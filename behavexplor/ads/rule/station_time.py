@@ -6,13 +6,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.rule.boxes import Box, box_on_path
+from behavexplor.ads.rule.lanes import CURVATURE, direction_on_lane
 from behavexplor.ads.rule.lanes import LENGTH as LANE_LENGTH
-from behavexplor.ads.rule.lanes import pose_on_lane
+from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
+from behavexplor.ads.rule.weaknesses import R1_8, note
 from behavexplor.compiled import kernel
-from behavexplor.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,6 +32,7 @@ LEADS = 5  # 1 for those ahead on the ego's path, 0 for those who cross or merge
 LEAD_SPEED = 6  # and their speed, at least [m/s]
 N_COLUMNS = 7
 
+
 STEP = 1.0  # of the stations at which an NPC's box is placed on its way [m]
 N_STEPS = 128
 
@@ -41,6 +46,7 @@ class StationTime(NamedTuple):
         occupied: room for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
         tails: room for one NPC's ways, shape (TAILS_PER_NPC,).
         stations: room for its stations along them, shape (TAILS_PER_NPC,) [m].
+        bits: of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`.
     """
 
     spans: Floats
@@ -48,6 +54,7 @@ class StationTime(NamedTuple):
     occupied: Floats
     tails: Ints
     stations: Floats
+    bits: Ints
 
 
 @kernel
@@ -59,68 +66,113 @@ def empty_station_time(n_npcs: int) -> StationTime:
         np.empty((N_STEPS, 2)),
         np.empty(TAILS_PER_NPC, np.int64),
         np.empty(TAILS_PER_NPC),
+        np.zeros(2, np.int64),
     )
+
+
+class View(NamedTuple):
+    """What the projection of obstacles needs beside the obstacle."""
+
+    path: Path
+    profile: Profile
+    graph: LaneGraph
+    scene: Floats
+    station: float
+    p: Numbers
+    room: StationTime
 
 
 @kernel
 def project_obstacles(
-    path: Path, graph: LaneGraph, scene: Floats, station: float, p: Numbers, room: StationTime
+    path: Path,
+    profile: Profile,
+    graph: LaneGraph,
+    scene: Floats,
+    station: float,
+    blind: float,
+    p: Numbers,
+    room: StationTime,
 ) -> None:
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
     Args:
-        path: the ego's.
+        path: the ego's route.
+        profile: its offset from that.
         graph: the map.
         scene: shape (1 + n, 8), see `behavexplor.scene`.
         station: the ego's [m].
+        blind: vehicles in the lane changed to whose centres are less far ahead than this are ignored [m].
         p: the parameters.
-        room: filled.
+        room: filled; bits are added to.
     """
     room.counts[:] = 0
+    view = View(path, profile, graph, scene, station, p, room)
     for row in range(EGO + 1, len(scene)):
-        if scene[row, PRESENT] == 0.0:
+        if scene[row, PRESENT] == 0.0 or _ignored(view, row, blind):
             continue
+        true = true_motion(path, scene, row, p)
+        weak = weaknesses_of_motion(scene, row, true, p)
+        motion = false_motion(true, weak, p)
         x, y, heading = scene[row, X], scene[row, Y], scene[row, HEADING]
-        found = find_tails(graph, x, y, heading, p, room.tails, room.stations)
+        found, overlooked = find_tails(graph, x, y, heading, p, room.tails, room.stations)
         for way in range(found):
-            _project(path, graph, scene, row, way, station, p, room)
+            seen = way < found - overlooked
+            touched = _project(view, way, motion, seen)
+            if not seen:
+                note(room.bits, R1_8, touched)
+            elif weak:
+                note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
 @kernel
-def _project(
-    path: Path, graph: LaneGraph, scene: Floats, row: int, way: int, station: float, p: Numbers, room: StationTime
-) -> None:
-    """Add one NPC's motion along one way; one that follows the ego on its own path is left out."""
-    speed, acceleration = max(scene[row, SPEED], 0.0), scene[row, ACCELERATION]
-    if speed < p.static_speed:
-        speed = acceleration = 0.0
-    limit = max(path.speed_limit, speed)
+def _ignored(view: View, row: int, blind: float) -> bool:
+    """Whether an NPC in the lane changed to is too far behind to be looked at (weaknesses R1-5 and R1-6)."""
+    if blind == -math.inf or view.profile.length == 0.0:
+        return False
+    at, aside = project_on_path(view.path, view.scene[row, X], view.scene[row, Y])
+    return bool(abs(aside - view.profile.last) < view.path.lane_width / 2 and at - view.station < blind)
+
+
+@kernel
+def _steps(motion: Motion, p: Numbers) -> int:
+    """How many steps along its way an NPC can come within the horizon."""
     horizon = N_INTERVALS * INTERVAL
     longest = max(p.following_time, p.crossing_time + p.crossing_time_growth * horizon)
-    _, farthest = reach(speed, acceleration, p.acceleration_memory, limit, 0.0, horizon + longest)
-    steps = min(int(farthest / STEP) + 2, N_STEPS)
-    strip = scene[EGO, WIDTH] / 2 + p.side_gap
+    _, farthest = reach(motion.speed, motion.acceleration, motion.memory, motion.limit, 0.0, horizon + longest)
+    return min(int(farthest / STEP) + 2, N_STEPS)
+
+
+@kernel
+def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
+    """Add one NPC's motion along one way, if it is seen; one that follows the ego on its own path is left out.
+
+    Returns:
+        Whether it meets the ego's path.
+    """
+    p, room = view.p, view.room
     occupied, spans = room.occupied, room.spans
-    if not _occupy(path, graph, scene, row, way, strip, steps, room):
-        return
-    ahead = occupied[0, 0] <= occupied[0, 1]
-    if ahead and occupied[0, 0] + occupied[0, 1] < 2 * station:
-        return
-    half_length = scene[EGO, LENGTH] / 2
+    first, last = _occupy(view, way, motion)
+    if first < 0:
+        return False
+    ahead = first == 0
+    if ahead and occupied[0, 0] + occupied[0, 1] < 2 * view.station:
+        return False
+    if not seen:
+        return True
+    half_length = view.scene[EGO, LENGTH] / 2
+    speed, acceleration, memory, limit = motion.speed, motion.acceleration, motion.memory, motion.limit
     before = 0.0
     for k in range(N_INTERVALS):
         time = k * INTERVAL
-        driven, until = reach(speed, acceleration, p.acceleration_memory, limit, time, time + INTERVAL)
+        driven, until = reach(speed, acceleration, memory, limit, time, time + INTERVAL)
         lead_speed = (driven - before) / INTERVAL if k > 0 else speed
         before = driven
         margin = p.following_time if ahead else p.crossing_time + p.crossing_time_growth * time
-        near, far = reach(
-            speed, acceleration, p.acceleration_memory, limit, max(time - margin, 0.0), time + INTERVAL + margin
-        )
-        soft_low, soft_high = _stretch(occupied, steps, near, far)
+        near, far = reach(speed, acceleration, memory, limit, max(time - margin, 0.0), time + INTERVAL + margin)
+        soft_low, soft_high = _stretch(occupied, first, last, near, far)
         if soft_low > soft_high:
             continue
-        low, high = _stretch(occupied, steps, driven, until)
+        low, high = _stretch(occupied, first, last, driven, until)
         i = room.counts[k]
         spans[k, i, HARD_LOW] = low - half_length - p.bumper_gap
         spans[k, i, HARD_HIGH] = high + half_length + p.bumper_gap
@@ -130,18 +182,18 @@ def _project(
         spans[k, i, LEADS] = 1.0 if ahead else 0.0
         spans[k, i, LEAD_SPEED] = lead_speed
         room.counts[k] += 1
+    return True
 
 
 @kernel
-def _occupy(
-    path: Path, graph: LaneGraph, scene: Floats, row: int, way: int, strip: float, steps: int, room: StationTime
-) -> bool:
-    """The stretch of the ego's path that an NPC's box takes up at each step of its way; whether any does."""
-    length, width = scene[row, LENGTH], scene[row, WIDTH]
+def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
+    """The stretch of the ego's path that an NPC's box takes up at each step of its way; the first and last that do."""
+    graph, room = view.graph, view.room
     tail, start, occupied = room.tails[way], room.stations[way], room.occupied
+    strip, steps = view.scene[EGO, WIDTH] / 2 + view.p.side_gap, _steps(motion, view.p)
     depth = 0
     lane = graph.tails[tail, 0]
-    touched = False
+    first, last = -1, -1
     for i in range(steps):
         station = start + i * STEP
         while depth + 1 < graph.tails.shape[1] and graph.tails[tail, depth + 1] >= 0:
@@ -153,52 +205,22 @@ def _occupy(
             station = start + i * STEP
         low, high = math.inf, -math.inf
         if graph.near[lane]:
-            x, y, heading = pose_on_lane(graph.lanes, lane, station)
-            low, high = box_on_path(path, x, y, heading, length, width, strip)
+            x, y, cos, sin = direction_on_lane(graph.lanes, lane, station)
+            straight = graph.lanes[lane, CURVATURE] == 0.0
+            length = motion.length if straight else motion.turning_length
+            width = motion.width if straight else motion.turning_width
+            low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), strip)
         occupied[i, 0], occupied[i, 1] = low, high
-        touched |= low <= high
-    return touched
+        if low <= high:
+            first, last = (i if first < 0 else first), i
+    return first, last
 
 
 @kernel
-def _stretch(occupied: Floats, steps: int, near: float, far: float) -> tuple[float, float]:
+def _stretch(occupied: Floats, first: int, last: int, near: float, far: float) -> tuple[float, float]:
     """The stretch of the ego's path taken up while an NPC is between two distances along its way."""
     low, high = math.inf, -math.inf
-    for i in range(int(near / STEP), min(int(far / STEP) + 2, steps)):
+    for i in range(max(int(near / STEP), first), min(int(far / STEP) + 1, last) + 1):
         low = min(low, occupied[i, 0])
         high = max(high, occupied[i, 1])
-    return low, high
-
-
-@kernel
-def box_on_path(
-    path: Path, x: float, y: float, heading: float, length: float, width: float, strip: float
-) -> tuple[float, float]:
-    """The stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
-
-    Args:
-        path: the ego's.
-        x: the box's centre [m].
-        y: the box's centre [m].
-        heading: [rad].
-        length: [m].
-        width: [m].
-        strip: half the strip's width [m].
-    """
-    low, high = math.inf, -math.inf
-    _, aside = project_on_path(path, x, y)
-    if abs(aside) > strip + math.hypot(length, width) / 2:
-        return low, high
-    cos, sin = math.cos(heading), math.sin(heading)
-    last_s, last_d = project_on_path(path, x - (length * cos + width * sin) / 2, y - (length * sin - width * cos) / 2)
-    for front, right in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
-        along, across = front * length / 2, right * width / 2
-        s, d = project_on_path(path, x + along * cos - across * sin, y + along * sin + across * cos)
-        if abs(d) <= strip:
-            low, high = min(low, s), max(high, s)
-        for edge in (-strip, strip):
-            if (d - edge) * (last_d - edge) < 0.0:
-                crossing = s + (last_s - s) * (edge - d) / (last_d - d)
-                low, high = min(low, crossing), max(high, crossing)
-        last_s, last_d = s, d
     return low, high

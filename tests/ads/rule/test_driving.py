@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule import Parameters
-from behavexplor.ads.rule.decision import CRUISE, STOP, YIELD
-from behavexplor.envs.roads import crossing
+from behavexplor.ads.rule.decision import CREEP, CRUISE, STOP, YIELD
+from behavexplor.ads.rule.lane_choice import ABORT
+from behavexplor.envs.roads import crossing, straight_road
 from behavexplor.geometry import box_corners, box_distance, box_segment_distance, project_on_polyline
 from behavexplor.logical import EGO_SIZE
 from tests.ads.rule.world import SEDAN, drive
@@ -18,6 +19,12 @@ LINE = STRAIGHT.ego_route.bounds[1]
 def stations(roadmap, frames):
     line = roadmap.ego_route.polyline(0.0, roadmap.ego_route.length, 0.02)
     return project_on_polyline(frames[:, [X, Y]], line)[0]
+
+
+def standing(roadmap, station, lane=0):
+    """Pose in a lane counted from the route's to the right."""
+    x, y, heading = roadmap.ego_route.pose(station)
+    return x - 3.5 * lane * np.sin(heading), y + 3.5 * lane * np.cos(heading), heading
 
 
 def boxes(frames):
@@ -50,10 +57,10 @@ def test_curves_are_driven_as_slowly_as_their_lateral_acceleration_asks():
 
 
 @pytest.mark.parametrize("gap", [20.0, 30.0, 45.0])
-def test_it_stops_behind_a_standing_car_with_the_wanted_gap(gap):
-    car = STRAIGHT.ego_route.pose(STRAIGHT.ego_start + gap)
-    frames, decisions = drive(STRAIGHT, lambda _: [(*car, 0.0, 0.0)], seconds=25)
-    left = frames[-1, Y] - car[1] - EGO_SIZE[0] / 2 - SEDAN[0] / 2
+def test_it_stops_behind_a_standing_car_when_the_lane_beside_is_taken_too(gap):
+    cars = [(*standing(STRAIGHT, STRAIGHT.ego_start + gap, lane), 0.0, 0.0) for lane in (0, 1)]
+    frames, decisions = drive(STRAIGHT, lambda _: cars, seconds=18)
+    left = frames[-1, Y] - cars[0][1] - EGO_SIZE[0] / 2 - SEDAN[0] / 2
     assert frames[-1, SPEED] == pytest.approx(0, abs=1e-9)
     assert left == pytest.approx(Parameters().stop_gap, abs=0.3)
     assert frames[:, SPEED].min() >= -1e-12
@@ -61,9 +68,76 @@ def test_it_stops_behind_a_standing_car_with_the_wanted_gap(gap):
     assert decisions[-1] == STOP
 
 
+def test_after_a_long_wait_it_creeps_so_that_it_never_stands_for_ever():
+    cars = [(*standing(STRAIGHT, LINE + 5, lane), 0.0, 0.0) for lane in (0, 1)]
+    frames, decisions = drive(STRAIGHT, lambda _: cars, seconds=90)
+    stops = np.flatnonzero(frames[:, SPEED] > 0.3)
+    assert CREEP in decisions
+    assert np.diff(stops).max() < 300
+    front = stations(STRAIGHT, frames)[-1] + EGO_SIZE[0] / 2
+    assert front < LINE + Parameters().line_overrun
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 4.0])
+@pytest.mark.parametrize("lanes", [(2, 2), (3, 3), (1, 3)], ids=["lane 3", "lane 4", "lane 2 to 4"])
+def test_it_overtakes_a_slow_car_and_is_back_in_time(speed, lanes):
+    roadmap = straight_road(*lanes, 10, 230)
+
+    def car(time):
+        return [(*standing(roadmap, 45 + speed * time, lanes[0] - lanes[1]), speed, 0.0)]
+
+    frames, _ = drive(roadmap, car, seconds=60)
+    assert np.hypot(*(frames[-1, [X, Y]] - roadmap.destination_point)) < 2.5
+    assert frames[-1, TIME] < 35
+    assert box_segment_distance(boxes(frames)[:, None], roadmap.illegal_lines[None]).min() > 0.3
+    for frame, ego in zip(frames, boxes(frames), strict=True):
+        x, y, heading, *_ = car(frame[TIME])[0]
+        assert box_distance(ego, box_corners(np.array([x, y]), np.array(heading), np.array(SEDAN))) > 0.2
+
+
+def test_it_waits_behind_a_slow_car_where_there_is_no_room_to_come_back():
+    roadmap = straight_road(2, 2, 10, 230)
+    frames, _ = drive(
+        roadmap, lambda time: [(*standing(roadmap, 222 + 0.8 * time, 0), 0.8, 0.0)], station=185.0, seconds=40
+    )
+    assert np.abs(frames[:, Y] - roadmap.destination_point[1]).max() < 0.05
+    assert np.hypot(*(frames[-1, [X, Y]] - roadmap.destination_point)) < 2.5
+
+
+def test_it_does_not_change_lanes_into_the_way_of_a_faster_car():
+    roadmap = straight_road(2, 3, 10, 230)
+
+    def npcs(time):
+        return [(*standing(roadmap, 10 - gap + 11 * time, 0), 11.0, 0.0) for gap in (20.0, 50.0)]
+
+    frames, _ = drive(roadmap, npcs, seconds=50)
+    assert np.hypot(*(frames[-1, [X, Y]] - roadmap.destination_point)) < 2.5
+    for frame, ego in zip(frames, boxes(frames), strict=True):
+        for x, y, heading, *_ in npcs(frame[TIME]):
+            assert box_distance(ego, box_corners(np.array([x, y]), np.array(heading), np.array(SEDAN))) > 0.5
+
+
+def test_it_aborts_a_lane_change_when_a_car_comes_up_suddenly():
+    roadmap = straight_road(2, 3, 10, 230)
+
+    def npcs(time):  # as fast as the ego at first, then it accelerates past
+        since = max(time - 0.3, 0.0)
+        gained = 2 * since**2 if since < 0.5 else 0.5 + 2 * (since - 0.5)
+        return [
+            (*standing(roadmap, 21.8 + 9 * time + gained, 0), 9 + min(4 * since, 2.0), 4.0 if 0 < since < 0.5 else 0.0)
+        ]
+
+    frames, _, state = drive(roadmap, npcs, seconds=50, speed=9.0, station=30.0, states=True)
+    assert ABORT in state["manoeuvre"]
+    for frame, ego in zip(frames, boxes(frames), strict=True):
+        x, y, heading, *_ = npcs(frame[TIME])[0]
+        assert box_distance(ego, box_corners(np.array([x, y]), np.array(heading), np.array(SEDAN))) > 0.0
+    assert np.hypot(*(frames[-1, [X, Y]] - roadmap.destination_point)) < 2.5
+
+
 def test_it_waits_before_the_junction_while_the_way_out_is_blocked():
-    car = STRAIGHT.ego_route.pose(STRAIGHT.ego_route.bounds[2] + 4)
-    frames, decisions = drive(STRAIGHT, lambda _: [(*car, 0.0, 0.0)], seconds=25)
+    cars = [(*standing(STRAIGHT, STRAIGHT.ego_route.bounds[2] + 4, lane), 0.0, 0.0) for lane in (0, 1)]
+    frames, decisions = drive(STRAIGHT, lambda _: cars, seconds=20)
     front = stations(STRAIGHT, frames)[-1] + EGO_SIZE[0] / 2
     assert frames[-1, SPEED] == pytest.approx(0, abs=1e-9)
     assert 0 <= LINE - front <= Parameters().stop_line_gap + 0.3

@@ -6,6 +6,7 @@ import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
+from behavexplor.fuzz.specs import judge
 from behavexplor.rollout import rollout
 from tests.ads.rule.world import scene
 
@@ -65,7 +66,9 @@ def test_the_state_handed_in_is_kept_and_episode_starts_forget_it(planner):
 
 def test_the_log_has_a_row_for_every_ego(planner):
     _, state = planner.predict(scenes(3))
-    assert {name: values.shape for name, values in planner.log(state).items()} == {"decision": (3,), "survived": (3,)}
+    log = planner.log(state)
+    assert set(log) == {"decision", "manoeuvre", "lane", "survived", "reached", "triggered"}
+    assert {values.shape for values in log.values()} == {(3,)}
 
 
 def test_no_acceleration_is_not_the_middle_of_the_range(planner):
@@ -98,5 +101,5 @@ def test_in_the_real_environment_it_arrives_nearly_always_and_never_touches_a_li
     traces = [rollout(env, planner, LOGICAL.sample(rng)) for _ in range(40)]
     env.close()
     assert sum(trace.end == "arrived" for trace in traces) >= 36
-    assert all(np.abs(trace.position[:, 0, 0] - 1.75).max() < 0.01 for trace in traces)
+    assert all(not judge(trace).violated or trace.end == "collision" for trace in traces)
     assert all(trace.decisions["decision"].shape == trace.action_frame.shape for trace in traces)

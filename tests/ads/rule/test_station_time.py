@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.rule.boxes import Box, box_on_path
+from behavexplor.ads.rule.lateral import change_profile, keep_profile
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.path import ego_path, pose_on_path, project_on_path
 from behavexplor.ads.rule.prediction import lane_graph
@@ -9,16 +11,17 @@ from behavexplor.ads.rule.station_time import (
     HARD_LOW,
     INTERVAL,
     LEADS,
-    box_on_path,
     empty_station_time,
     project_obstacles,
 )
-from behavexplor.envs.roads import crossing
+from behavexplor.envs.roads import crossing, straight_road
 from behavexplor.geometry import box_corners, boxes_overlap
 from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
 from tests.ads.rule.world import SEDAN, scene
 
+KEEP = keep_profile(0.0)
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
+MAPS = {"S1": STRAIGHT, "S2": LEFT, "S3": straight_road(2, 2, 10, 230), "S4": straight_road(1, 3, 10, 230)}
 
 
 def graph_of(roadmap, npcs, station=20.0):
@@ -26,7 +29,7 @@ def graph_of(roadmap, npcs, station=20.0):
     graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
     ego = (*roadmap.ego_route.pose(station), 5.0)
     path = ego_path(roadmap, Parameters())
-    project_obstacles(path, graph, scene(ego, npcs), station, numbers(Parameters()), room)
+    project_obstacles(path, KEEP, graph, scene(ego, npcs), station, -np.inf, numbers(Parameters()), room)
     return room
 
 
@@ -46,7 +49,7 @@ def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
     touched = 0
     for _ in range(300):
         x, y, heading = rng.uniform(-6, 9), rng.uniform(-20, 60), rng.uniform(-np.pi, np.pi)
-        low, high = box_on_path(path, x, y, heading, *size, half)
+        low, high = box_on_path(path, KEEP, Box(x, y, np.cos(heading), np.sin(heading), *size), half)
         box = box_corners(np.array([x, y]), heading, np.array(size))
         strip = box_corners(np.array([1.75, 20.0]), np.array(0.0), np.array([2 * half, 200.0]))
         assert (low <= high) == bool(boxes_overlap(box, strip))
@@ -78,6 +81,53 @@ def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
     assert contacts > 50
 
 
+@pytest.mark.parametrize("name", MAPS)
+@pytest.mark.parametrize("speed", [0.0, 0.2, 3.0, 11.0])
+def test_on_every_route_an_npc_in_the_way_is_seen_where_it_is(name, speed):
+    roadmap = MAPS[name]
+    stations = np.arange(roadmap.ego_start + 8, roadmap.ego_route.length, 2.0)
+    ego = box_corners(
+        roadmap.ego_route.pose(stations)[:, :2], roadmap.ego_route.pose(stations)[:, 2], np.array(EGO_SIZE)
+    )
+    seen = 0
+    for route in roadmap.npc_routes:
+        for start in np.arange(3.0, route.length - 5, 7.0):
+            pose = route.pose(start)
+            npc = box_corners(pose[:2], pose[2], np.array(SEDAN))
+            met = stations[boxes_overlap(ego, npc)]
+            if not len(met):
+                continue
+            seen += 1
+            room = graph_of(roadmap, [(*pose, speed, 0.0)], station=roadmap.ego_start)
+            now = room.spans[0, : room.counts[0]]
+            for station in met:
+                assert any(span[HARD_LOW] < station < span[HARD_HIGH] for span in now), (route.name, start)
+    assert seen > 15
+
+
+def test_in_a_lane_change_those_in_both_lanes_are_seen_and_those_behind_in_the_new_one_are_not_forgotten():
+    roadmap = MAPS["S3"]
+    change = change_profile(50.0, 0.0, 0.0, 3.5, 30.0)
+
+    def spans(station, lane, speed, profile):
+        x, y, heading = roadmap.ego_route.pose(station)
+        observation = scene((*roadmap.ego_route.pose(50.0), 8.0), [(x, y + 3.5 * lane, heading, speed, 0.0)])
+        path, graph = ego_path(roadmap, Parameters()), lane_graph(roadmap.npc_routes, roadmap.ego_route)
+        room = empty_station_time(1)
+        project_obstacles(path, profile, graph, observation, 50.0, -np.inf, numbers(Parameters()), room)
+        return room
+
+    assert spans(58.0, 0, 5.0, change).spans[0, 0, LEADS] == 1
+    assert spans(90.0, 1, 5.0, change).spans[0, 0, LEADS] == 1
+    assert spans(90.0, 1, 5.0, KEEP).counts.max() == 0
+    assert spans(90.0, 0, 0.0, change).counts.max() == 0
+    behind = spans(40.0, 1, 11.0, change)
+    assert behind.counts[0] == 0
+    assert behind.counts.max() == 1
+    assert behind.spans[20, 0, LEADS] == 0
+    assert spans(40.0, 0, 11.0, change).counts.max() == 0
+
+
 def test_those_ahead_lead_those_behind_are_left_out_and_those_far_aside_too():
     ahead, behind = STRAIGHT.ego_route.pose(60.0), STRAIGHT.ego_route.pose(2.0)
     aside = STRAIGHT.routes["south-outer-straight"].pose(50.0)
@@ -90,8 +140,8 @@ def test_an_absent_npc_takes_up_nothing():
     observation = scene((1.75, 85.0, -np.pi / 2, 5.0), [(*STRAIGHT.ego_route.pose(40.0), 0.0, 0.0)])
     room = empty_station_time(1)
     graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT, Parameters())
-    project_obstacles(path, graph, observation, 20.0, numbers(Parameters()), room)
+    project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.min() > 0
     observation[1, 0] = 0.0
-    project_obstacles(path, graph, observation, 20.0, numbers(Parameters()), room)
+    project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.max() == 0

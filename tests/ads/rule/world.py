@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from behavexplor.ads.rule import RulePlanner
+from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.logical import EGO_SIZE
 from behavexplor.roadmap import RoadMap
 
@@ -19,23 +19,32 @@ def scene(ego, npcs=()):
 
 
 def drive(
-    roadmap: RoadMap, npcs: Callable[[float], list] = lambda _: [], seconds=60.0, speed=0.0, station=None, offset=0.0
+    roadmap: RoadMap,
+    npcs: Callable[[float], list] = lambda _: [],
+    seconds=60.0,
+    speed=0.0,
+    station=None,
+    offset=None,
+    parameters=Parameters(),  # noqa: B008
+    states=False,
 ):
     """Drive until the destination or the end of the time; returns the ego's frames and the decisions.
 
     Returns:
-        Frames (time, x, y, heading, speed, acceleration, steering), 10 per second, and the decision codes.
+        Frames (time, x, y, heading, speed, acceleration, steering), 10 per second, the decision codes, and with
+        `states` the whole decision log.
     """
-    planner = RulePlanner(roadmap)
+    planner = RulePlanner(roadmap, parameters)
+    offset = roadmap.ego_offset if offset is None else offset
     x, y, heading = roadmap.ego_route.pose(roadmap.ego_start if station is None else station)
     x, y = x - offset * math.sin(heading), y + offset * math.cos(heading)
-    frames, decisions, state = [], [], None
+    frames, log, state = [], [], None
     for step in range(int(seconds * 10)):
         observation = scene((x, y, heading, speed), npcs(step / 10))
         actions, state = planner.predict(observation[None], state)
         acceleration, steering = -8 + (actions[0, 0] + 1) * 6, -0.6 + (actions[0, 1] + 1) * 0.6
         frames.append((step / 10, x, y, heading, speed, acceleration, steering))
-        decisions.append(int(planner.log(state)["decision"][0]))
+        log.append({name: values[0] for name, values in planner.log(state).items()})
         for _ in range(2):
             slip = math.atan(0.5 * math.tan(steering))
             x += speed * math.cos(heading + slip) * 0.05
@@ -44,4 +53,5 @@ def drive(
             speed += acceleration * 0.05
         if math.hypot(x - roadmap.destination_point[0], y - roadmap.destination_point[1]) <= 1.0:
             break
-    return np.array(frames), np.array(decisions)
+    columns = {name: np.array([entry[name] for entry in log]) for name in log[0]}
+    return (np.array(frames), columns["decision"], columns) if states else (np.array(frames), columns["decision"])

@@ -1,0 +1,81 @@
+"""Boxes on the path: the stretch of the ego's path that a vehicle takes up."""
+
+import math
+from typing import Final, NamedTuple
+
+from behavexplor.ads.rule.lanes import COS, SIN
+from behavexplor.ads.rule.lateral import Profile, offset_at
+from behavexplor.ads.rule.path import Path, is_straight, locate_on_path, project_on_path
+from behavexplor.compiled import kernel
+
+PARALLEL: Final = 1e-6  # sine of an angle to the route below which a box is along it
+SLACK: Final = 1.0  # by which a profile may overshoot its ends [m]
+
+
+class Box(NamedTuple):
+    """An oriented box.
+
+    Attributes:
+        x: of the centre [m].
+        y: of the centre [m].
+        cos: of the heading.
+        sin: of the heading.
+        length: [m].
+        width: [m].
+    """
+
+    x: float
+    y: float
+    cos: float
+    sin: float
+    length: float
+    width: float
+
+
+@kernel
+def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[float, float]:
+    """The stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
+
+    Args:
+        path: the ego's route.
+        profile: its offset from that.
+        box: a vehicle's.
+        strip: half the strip's width [m].
+    """
+    x, y, cos, sin, length, width = box
+    lane, station, aside = locate_on_path(path, x, y)
+    beyond = max(aside - max(profile.first, profile.last), min(profile.first, profile.last) - aside)
+    diagonal = (length + width) / 2  # at least half of it
+    if beyond > strip + diagonal + SLACK:
+        return math.inf, -math.inf
+    straight = is_straight(path, lane, station - diagonal, station + diagonal)
+    if straight:  # the box keeps its shape in the route's coordinates
+        along, across = path.lanes[lane, COS], path.lanes[lane, SIN]
+        cos, sin = cos * along + sin * across, sin * along - cos * across
+        if beyond > strip + (length * abs(sin) + width * abs(cos)) / 2 + (SLACK if profile.length > 0.0 else 0.0):
+            return math.inf, -math.inf
+        if profile.length == 0.0 and abs(sin) < PARALLEL:
+            return station - length / 2, station + length / 2
+        x, y = station, aside
+    low, high = math.inf, -math.inf
+    last_s, last_d = _on_path(
+        path, profile, x - (length * cos + width * sin) / 2, y - (length * sin - width * cos) / 2, straight
+    )
+    for front, right in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+        ahead, aside = front * length / 2, right * width / 2
+        s, d = _on_path(path, profile, x + ahead * cos - aside * sin, y + ahead * sin + aside * cos, straight)
+        if abs(d) <= strip:
+            low, high = min(low, s), max(high, s)
+        for edge in (-strip, strip):
+            if (d - edge) * (last_d - edge) < 0.0:
+                crossing = s + (last_s - s) * (edge - d) / (last_d - d)
+                low, high = min(low, crossing), max(high, crossing)
+        last_s, last_d = s, d
+    return low, high
+
+
+@kernel
+def _on_path(path: Path, profile: Profile, x: float, y: float, straight: bool) -> tuple[float, float]:
+    """Station, and offset from the profile, of a point [m], which is given in the route's coordinates if straight."""
+    station, aside = (x, y) if straight else project_on_path(path, x, y)
+    return station, aside - offset_at(profile, station)

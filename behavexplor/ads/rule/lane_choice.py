@@ -1,0 +1,211 @@
+"""Lane choice: keep the lane, change it for the route, overtake, return or abort, and which gaps are accepted."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.memory import LANE, SINCE
+from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.ads.rule.path import Path, has_lane, lane_end, oncoming_lane
+from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbours, neighbours
+from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
+from behavexplor.compiled import kernel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+KEEP: Final = 0  # keeps its lane
+CHANGE: Final = 1  # changes towards its route's lane
+OVERTAKE: Final = 2  # leaves its route's lane for a better one
+ABORT: Final = 3  # returns to the lane that it was about to leave
+
+CLOSE_UP: Final = 40.0  # leaders farther away do not make a lane change late (R3-3) [m]
+SLOW: Final = 6.0  # nor do those faster than this [m/s]
+PREPARATION: Final = 160.0  # in which needed lane changes are begun [m]
+BORROW_SPEED: Final = 5.0  # up to which the ego takes to the other direction's lane (R2-3) [m/s]
+BORROW_GAP: Final = 15.0  # and up to which gap to its leader [m]
+MOVES: Final = 0.05  # slower leaders stand (R3-1) [m/s]
+ALONGSIDE: Final = 1.0  # speed that those overtaken must be slower by [m/s]
+
+
+class Ego(NamedTuple):
+    """The ego on its route.
+
+    Attributes:
+        station: [m].
+        offset: [m].
+        speed: [m/s].
+        half_length: [m].
+        half_width: [m].
+    """
+
+    station: float
+    offset: float
+    speed: float
+    half_length: float
+    half_width: float
+
+
+@kernel
+def change_length(speed: float, p: Numbers) -> float:
+    """Length of a change to the next lane, along the route [m]."""
+    return max(p.change_length, p.change_time * speed)
+
+
+@kernel
+def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbours:
+    """Who is next to the ego in a lane; those who stand beyond the destination are in nobody's way."""
+    found = neighbours(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
+    if found.ahead >= 0:
+        rear = others[found.ahead, STATION] - others[found.ahead, HALF_ALONG]
+        if rear > path.destination + ego.half_length + 1.0:
+            return Neighbours(-1, math.inf, math.inf, found.behind, found.gap_behind, found.speed_behind)
+    return found
+
+
+@kernel
+def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
+    """The lane that the ego should be in: its own, or one that is next to it."""
+    lane = int(memory[LANE])
+    leader = beside_lane(path, others, ego, lane)
+    homewards = lane - int(math.copysign(1.0, lane)) if lane != 0 else 0
+    if lane != 0 and _delays(path, ego, lane, leader, bits, p):
+        return lane
+    best, most = lane, _score(path, others, ego, lane, p)
+    if lane != 0 and _must_return(path, ego, lane, p):
+        return homewards
+    gain = p.lane_gain
+    for step in (-1, 1):
+        other = lane + step
+        if not _open(path, ego, other, p):
+            continue
+        outwards = abs(other) > abs(lane)
+        score = _score(path, others, ego, other, p)
+        if score <= most + (gain if outwards else 0.0):
+            continue
+        if outwards and not _may_overtake(path, others, ego, other, leader, memory, bits, p):
+            continue
+        best, most, gain = other, score, 0.0
+    return best
+
+
+@kernel
+def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
+    """Whether a lane runs beside the ego for as long as a change to it takes, and no junction is in between."""
+    until = ego.station + change_length(ego.speed, p) + ego.half_length
+    if ego.station - ego.half_length < path.junction_end and until > path.junction_start:
+        return False
+    return has_lane(path, lane, ego.station) and has_lane(path, lane, until)
+
+
+@kernel
+def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
+    """How far the ego gets in a lane within the outlook, less what it costs to be beside the route [m]."""
+    found = beside_lane(path, others, ego, lane)
+    free = path.speed_limit * p.outlook
+    if found.ahead >= 0:
+        free = min(free, max(found.gap_ahead - p.standoff, 0.0) + max(found.speed_ahead, 0.0) * p.outlook)
+    return free - abs(lane) * p.lane_cost
+
+
+@kernel
+def _must_return(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
+    """Whether the room left is needed to come back to the route."""
+    room = lane_end(path, lane, ego.station) - ego.station
+    return room < abs(lane) * (change_length(ego.speed, p) + 2 * ego.speed + p.change_length)
+
+
+@kernel
+def _delays(path: Path, ego: Ego, lane: int, leader: Neighbours, bits: Ints, p: Numbers) -> bool:
+    """Whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
+    if p.late_change == 0.0 or leader.ahead < 0 or leader.gap_ahead > CLOSE_UP or leader.speed_ahead > SLOW:
+        return False
+    left = lane_end(path, lane, ego.station) - ego.station
+    late = left > (1.0 - p.late_change) * PREPARATION
+    note(bits, R3_3, late)
+    return late
+
+
+@kernel
+def _may_overtake(
+    path: Path, others: Floats, ego: Ego, other: int, leader: Neighbours, memory: Floats, bits: Ints, p: Numbers
+) -> bool:
+    """Whether the ego overtakes its leader: it has rested, and can come back in time."""
+    if leader.ahead < 0 or memory[SINCE] < p.lane_rest:
+        return False
+    if p.no_overtaking > 0.0 and leader.speed_ahead > MOVES:
+        follows = leader.speed_ahead < p.no_overtaking
+        note(bits, R3_1, follows)
+        if follows:
+            return False
+    room = lane_end(path, other, ego.station) - ego.station
+    needed = room_to_overtake(path, others, ego, leader, p) + (abs(other) - 1) * p.change_length
+    fits = needed <= room
+    if p.no_room > 0.0 and not fits and math.isfinite(leader.gap_ahead):
+        fits = (1.0 - p.no_room) * min(needed, 1e3) <= room
+        note(bits, R3_2, fits)
+    return fits
+
+
+@kernel
+def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, p: Numbers) -> float:
+    """How far the ego drives until it is back before its leader, at the speed that needs least room [m]."""
+    least = math.inf
+    passed = leader.gap_ahead + 2 * others[leader.ahead, HALF_ALONG] + 2 * ego.half_length + p.pass_gap
+    for share in (1.0, 0.6, 0.35):
+        speed = share * path.speed_limit
+        if speed < leader.speed_ahead + ALONGSIDE:
+            continue
+        until = passed / (1.0 - max(leader.speed_ahead, 0.0) / speed)
+        least = min(least, until + change_length(speed, p))
+    return least
+
+
+@kernel
+def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
+    """The lane of the other direction, if a slow leader is to be overtaken there (weakness R2-3), or else the own."""
+    lane = int(memory[LANE])
+    other = oncoming_lane(path, ego.station)
+    if p.wrong_side == 0.0 or other == 0 or other != lane - 1 or ego.speed > BORROW_SPEED:
+        return lane
+    leader = beside_lane(path, others, ego, lane)
+    if leader.ahead < 0 or leader.gap_ahead > BORROW_GAP or leader.speed_ahead >= p.wrong_side:
+        return lane
+    if oncoming_lane(path, ego.station + change_length(ego.speed, p)) != other:
+        return lane
+    room = path.destination - ego.station
+    if path.junction_start > ego.station:
+        room = min(room, path.junction_start - ego.station)
+    fits = room_to_overtake(path, others, ego, leader, p) <= room
+    note(bits, R2_3, fits)
+    return other if fits else lane
+
+
+@kernel
+def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
+    """The gaps in a lane as a share of what is needed by distance and closing speed, the scarcer one."""
+    found = neighbours(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
+    ahead = p.gap + p.gap_ahead_time * max(ego.speed - found.speed_ahead, 0.0)
+    behind = p.gap + p.gap_behind_time * max(found.speed_behind - ego.speed, 0.0)
+    return min(found.gap_ahead / ahead, found.gap_behind / behind)
+
+
+@kernel
+def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: Numbers) -> bool:
+    """Whether the gaps in a lane are wide enough to begin a change to it."""
+    share = gap_share(path, others, ego, lane, p)
+    if share < 1.0 and p.cut_in > 0.0:
+        note(bits, R1_5, share >= 1.0 - p.cut_in)
+        return share >= 1.0 - p.cut_in
+    return share >= 1.0
+
+
+@kernel
+def lane_wall(path: Path, ego: Ego, lane: int, p: Numbers) -> float:
+    """The station that the ego must not pass beside its route's lane, so that it can still come back [m]."""
+    if lane == 0:
+        return math.inf
+    wall = lane_end(path, lane, ego.station) - abs(lane) * p.change_length - 2.0
+    return max(wall, ego.station + ego.speed * ego.speed / (2 * p.firm_braking) + 0.1)

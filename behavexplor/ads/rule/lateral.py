@@ -1,0 +1,49 @@
+"""Lateral motion in Frenet coordinates of the route: a lane is kept, or changed on a quintic polynomial."""
+
+import math
+from typing import NamedTuple
+
+from behavexplor.compiled import kernel
+
+
+class Profile(NamedTuple):
+    """Offset from the route (positive to the right) as a function of the station.
+
+    Attributes:
+        start: station where it begins [m].
+        length: along the route until the last offset is reached [m], 0 where that is kept from the beginning.
+        first: offset at the start [m].
+        slope: of the offset there; before the start it is 0.
+        last: offset at the end and behind it [m].
+    """
+
+    start: float
+    length: float
+    first: float
+    slope: float
+    last: float
+
+
+@kernel
+def offset_at(profile: Profile, station: float) -> float:
+    """Offset at a station [m]: between start and end a quintic without curvature at its ends."""
+    if station >= profile.start + profile.length:
+        return profile.last
+    if station <= profile.start:
+        return profile.first
+    u = (station - profile.start) / profile.length
+    across, slope = profile.last - profile.first, profile.slope * profile.length
+    cubic, quartic, quintic = 10 * across - 6 * slope, 8 * slope - 15 * across, 6 * across - 3 * slope
+    return profile.first + u * (slope + u * u * (cubic + u * (quartic + u * quintic)))
+
+
+@kernel
+def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> Profile:
+    """The change from where the ego is to another offset."""
+    return Profile(station, length, offset, min(max(slope, -0.5), 0.5), target)
+
+
+@kernel
+def keep_profile(offset: float) -> Profile:
+    """An offset that is kept."""
+    return Profile(-math.inf, 0.0, offset, 0.0, offset)

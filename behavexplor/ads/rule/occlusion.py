@@ -1,0 +1,51 @@
+"""Occlusion: which share of a vehicle the others hide from the ego (weakness R1-1)."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.compiled import kernel
+from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
+
+Floats = NDArray[np.float64]
+
+TWO_PI = 2 * math.pi
+
+
+@kernel
+def hidden_share(scene: Floats, row: int) -> float:
+    """Share of a vehicle's angular width, seen from the ego's centre, that the nearer vehicle before it covers most."""
+    bearing, low, high = bearings(scene, row)
+    distance = math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
+    most = 0.0
+    for other in range(EGO + 1, len(scene)):
+        if other == row or scene[other, PRESENT] == 0.0:
+            continue
+        if math.hypot(scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]) >= distance:
+            continue
+        middle, other_low, other_high = bearings(scene, other)
+        away = (middle - bearing + math.pi) % TWO_PI - math.pi
+        covered = min(high, away + other_high) - max(low, away + other_low)
+        most = max(most, covered / (high - low))
+    return most
+
+
+@kernel
+def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
+    """Bearing of a vehicle's centre from the ego's, and the least and greatest of its corners relative to that [rad].
+
+    Args:
+        scene: see `behavexplor.scene`.
+        row: the vehicle's.
+    """
+    dx, dy = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
+    bearing = math.atan2(dy, dx)
+    cos, sin = math.cos(scene[row, HEADING]), math.sin(scene[row, HEADING])
+    low, high = math.inf, -math.inf
+    for along in (-0.5 * scene[row, LENGTH], 0.5 * scene[row, LENGTH]):
+        for across in (-0.5 * scene[row, WIDTH], 0.5 * scene[row, WIDTH]):
+            corner = math.atan2(dy + along * sin + across * cos, dx + along * cos - across * sin)
+            away = (corner - bearing + math.pi) % TWO_PI - math.pi
+            low, high = min(low, away), max(high, away)
+    return bearing, low, high

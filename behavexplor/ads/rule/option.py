@@ -1,0 +1,122 @@
+"""Options: a path with the best speed along it, and a wait before the junction where that cannot be crossed."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.control import PERIOD
+from behavexplor.ads.rule.decision import (
+    RESTART_OUTLOOK,
+    YIELD,
+    can_wait,
+    crosses_freely,
+    passed,
+    restarts_hastily,
+    shorten,
+    waiting_station,
+    waits_for_ever,
+)
+from behavexplor.ads.rule.lane_choice import (
+    Ego,
+    lane_wall,
+)
+from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.memory import (
+    CLEAR,
+    DECISION,
+    IGNORES,
+    LAST_ACCELERATION,
+    OVERRUN,
+    RESTARTED,
+)
+from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.ads.rule.path import Path
+from behavexplor.ads.rule.prediction import LaneGraph
+from behavexplor.ads.rule.speed import Nodes, Situation, SpeedPlan, plan_speed
+from behavexplor.ads.rule.station_time import StationTime, project_obstacles
+from behavexplor.ads.rule.weaknesses import R1_5, note
+from behavexplor.compiled import kernel
+
+Floats = NDArray[np.float64]
+
+
+class World(NamedTuple):
+    """What one decision is made from, but for the memory, and room for it.
+
+    Attributes:
+        path: the ego's route.
+        graph: the map.
+        scene: shape (1 + n, 8), see `behavexplor.scene`.
+        others: room for the table of others, see `behavexplor.ads.rule.traffic`.
+        room: for the station-time graph.
+        nodes: room for the search of the speed.
+        p: the parameters.
+    """
+
+    path: Path
+    graph: LaneGraph
+    scene: Floats
+    others: Floats
+    room: StationTime
+    nodes: Nodes
+    p: Numbers
+
+
+class Option(NamedTuple):
+    """A way to go on.
+
+    Attributes:
+        profile: offset from the route.
+        plan: of the speed along it.
+        yields: whether the ego waits before the junction.
+        crosses: whether it could cross.
+        limit: the station up to which it may creep [m].
+    """
+
+    profile: Profile
+    plan: SpeedPlan
+    yields: bool
+    crosses: bool
+    limit: float
+
+
+@kernel
+def plan_option(world: World, ego: Ego, profile: Profile, lane: int, memory: Floats) -> Option:
+    """The speed along a profile, with a wait before the junction where that cannot be crossed."""
+    path, room, p = world.path, world.room, world.p
+    blind = -math.inf
+    if p.cut_in > 0.0 and profile.length > 0.0:
+        blind = p.cut_in * 2 * ego.half_length
+        note(room.bits, R1_5, False)
+    elif memory[IGNORES] == 1.0:
+        blind = 0.0
+    project_obstacles(path, profile, world.graph, world.scene, ego.station, blind, p, room)
+    if memory[RESTARTED] > 0.0:
+        shorten(room, RESTART_OUTLOOK)
+    wall = math.inf if memory[OVERRUN] == 1.0 else lane_wall(path, ego, lane, p)
+    waits = can_wait(path, ego.station, ego.speed, ego.half_length, p)
+    caution = 1.0 if waits or passed(path, ego.station, ego.half_length) else p.committed_caution
+    last = memory[LAST_ACCELERATION]
+    situation = Situation(path, room, ego.half_length, wall, caution, p)
+    plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
+    if not waits:
+        return Option(profile, plan, False, True, wall)
+    crosses = crosses_freely(path, room, plan, ego.half_length)
+    if restarts_hastily(crosses, memory, room.bits, p):
+        shorten(room, RESTART_OUTLOOK)
+        plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
+        crosses = crosses_freely(path, room, plan, ego.half_length)
+    if crosses and waits_for_ever(room, memory, room.bits, p):
+        crosses = False
+    clear = memory[CLEAR] + PERIOD if crosses else 0.0
+    limit = min(wall, path.junction_start - ego.half_length + p.line_overrun)
+    yields = not crosses or (memory[DECISION] == YIELD and clear < p.clear_time)
+    if yields:
+        line = min(wall, waiting_station(path, ego.station, ego.speed, ego.half_length, p))
+        waiting = Situation(path, room, ego.half_length, line, caution, p)
+        wait = plan_speed(waiting, ego.station, ego.speed, last, world.nodes)
+        if wait.survived >= plan.survived:
+            plan = wait
+    return Option(profile, plan, yields, crosses, limit)

@@ -1,0 +1,89 @@
+"""Traffic: where the others are relative to the ego's route, and who is next in a lane."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
+from behavexplor.compiled import kernel
+from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+
+Floats = NDArray[np.float64]
+
+STATION, OFFSET, TURNED, HALF_ALONG, HALF_ACROSS, ALONG_SPEED = range(6)  # columns of a table of others
+N_OTHER_COLUMNS: Final = 6
+
+TWO_PI: Final = 2 * math.pi
+SAME_WAY: Final = 0.5  # greatest difference of heading of those that drive along the route [rad]
+TOUCHING: Final = 0.2  # to the side, closer than this is in the same lane [m]
+NOBODY: Final = -1
+
+
+class Neighbours(NamedTuple):
+    """Who is next to the ego's station in a lane.
+
+    Attributes:
+        ahead: row of the next one ahead in the table of others, `NOBODY` for none.
+        gap_ahead: between bumpers, negative beside the ego, infinite for none [m].
+        speed_ahead: [m/s].
+        behind: row of the next one behind.
+        gap_behind: between bumpers, infinite for none [m].
+        speed_behind: [m/s].
+    """
+
+    ahead: int
+    gap_ahead: float
+    speed_ahead: float
+    behind: int
+    gap_behind: float
+    speed_behind: float
+
+
+@kernel
+def locate(path: Path, scene: Floats, others: Floats) -> None:
+    """Fill the table of others, shape (n, 6): station, offset [m], turned [rad], half extents [m] and speed [m/s].
+
+    The speed is that along the route. Rows of vehicles that are not present have an infinite station.
+    """
+    for row in range(EGO + 1, len(scene)):
+        other = others[row - 1]
+        if scene[row, PRESENT] == 0.0:
+            other[STATION] = math.inf
+            continue
+        station, offset = project_on_path(path, scene[row, X], scene[row, Y])
+        _, _, along = pose_on_path(path, station)
+        turned = (scene[row, HEADING] - along + math.pi) % TWO_PI - math.pi
+        cos, sin = abs(math.cos(turned)), abs(math.sin(turned))
+        other[STATION], other[OFFSET], other[TURNED] = station, offset, turned
+        other[HALF_ALONG] = 0.5 * (scene[row, LENGTH] * cos + scene[row, WIDTH] * sin)
+        other[HALF_ACROSS] = 0.5 * (scene[row, LENGTH] * sin + scene[row, WIDTH] * cos)
+        other[ALONG_SPEED] = scene[row, SPEED] * math.cos(turned)
+
+
+@kernel
+def in_lane(other: Floats, offset: float, half_width: float) -> bool:
+    """Whether a vehicle drives along the lane with a centre at an offset, or reaches into an ego's way there."""
+    if other[STATION] == math.inf or abs(other[TURNED]) > SAME_WAY:
+        return False
+    return bool(abs(other[OFFSET] - offset) < other[HALF_ACROSS] + half_width + TOUCHING)
+
+
+@kernel
+def neighbours(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbours:
+    """Who is next ahead and behind in the lane at an offset."""
+    ahead, behind = NOBODY, NOBODY
+    gap_ahead, gap_behind = math.inf, math.inf
+    for i in range(len(others)):
+        if not in_lane(others[i], offset, half_width):
+            continue
+        away = others[i, STATION] - station
+        gap = abs(away) - others[i, HALF_ALONG] - half_length
+        if away >= 0.0 and gap < gap_ahead:
+            ahead, gap_ahead = i, gap
+        elif away < 0.0 and gap < gap_behind:
+            behind, gap_behind = i, gap
+    speed_ahead = others[ahead, ALONG_SPEED] if ahead >= 0 else math.inf
+    speed_behind = others[behind, ALONG_SPEED] if behind >= 0 else 0.0
+    return Neighbours(ahead, gap_ahead, speed_ahead, behind, gap_behind, speed_behind)

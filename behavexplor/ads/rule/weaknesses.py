@@ -1,0 +1,184 @@
+"""The sixteen weaknesses that the paper found in Apollo 6.0, as switches of this planner.
+
+Each is one number in `Parameters`, its severity: 0 is without, and the greater, the worse. None depends on chance, so
+that a search that comes nearer to a violation is told so. Each has a gate, the situation in which it can matter at
+all, and leaves two bits in the decision log: *reached* when its gate is open, and *triggered* when it changed what its
+module gave. Source of all: paper section IV-B2, the paragraph of the same name.
+"""
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.compiled import kernel
+
+Ints = NDArray[np.int64]
+
+REACHED, TRIGGERED = 0, 1
+
+
+@dataclass(frozen=True)
+class Weakness:
+    """One thing that a planner does wrong.
+
+    Attributes:
+        parameter: the field of `Parameters` that holds its severity.
+        module: of the planner that it sits in.
+        description: what the planner does, and what a careful one does instead.
+        gate: when it can matter.
+        shows: what the violation looks like.
+    """
+
+    parameter: str
+    module: str
+    description: str
+    gate: str
+    shows: str
+
+
+WEAKNESSES = MappingProxyType(
+    {
+        "R1-1": Weakness(
+            "occlusion",
+            "prediction",
+            "A vehicle partly hidden behind another is taken for a standing one, instead of predicted like any other.",
+            "the hidden share of a moving vehicle's width, seen from the ego's centre, exceeds 1 - severity",
+            "collision with the hidden vehicle",
+        ),
+        "R1-2": Weakness(
+            "static_speed",
+            "prediction",
+            "Vehicles slower than the severity [m/s] are taken for standing ones, instead of predicted at their speed.",
+            "a vehicle moves, but more slowly than the severity",
+            "collision with a creeping vehicle",
+        ),
+        "R1-3": Weakness(
+            "restart",
+            "decision",
+            "Having stood for a moment before a conflict, it decides anew to go first, and for the severity [s] looks "
+            "at no conflict that is more than 1 s away, instead of yielding until the conflict is clear.",
+            "the ego has stood and yielded for 0.5 s",
+            "collision in the junction after a stop",
+        ),
+        "R1-4": Weakness(
+            "weak_braking",
+            "speed",
+            "When another suddenly changes its speed, that change is not predicted, and for 3 s braking stays the "
+            "severity [m/s2] below full braking.",
+            "a vehicle brakes or accelerates by more than 2 m/s2",
+            "collision with a vehicle that sped up or braked hard",
+        ),
+        "R1-5": Weakness(
+            "cut_in",
+            "decision",
+            "It changes lanes into gaps smaller by this share, and does not slow down for those beside and behind it "
+            "there, instead of accepting gaps by distance and closing speed.",
+            "a lane change is wanted, or under way, and somebody is close in the target lane",
+            "collision with the side or corner of a vehicle in the target lane",
+        ),
+        "R1-6": Weakness(
+            "no_abort",
+            "decision",
+            "It goes on changing lanes when somebody comes close in the target lane, and does not adapt its speed to "
+            "them, instead of returning; the severity is the share of the least gap that may be lost.",
+            "the gap has become too small during a lane change that can still be aborted",
+            "collision with a vehicle that comes from behind in the target lane",
+        ),
+        "R1-7": Weakness(
+            "narrow_bus",
+            "prediction",
+            "A large vehicle that turns has the size of a car; the severity is the share of its excess that is lost.",
+            "a vehicle longer than 7 m is, or will be, on a curve",
+            "collision with the rear or flank of a turning bus",
+        ),
+        "R1-8": Weakness(
+            "branch_turn",
+            "prediction",
+            "At a junction only the way straight on is predicted, until the vehicle has turned by the severity [rad], "
+            "instead of all its ways.",
+            "a vehicle can turn off, and has not clearly done so",
+            "collision with a vehicle that turned",
+        ),
+        "R2-1": Weakness(
+            "slow_recovery",
+            "control",
+            "It steers out for a lane change, but this share of the steering back is missing.",
+            "the ego overtakes, or comes back from it, faster than 4 m/s, and steers against the change's beginning",
+            "runs along, and onto, the line beyond the target lane",
+        ),
+        "R2-2": Weakness(
+            "short_change",
+            "path",
+            "At low speed a lane change is shorter by this share, and driven with strong acceleration, instead of "
+            "having a least length.",
+            "a lane change begins below 6 m/s",
+            "overshoots onto the line beyond the target lane",
+        ),
+        "R2-3": Weakness(
+            "wrong_side",
+            "decision",
+            "A leader slower than the severity [m/s] is overtaken in the lane of the other direction, even when one of "
+            "the same direction is free.",
+            "the ego is slower than 5 m/s close behind such a leader, in the lane next to the other direction",
+            "crosses the double yellow line",
+        ),
+        "R2-4": Weakness(
+            "held_steering",
+            "control",
+            "A large steering angle in a slow left turn is held for the severity [s], instead of tracking the path.",
+            "the ego was slower than 4 m/s in a left turn with more than 0.2 rad of steering, and still steers so",
+            "presses the double yellow line after the turn",
+        ),
+        "R3-1": Weakness(
+            "no_overtaking",
+            "decision",
+            "Leaders that move, but more slowly than the severity [m/s], are followed for ever; overtaken are those "
+            "that stand, and those fast enough for a lane change at speed.",
+            "overtaking a leader that moves is better than following it",
+            "not at the destination in time",
+        ),
+        "R3-2": Weakness(
+            "no_room",
+            "decision",
+            "It overtakes without this share of the room to come back before the destination, and does not wait there.",
+            "overtaking is better than following, but the room to come back is missing",
+            "passes the destination beside its lane",
+        ),
+        "R3-3": Weakness(
+            "late_change",
+            "decision",
+            "A needed lane change is begun only when this share of the way is gone; until then it follows a slow "
+            "leader, and does not wait for a gap before the destination.",
+            "a lane change is needed, and the leader is slower than 6 m/s",
+            "passes the destination beside its lane",
+        ),
+        "R3-4": Weakness(
+            "deadlock",
+            "decision",
+            "It waits for as long as a vehicle slower than the severity [m/s] crosses its way, or comes to, instead of "
+            "going before or behind it, and does not creep on.",
+            "the ego stands and yields, or has stood for a while, and such a vehicle is on its way",
+            "stands until the end",
+        ),
+    }
+)
+
+_BITS = {name: 1 << i for i, name in enumerate(WEAKNESSES)}
+(R1_1, R1_2, R1_3, R1_4, R1_5, R1_6, R1_7, R1_8) = (_BITS[f"R1-{i}"] for i in range(1, 9))
+(R2_1, R2_2, R2_3, R2_4) = (_BITS[f"R2-{i}"] for i in range(1, 5))
+(R3_1, R3_2, R3_3, R3_4) = (_BITS[f"R3-{i}"] for i in range(1, 5))
+
+
+def names(bits: int) -> tuple[str, ...]:
+    """The weaknesses of the bits of an entry of the decision log, such as `trace.decisions["triggered"][i]`."""
+    return tuple(name for name, bit in _BITS.items() if int(bits) & bit)
+
+
+@kernel
+def note(bits: Ints, weakness: int, triggered: bool) -> None:
+    """Note that a weakness is reached, and whether it is triggered, in bits of shape (2,)."""
+    bits[REACHED] |= weakness
+    if triggered:
+        bits[TRIGGERED] |= weakness
