@@ -99,7 +99,7 @@ class Campaign:
         earlier = max((execution.elapsed for execution in self._stored.values()), default=0.0)
         self._start = time.monotonic() - earlier
         self._committed = time.monotonic()
-        self.progress = Progress(violations={ERROR: 0, **{spec.name: 0 for spec in SPECS}})
+        self.progress = Progress(violations={spec.name: 0 for spec in SPECS})
         self.stopping = False
 
     def stop(self) -> None:
@@ -249,7 +249,7 @@ class Campaign:
             progress,
             executions=progress.executions + 1,
             failed=progress.failed + bool(record["violated"]),
-            violations={name: count + (name in first) for name, count in progress.violations.items()},
+            violations={**progress.violations, **{name: progress.violations.get(name, 0) + 1 for name in first}},
             novel=progress.novel + record["novel"],
             resumed=progress.resumed + resumed,
             last={**progress.last, **dict.fromkeys(marks, execution.id)},

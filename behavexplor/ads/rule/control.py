@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.commands import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.ads.rule.lateral import Profile, offset_at
 from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, SLOW_TURN
 from behavexplor.ads.rule.parameters import Numbers
@@ -17,8 +18,6 @@ from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
-STEERING_RANGE: Final = (-0.6, 0.6)  # [rad]
 PERIOD: Final = 0.1  # between two decisions [s]
 
 TWO_PI: Final = 2 * math.pi

@@ -7,7 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.control import ACCELERATION_RANGE, PERIOD, STEERING_RANGE
+from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions
+from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.cycle import plan_once
 from behavexplor.ads.rule.memory import (
     DECISION,
@@ -58,14 +59,8 @@ class RulePlanner:
         policy_frequency: 10 Hz.
     """
 
-    observation: Mapping[str, Any] = MappingProxyType({"type": "Scene"})
-    action: Mapping[str, Any] = MappingProxyType(
-        {
-            "type": "ContinuousAction",
-            "acceleration_range": list(ACCELERATION_RANGE),
-            "steering_range": list(STEERING_RANGE),
-        }
-    )
+    observation: Mapping[str, Any] = OBSERVATION
+    action: Mapping[str, Any] = ACTION
     policy_frequency: int = round(1 / PERIOD)
 
     def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008
@@ -107,8 +102,7 @@ class RulePlanner:
             memory[np.asarray(episode_start, dtype=bool)] = 0.0
         _plan_batch(self._path, self._graph, scenes, memory, self._numbers)
         commands = memory[:, [LAST_ACCELERATION, LAST_STEERING]]
-        low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
-        return 2 * (commands - low) / (high - low) - 1, memory
+        return as_actions(commands), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """The last decisions, from the state that `predict` returned.
