@@ -16,8 +16,9 @@ Floats = NDArray[np.float64]
 
 PERIOD: Final = 0.2  # between decisions [s]
 ACCELERATIONS: Final = (-6.0, -3.0, -1.0, 0.0, 2.0)  # [m/s2]
-SIDES: Final = (0, -1, 1)  # keep the lane, one to the left, one to the right
-N_ACTIONS: Final = len(ACCELERATIONS) * len(SIDES)  # action a is acceleration a % 5 and side a // 5
+KEEP, LEFT, RIGHT, HOME = 0, 1, 2, 3  # the lane: as it is, one to the left, one to the right, that of the route
+N_LANE_CHOICES: Final = 4
+N_ACTIONS: Final = len(ACCELERATIONS) * N_LANE_CHOICES  # action a is acceleration a % 5 and lane choice a // 5
 
 SIDEWAYS: Final = 1.5  # speed at which the path moves from one lane to another [m/s]
 LAST_CHANGE: Final = 20.0  # least distance to the end of lanes side by side at which a change begins [m]
@@ -50,7 +51,7 @@ def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[f
     """
     station, offset = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])
     row = row_at(course, station)
-    _choose_lane(course, row, offset, SIDES[action // len(ACCELERATIONS)], memory)
+    _choose_lane(course, row, offset, action // len(ACCELERATIONS), memory)
     change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
     memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
     acceleration = _accelerate(course, scene, station, ACCELERATIONS[action % len(ACCELERATIONS)])
@@ -58,7 +59,7 @@ def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[f
 
 
 @kernel
-def _choose_lane(course: Course, row: int, offset: float, side: int, memory: Floats) -> None:
+def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: Floats) -> None:
     """Take the lane beside if there is one; near a junction, only that of the route."""
     if course.side_by_side[row] < LAST_CHANGE:
         if course.junction_start < math.inf:
@@ -66,10 +67,12 @@ def _choose_lane(course: Course, row: int, offset: float, side: int, memory: Flo
         return
     left, right = lanes_beside(course, row, offset)
     centre = course.width * round(offset / course.width)
-    if side < 0 and left > 0:
+    if choice == LEFT and left > 0:
         memory[WANTED] = centre - course.width
-    elif side > 0 and right > 0:
+    elif choice == RIGHT and right > 0:
         memory[WANTED] = centre + course.width
+    elif choice == HOME:
+        memory[WANTED] = 0.0
 
 
 @kernel

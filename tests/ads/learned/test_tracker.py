@@ -9,14 +9,15 @@ from behavexplor.ads.learned.tracker import (
     ACCELERATIONS,
     N_MEMORIES,
     PERIOD,
-    SIDES,
     WANTED,
     begin,
     track,
 )
 from tests.ads.learned.scenes import COURSES, LOGICALS, ego
 
-KEEP, LEFT, RIGHT = (SIDES.index(side) * len(ACCELERATIONS) for side in (0, -1, 1))
+KEEP, LEFT, RIGHT, HOME = (
+    choice * len(ACCELERATIONS) for choice in (tracker.KEEP, tracker.LEFT, tracker.RIGHT, tracker.HOME)
+)
 BRAKE, COAST, GO = 0, 3, 4
 
 
@@ -78,6 +79,13 @@ def test_a_change_leads_to_a_lane_that_is_there(side, offset, wanted):
     scene, memory = started("lane-follow", ego("lane-follow", 50.0, offset, speed=8.0))
     track(COURSES["lane-follow"], scene, side + COAST, memory)
     assert memory[WANTED] == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("offset", [-7.0, -3.5, 0.0, 3.5])
+def test_there_is_a_way_home_from_every_lane(offset):
+    driven = drive("lane-follow", ego("lane-follow", 20.0, offset, 9.0), lambda _: HOME + COAST, 60)
+    assert driven[-1, 1] == pytest.approx(0.0, abs=0.1)
+    assert driven[-1, 3] == 0.0
 
 
 def test_near_the_junction_it_takes_the_lane_of_its_route():
