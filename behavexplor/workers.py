@@ -97,7 +97,7 @@ class WorkerPool(Executor):
             for thread in self._threads:
                 thread.join()
         for worker in list(self._workers.values()):
-            worker.kill()
+            worker.stop()
 
     def _supervise(self, place: int) -> None:
         """Hand one task after the other to a worker."""
@@ -148,8 +148,12 @@ class _Worker:
             self._connection.send_bytes(request)
         return self._answer(time_limit)
 
+    def stop(self) -> None:
+        """End the process at once; whoever waits for its answer is told that it died."""
+        self._process.kill()
+
     def kill(self) -> None:
-        """End the process at once."""
+        """End the process and release the pipe; only for the thread that asks it."""
         self.alive = False
         self._process.kill()
         self._process.join()
