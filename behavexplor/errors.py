@@ -8,6 +8,12 @@ class InputError(ValueError):
     """Something that the user gave cannot be used; the message says what is wrong and how to mend it."""
 
 
+def missing_library(what: str, library: str | None, extra: str) -> InputError:
+    """The error for something that needs a library of one of this package's extras."""
+    command = f"pip install -c constraints.txt -e '.[{extra}]'"
+    return InputError(f"{what} needs {library}: install the extra {extra!r}, in a checkout with {command}")
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
     """The error for a name that is not among `known`: it names the nearest match, or else all of them."""
     known = sorted(known)

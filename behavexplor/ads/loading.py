@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from behavexplor.ads.interface import ADS
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, missing_library, unknown_name
 from behavexplor.roadmap import RoadMap
 
 SYSTEMS = MappingProxyType(
@@ -63,9 +63,7 @@ def _policy(path: Path, roadmap: RoadMap, trust: Collection[str]) -> ADS:
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"{path} needs {error.name}: install the extra `rl`, with pip install -c constraints.txt -e '.[rl]'"
-        ) from None
+        raise missing_library(str(path), error.name, "rl") from None
     policy: Any = load_policy(path, trust)
     ads: ADS = policy
     return ads

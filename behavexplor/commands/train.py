@@ -13,7 +13,7 @@ from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.evaluate import table
 from behavexplor.commands.meter import Meter
 from behavexplor.config import checked, read_yaml
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, missing_library
 from behavexplor.evaluation import Evaluation, evaluate
 from behavexplor.simulation import Simulation
 
@@ -52,9 +52,7 @@ def train(
     try:
         from behavexplor import training  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"Training needs {error.name}: install the extra `rl`, with pip install -c constraints.txt -e '.[rl]'"
-        ) from None
+        raise missing_library("Training", error.name, "rl") from None
     if resume and out:
         raise InputError("--out cannot be given with --resume")
     if resume:
@@ -70,7 +68,9 @@ def train(
         with Meter(sys.stderr, config.steps, "steps", quiet=quiet) as meter:
             network = training.train(config, folder, lambda learned: meter.show(learned.steps, _line(learned)))
         with Meter(sys.stderr, EVALUATED, "scenarios", quiet=quiet) as meter:
-            found = evaluate(Simulation(config.env, str(network)), EVALUATED, 0, meter.show)
+            simulation = Simulation(config.env, str(network))
+            found = evaluate(simulation, EVALUATED, 0, meter.show)
+            simulation.close()
     except KeyboardInterrupt:
         print(f"Interrupted; go on with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED

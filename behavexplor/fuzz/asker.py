@@ -30,6 +30,11 @@ class Asker:
         self._in_flight: dict[int, Floats] = {}
         self._vectors: list[Floats] = []
 
+    @property
+    def asked(self) -> int:
+        """How many candidates there were."""
+        return self._number
+
     def draws(self) -> np.random.Generator:
         """The random numbers of the next candidate."""
         return draws(self._seed, self._number)

@@ -20,7 +20,7 @@ from behavexplor.fuzz.mutation import (
 )
 from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, SearchExhausted, draws
+from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.fuzz.specs import Verdict
 from behavexplor.logical import LogicalScenario
 from behavexplor.scenario import Scenario
@@ -132,9 +132,7 @@ class BehAVExplor:
             SearchExhausted: if none of `MAX_FAILED_INITIAL` initial scenarios passed.
         """
         if not self._corpus and self._n_failed >= MAX_FAILED_INITIAL:
-            raise SearchExhausted(
-                f"All {self._n_failed} initial scenarios failed: the ADS fails everywhere, there is nothing to search."
-            )
+            raise nothing_to_mutate(self._n_failed)
         number = self._asked
         rng = draws(self._seed, number)
         self._asked += 1

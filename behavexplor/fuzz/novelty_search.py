@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from behavexplor.errors import InputError
+from behavexplor.errors import missing_library
 from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.descriptors import SCALES, Measure, check_measures, describe
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.search import Candidate
 from behavexplor.fuzz.specs import Verdict
-from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_variation
+from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_elites
 from behavexplor.logical import LogicalScenario
 from behavexplor.trace import Trace
 
@@ -58,15 +58,10 @@ class NoveltySearch:
         self._options = options
         self._asker = Asker(logical, seed)
         self._archive = _archive(self._asker.encoding.size, options)
-        self._asked = 0
 
     def ask(self) -> Candidate:
         """A uniform scenario at first, then variations of kept ones."""
-        rng = self._asker.draws()
-        self._asked += 1
-        if self._archive.empty or self._asked <= self._options.initial:
-            return self._asker.candidate(self._asker.uniform(rng)[0], rng, INITIAL)
-        return ask_variation(self._asker, self._archive, self._options.variation, rng)
+        return ask_elites(self._asker, self._archive, self._options.initial, self._options.variation)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
         """Keep a scenario if its run was novel.
@@ -96,9 +91,7 @@ def _archive(size: int, options: NoveltySearchOptions) -> Any:
     try:
         from ribs.archives import ProximityArchive  # noqa: PLC0415 - slow to import
     except ImportError as error:
-        raise InputError(
-            "The search method 'novelty-search' needs pyribs: pip install 'behavexplor[search]'"
-        ) from error
+        raise missing_library("The search method 'novelty-search'", "pyribs", "search") from error
     return ProximityArchive(
         solution_dim=size,
         measure_dim=len(options.measures),

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.errors import InputError
+from behavexplor.errors import missing_library
 from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.options import check_range
@@ -144,7 +144,7 @@ def _algorithm(size: int, options: NSGA2Options) -> Any:
         from pymoo.operators.crossover.sbx import SBX  # noqa: PLC0415
         from pymoo.operators.mutation.pm import PM  # noqa: PLC0415
     except ImportError as error:
-        raise InputError("The search method 'nsga2' needs pymoo: pip install 'behavexplor[search]'") from error
+        raise missing_library("The search method 'nsga2'", "pymoo", "search") from error
     algorithm = Algorithm(
         pop_size=options.population,
         crossover=SBX(prob=options.crossover_probability, eta=options.crossover_eta),

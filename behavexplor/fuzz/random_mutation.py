@@ -13,7 +13,7 @@ from behavexplor.fuzz.mutation import (
     mutate_waypoints,
 )
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, SearchExhausted, draws
+from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.fuzz.specs import Verdict
 from behavexplor.logical import LogicalScenario
 from behavexplor.scenario import Scenario
@@ -76,9 +76,7 @@ class RandomMutation:
             SearchExhausted: if none of `MAX_FAILED_INITIAL` initial scenarios passed.
         """
         if not self._corpus and self._told >= MAX_FAILED_INITIAL:
-            raise SearchExhausted(
-                f"All {self._told} initial scenarios failed: the ADS fails everywhere, there is nothing to mutate."
-            )
+            raise nothing_to_mutate(self._told)
         number = self._asked
         rng = draws(self._seed, number)
         self._asked += 1

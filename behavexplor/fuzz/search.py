@@ -36,6 +36,13 @@ class Candidate:
     parent: int | None
 
 
+def nothing_to_mutate(failed: int) -> SearchExhausted:
+    """The end of a search whose initial scenarios all failed."""
+    return SearchExhausted(
+        f"All {failed} initial scenarios failed: the ADS fails everywhere, there is nothing to mutate."
+    )
+
+
 class SearchMethod(Protocol):
     """A search for failures: it knows scenarios, traces and verdicts, but neither simulator nor ADS.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.search import Candidate
+from behavexplor.fuzz.search import INITIAL, Candidate
 
 VARIATION: Final = "variation"  # origin of candidates
 ELITES: Final = "number"  # name of an archive's field: the candidate that an elite was
@@ -37,15 +37,22 @@ class VariationOptions:
         check_range("npc_keep_probability", self.npc_keep_probability, 0, 0.95)
 
 
-def ask_variation(asker: Asker, archive: Any, options: VariationOptions, rng: np.random.Generator) -> Candidate:
-    """A candidate made of two uniformly drawn elites.
+def ask_elites(asker: Asker, archive: Any, initial: int, options: VariationOptions) -> Candidate:
+    """A uniform scenario at first, then one made of two uniformly drawn elites.
 
     Args:
         asker: makes it.
-        archive: of pyribs, not empty, with the field `ELITES`.
+        archive: of pyribs, with the field `ELITES`.
+        initial: how many are uniform; all are while the archive is empty.
         options: of the variation.
-        rng: source of the draws.
     """
+    rng = asker.draws()
+    if archive.empty or asker.asked < initial:
+        return asker.candidate(asker.uniform(rng)[0], rng, INITIAL)
+    return _varied(asker, archive, options, rng)
+
+
+def _varied(asker: Asker, archive: Any, options: VariationOptions, rng: np.random.Generator) -> Candidate:
     from ribs.emitters.operators import IsoLineOperator  # noqa: PLC0415 - slow to import
 
     elites = archive.data(["solution", ELITES])

@@ -88,14 +88,7 @@ def _own(path: Path) -> Description:
     for key in values:
         if key not in Description.__dataclass_fields__:
             raise unknown_name(f"key of {path}", str(key), Description.__dataclass_fields__)
-    try:
-        description = TypeAdapter(Description).validate_python(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{place} in {path}: {first['msg']}, got {first['input']!r:.80}") from None
-    if description.frame_stack < 1:
-        raise InputError(f"frame_stack in {path} must be at least 1, got {description.frame_stack}")
+    description = _checked(path, values)
     if description.statistics is None:
         return description
     statistics = path.parent / description.statistics
@@ -113,15 +106,33 @@ def _of_zoo(folder: Path) -> Description:
             f"{folder / 'config.yml'}: the policy was trained in the wrapper {settings['env_wrapper']!r:.80}, which is "
             "not applied here: make an object of your own that applies it, and name it as module:attribute"
         )
-    config = _environment(arguments)
     statistics = folder / STATISTICS
     if settings.get("normalize") and not statistics.is_file():
         raise InputError(
             f"{folder / 'config.yml'} says that observations were normalised, but {STATISTICS} is missing there"
         )
+    config = _environment(arguments)
     values = {key: config[key] for key in _ENVIRONMENT_KEYS if key in config}
-    stack = settings.get("frame_stack") or 1
-    return Description(frame_stack=int(stack), statistics=statistics if statistics.is_file() else None, **values)
+    values["frame_stack"] = settings.get("frame_stack") or 1
+    values["statistics"] = statistics if statistics.is_file() else None
+    return _checked(folder, values)
+
+
+def _checked(path: Path, values: Mapping[str, Any]) -> Description:
+    """A description of values that were read from a file or folder.
+
+    Raises:
+        InputError: naming the first one that is of a wrong type or out of range.
+    """
+    try:
+        description = TypeAdapter(Description).validate_python(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{place} in {path}: {first['msg']}, got {first['input']!r:.80}") from None
+    if description.frame_stack < 1:
+        raise InputError(f"frame_stack in {path} must be at least 1, got {description.frame_stack}")
+    return description
 
 
 def _environment(arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -261,6 +261,8 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
     [
         ({"env_wrapper": "os.system"}, "trained in the wrapper 'os.system', which is not applied"),
         ({"normalize": True}, r"observations were normalised, but vecnormalize\.pkl is missing"),
+        ({"frame_stack": "many"}, "frame_stack in .*valid integer"),
+        ({"frame_stack": -2}, "must be at least 1"),
     ],
 )
 def test_a_run_of_rl_zoo_that_cannot_be_repeated_is_refused(settings, message, tmp_path, ppo):
