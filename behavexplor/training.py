@@ -143,7 +143,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
             _begin_stage(model, venv, config, stage)
             steps = min(config.stage, config.steps - stage * config.stage)
             model.learn(steps, callback=watch, reset_num_timesteps=False)
-            _save(model, folder / MODELS / f"stage-{stage + 1:04d}.zip")
+            _save(model, folder / MODELS / f"stage-{stage + 1:04d}.pt")
     finally:
         model.logger.close()
         venv.close()
@@ -152,11 +152,32 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
 
 
 def _save(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Write a model's file that is whole or not there."""
+    """Write what a model has learned, in a file that is whole or not there."""
     part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        model.save(file)
+    learned = {
+        "policy": model.policy.state_dict(),
+        "optimizer": model.policy.optimizer.state_dict(),
+        "steps": model.num_timesteps,
+        "updates": model._n_updates,  # noqa: SLF001 - it is told in the logs
+    }
+    torch.save(learned, part)
     part.replace(path)
+
+
+def _restore(model: OnPolicyAlgorithm, path: Path) -> None:
+    """Give a new model what was saved; nothing but numbers is read.
+
+    Raises:
+        InputError: if the file is damaged, or of another model.
+    """
+    try:
+        learned = torch.load(path, map_location="cpu", weights_only=True)
+        model.policy.load_state_dict(learned["policy"])
+        model.policy.optimizer.load_state_dict(learned["optimizer"])
+        model.num_timesteps, model._n_updates = int(learned["steps"]), int(learned["updates"])  # noqa: SLF001
+    except Exception as error:  # whatever torch makes of a wrong file
+        first = str(error).split("\n", maxsplit=1)[0]
+        raise InputError(f"{path} cannot be gone on from: {first}; delete it to go on from the one before") from error
 
 
 def network_layers(model: OnPolicyAlgorithm) -> list[tuple[Floats, Floats]]:
@@ -182,15 +203,17 @@ def _environment(config: TrainingConfig) -> LearningVecEnv:
 def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> tuple[int, OnPolicyAlgorithm]:
     """How many stages are done, and the model at their end; a new one before the first."""
     algorithm: Any = ALGORITHMS[config.algo]
-    saved = sorted(path for path in (folder / MODELS).glob("stage-*.zip") if re.fullmatch(r"stage-\d{4,}", path.stem))
-    if saved:
-        return int(saved[-1].stem.removeprefix("stage-")), algorithm.load(saved[-1], venv, device="cpu")
-    set_random_seed(config.seed % 2**32)
     settings = dict(_SETTINGS[config.algo])
     if "batch_size" in settings:
         settings["batch_size"] = min(settings["batch_size"], settings["n_steps"] * config.envs)
     network = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
-    return 0, algorithm("MlpPolicy", venv, policy_kwargs=network, device="cpu", **settings)
+    set_random_seed(config.seed % 2**32)
+    model: OnPolicyAlgorithm = algorithm("MlpPolicy", venv, policy_kwargs=network, device="cpu", **settings)
+    saved = sorted(path for path in (folder / MODELS).glob("stage-*.pt") if re.fullmatch(r"stage-\d{4,}", path.stem))
+    if not saved:
+        return 0, model
+    _restore(model, saved[-1])
+    return int(saved[-1].stem.removeprefix("stage-")), model
 
 
 def _begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, config: TrainingConfig, stage: int) -> None:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.evaluation import Evaluation, evaluate
 from behavexplor.rollout import ADSError, rollout_all
 from behavexplor.simulation import Simulation
@@ -100,3 +100,15 @@ def test_the_command_prints_rates_and_writes_them(tmp_path, capsys):
 def test_wrong_flags_are_refused(flag, value, capsys):
     assert main(["evaluate", flag, value]) == BAD_INPUT
     assert value in capsys.readouterr().err
+
+
+def test_a_driver_that_fails_ends_the_evaluation_with_its_words(capsys):
+    flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--scenarios", "3", "--quiet"]
+    assert main(["evaluate", *flags]) == EXECUTION_FAILED
+    assert "In one of the scenarios the ADS failed (invalid): predict must return finite" in capsys.readouterr().err
+
+
+def test_figures_that_cannot_be_written_are_named(tmp_path, capsys):
+    flags = ["--ads", "tests.drivers:Cruiser", "--scenarios", "2", "--json", str(tmp_path), "--quiet"]
+    assert main(["evaluate", *flags]) == BAD_INPUT
+    assert "cannot be written" in capsys.readouterr().err

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from behavexplor.ads.learned.driver import read_layers
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.training import ALGORITHMS, TrainingConfig, train
+from tests.ads.sb3.models import Payload
 
 SMALL = {"env": "lane-change", "steps": 6000, "stage": 2000, "envs": 2, "layers": (16,)}
 
@@ -40,11 +42,24 @@ def test_a_training_that_was_cut_off_ends_as_if_it_had_not_been(trained, tmp_pat
 
     with pytest.raises(CutError):
         train(config, tmp_path, cut)
-    assert [path.name for path in sorted((tmp_path / "models").iterdir())] == ["stage-0001.zip", "stage-0002.zip"]
+    assert [path.name for path in sorted((tmp_path / "models").iterdir())] == ["stage-0001.pt", "stage-0002.pt"]
     train(config, tmp_path, lambda _: None)
     assert same(read_layers(tmp_path / "policy.npz"), read_layers(folder / "policy.npz"))
     assert seen[-1].steps >= 6000
     assert sum(seen[-1].ends.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", "payload"])
+def test_a_damaged_checkpoint_is_refused_and_nothing_of_it_is_run(content, tmp_path):
+    checkpoint, proof = tmp_path / "models" / "stage-0001.pt", tmp_path / "proof"
+    checkpoint.parent.mkdir()
+    if content == "payload":
+        torch.save(Payload(proof), checkpoint)
+    else:
+        checkpoint.write_bytes(content)
+    with pytest.raises(InputError, match=r"stage-0001\.pt cannot be gone on from"):
+        train(TrainingConfig(**SMALL), tmp_path, lambda _: None)
+    assert not proof.exists()
 
 
 def test_another_seed_gives_another_policy(trained, tmp_path):

@@ -10,11 +10,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.commands import OK
+from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation
 from behavexplor.evaluation import evaluate as drive
+from behavexplor.rollout import ADSError
 from behavexplor.simulation import Simulation
 
 MOST_SCENARIOS = 1_000_000
@@ -46,13 +47,25 @@ def evaluate(
     if seed < 0:
         raise InputError(f"--seed {seed} must not be negative")
     simulation = Simulation(env, ads, [trust] if trust else [])
-    with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
-        found = drive(simulation, scenarios, seed, meter.show)
-    simulation.close()
+    try:
+        with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
+            found = drive(simulation, scenarios, seed, meter.show)
+    except ADSError as error:
+        print(f"{program()}: In one of the scenarios {error}; fuzz records such failures and goes on", file=sys.stderr)
+        return EXECUTION_FAILED
+    finally:
+        simulation.close()
     if json_file is not None:
-        json_file.write_text(json.dumps({"env": env, "ads": ads, "seed": seed, "n": found.n, **found.counts}, indent=1))
+        _write(json_file, {"env": env, "ads": ads, "seed": seed, "n": found.n, **found.counts})
     print(table({f"{ads} in {env}": found}))
     return OK
+
+
+def _write(path: Path, values: Mapping[str, object]) -> None:
+    try:
+        path.write_text(json.dumps(values, indent=1))
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def table(evaluations: Mapping[str, Evaluation]) -> str:

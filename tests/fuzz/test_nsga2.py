@@ -80,7 +80,7 @@ def test_without_crossover_children_differ_by_mutation_only():
 
 def test_a_missing_pymoo_is_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymoo.core.termination", None)
-    with pytest.raises(InputError, match=r"'nsga2' needs pymoo: pip install 'behavexplor\[search\]'"):
+    with pytest.raises(InputError, match=r"'nsga2' needs pymoo: install the extra 'search'"):
         NSGA2(LOGICAL, 0, NSGA2Options())
 
 

@@ -131,7 +131,7 @@ def test_variation_lies_on_the_line_between_two():
 @pytest.mark.parametrize(("method", "module"), [("map-elites", MAPElites), ("novelty-search", NoveltySearch)])
 def test_a_missing_pyribs_is_one_sentence(monkeypatch, method, module):
     monkeypatch.setitem(sys.modules, "ribs.archives", None)
-    with pytest.raises(InputError, match=rf"'{method}' needs pyribs: pip install 'behavexplor\[search\]'"):
+    with pytest.raises(InputError, match=rf"'{method}' needs pyribs: install the extra 'search'"):
         module(LOGICAL, 0, module.Options())
 
 
