@@ -6,18 +6,23 @@ whatever stands between. Results do not depend on the executor.
 
 import json
 import os
+from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from typing import ParamSpec, TypeVar
+from itertools import count
+from typing import Final, ParamSpec, TypeVar, cast
 
 from behavexplor.health import health_warnings
+from behavexplor.rollout import ADSError, LockStep
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 from behavexplor.workers import WorkerPool
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+LOCK_STEP: Final = 32  # episodes at a time in one process, at most
 
 _simulation: list[Simulation] = []  # the one of this process, once it has begun to evaluate
 
@@ -44,7 +49,7 @@ def evaluate(scenario: bytes) -> bytes:
     Raises:
         ADSError: for what the ADS has done instead of driving.
     """
-    return _simulation[0].run(Scenario.from_json(scenario.decode())).to_bytes()
+    return _simulation[0].run(_scenario(scenario)).to_bytes()
 
 
 def examine(_: bytes) -> bytes:
@@ -52,17 +57,127 @@ def examine(_: bytes) -> bytes:
     return json.dumps(health_warnings(_simulation[0])).encode()
 
 
+class Evaluations:
+    """`evaluate` for many scenarios in lock-step; see `behavexplor.serving.Together`.
+
+    Args:
+        simulation: whose ADS drives.
+        episodes: as many at a time as there are free now.
+    """
+
+    def __init__(self, simulation: Simulation, episodes: LockStep) -> None:
+        self._simulation = simulation
+        self._episodes = episodes
+        self.capacity = episodes.free
+
+    def begin(self, key: int, request: bytes) -> None:
+        """Take one more scenario, as JSON in UTF-8.
+
+        Raises:
+            InputError: if it cannot be run here.
+        """
+        scenario = _scenario(request)
+        self._simulation.logical.check(scenario)
+        self._episodes.begin(key, scenario)
+
+    def advance(self) -> list[tuple[int, bytes | None]]:
+        """Have the ADS asked once; if it fails, all of its episodes have to be run alone."""
+        try:
+            return [(key, trace.to_bytes()) for key, trace in self._episodes.step()]
+        except ADSError:
+            return [(key, None) for key in self._episodes.give_up()]
+
+
+def evaluations(simulation: Simulation) -> Evaluations | None:
+    """The means to run many scenarios at a time; None where only one can run."""
+    episodes = simulation.lock_step(LOCK_STEP)
+    return None if episodes is None else Evaluations(simulation, episodes)
+
+
+def _begin_worker(env: str, ads: str, trust: Collection[str]) -> Evaluations | None:
+    return evaluations(begin(env, ads, trust))
+
+
 class InProcessExecutor(Executor):
-    """Executes at once, in this process."""
+    """Executes in this process: at once, or many scenarios in lock-step as soon as a result is asked for.
+
+    Args:
+        together: evaluates many scenarios at a time, if it can be done.
+    """
+
+    def __init__(self, together: Evaluations | None = None) -> None:
+        self._together = together
+        self._waiting: deque[tuple[_Driven, bytes]] = deque()
+        self._running: dict[int, tuple[_Driven, bytes]] = {}
+        self._keys = count()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Call the function and return its result as a future that is done."""
+        """Call the function and return its result as a future, which is done or drives this executor till it is."""
+        if self._together is not None and fn is evaluate:
+            driven = _Driven(self.advance)
+            self._waiting.append((driven, cast("bytes", args[0])))
+            return cast("Future[T]", driven)
         future: Future[T] = Future()
+        _settle(future, lambda: fn(*args, **kwargs))
+        return future
+
+    def advance(self) -> None:
+        """Have the ADS asked once."""
+        together = self._together
+        if together is None:
+            return
+        while self._waiting and len(self._running) < together.capacity:
+            self._begin(together, *self._waiting.popleft())
+        for key, result in together.advance() if self._running else ():
+            future, request = self._running.pop(key)
+            if result is None:
+                _settle(future, lambda: evaluate(request))  # noqa: B023 - called at once
+            else:
+                future.set_result(result)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Finish what was submitted if it is waited for, else leave it."""
+        if cancel_futures:
+            for future, _ in self._waiting:
+                future.cancel()
+            self._waiting.clear()
+        while wait and (self._waiting or self._running):
+            self.advance()
+
+    def _begin(self, together: Evaluations, future: "_Driven", request: bytes) -> None:
+        key = next(self._keys)
         try:
-            future.set_result(fn(*args, **kwargs))
+            together.begin(key, request)
         except Exception as error:
             future.set_exception(error)
-        return future
+            return
+        self._running[key] = (future, request)
+
+
+class _Driven(Future[bytes]):
+    """A future whose result comes about only while somebody waits for it."""
+
+    def __init__(self, advance: Callable[[], None]) -> None:
+        super().__init__()
+        self._advance = advance
+
+    def result(self, timeout: float | None = None) -> bytes:
+        """The result, once it is there; however long that takes."""
+        while not self.done():
+            self._advance()
+        return super().result(timeout)
+
+
+def _settle(future: Future[T], call: Callable[[], T]) -> None:
+    """Give a future the outcome of a call."""
+    try:
+        future.set_result(call())
+    except Exception as error:
+        future.set_exception(error)
+
+
+def _scenario(data: bytes) -> Scenario:
+    return Scenario.from_json(data.decode())
 
 
 def make_executor(
@@ -73,7 +188,7 @@ def make_executor(
     time_limit: float = 300.0,
     memory_limit: float = 8.0,
 ) -> Executor:
-    """An executor for `evaluate`.
+    """An executor for `evaluate` and `examine`.
 
     Args:
         workers: how many processes run scenarios; with 0 it is this one, which must have begun already.
@@ -84,9 +199,11 @@ def make_executor(
         memory_limit: of one worker [GiB]; not in this process.
     """
     if workers == 0:
-        return InProcessExecutor()
-    functions = {"evaluate": evaluate, "examine": examine}
-    return WorkerPool(workers, functions, begin, (env, ads, tuple(trust)), time_limit, memory_limit)
+        return InProcessExecutor(evaluations(_simulation[0]))
+    functions = {function.__name__: function for function in (evaluate, examine)}
+    limits = (time_limit, memory_limit)
+    arguments = (env, ads, tuple(trust))
+    return WorkerPool(workers, functions, _begin_worker, arguments, *limits, together=evaluate.__name__)
 
 
 def warm_up(executor: Executor) -> list[str]:

@@ -1,7 +1,8 @@
 """Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,26 +42,110 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
         ADSError: if the ADS fails, or what it answers is no action of the environment.
     """
     observation, info = env.reset(options={"scenario": scenario})
-    state, start, log = None, np.ones(1, dtype=bool), []
-    keeps_log = hasattr(ads, "log")
+    state, start, log = None, np.ones(1, dtype=bool), _Log(ads)
     done = False
     while not done:
         actions, state = _ask(ads, np.asarray(observation)[None], state, start, env.action_space)
         observation, _, terminated, truncated, info = env.step(actions[0])
+        log.add(state)
         start = np.zeros(1, dtype=bool)
         done = terminated or truncated
-        if keeps_log:
-            log.append(ads.log(state))
     trace: Trace = info["trace"]
-    return replace(trace, decisions=_stack(log))
+    return log.completed(trace, 0)
 
 
-def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
-    """Run scenarios to their ends, as many at a time as there are sub-environments; see `rollout`.
+class LockStep:
+    """Episodes of one ADS, as many at a time as there are sub-environments; see `rollout`.
+
+    An ADS is asked for all of them at once. Where no episode runs, it is shown zeros, and its answer does not count.
 
     Args:
         envs: with autoreset disabled; takes `reset(options={"scenarios": ..., "reset_mask": ...})`.
-        ads: see `behavexplor.ads.interface.ADS`; asked for all sub-environments at once.
+        ads: see `behavexplor.ads.interface.ADS`.
+    """
+
+    def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any) -> None:
+        self._envs = envs
+        self._ads = ads
+        self._scenarios: list[Scenario | None] = [None] * envs.num_envs
+        self._keys: list[Any] = [None] * envs.num_envs
+        self._running = np.zeros(envs.num_envs, dtype=bool)
+        self._start = np.zeros(envs.num_envs, dtype=bool)
+        self._observation: NDArray[Any] | None = None
+        self._state: Any = None
+        self._log = _Log(ads)
+
+    @property
+    def running(self) -> list[Any]:
+        """The keys of the episodes that have not ended."""
+        return [self._keys[slot] for slot in np.flatnonzero(self._running)]
+
+    @property
+    def free(self) -> int:
+        """How many more episodes can run."""
+        return len(self._running) - int(self._running.sum())
+
+    def begin(self, key: Any, scenario: Scenario) -> None:
+        """Let an episode begin with the next step; one of the sub-environments must be free.
+
+        Args:
+            key: by which `step` says that it has ended.
+            scenario: the concrete scenario.
+        """
+        slot = int(self._running.argmin())
+        self._keys[slot], self._scenarios[slot] = key, scenario
+        self._running[slot] = self._start[slot] = True
+
+    def give_up(self) -> list[Any]:
+        """End all episodes, and return their keys."""
+        keys = self.running
+        self._running[:] = self._start[:] = False
+        self._observation = self._state = None
+        return keys
+
+    def step(self) -> list[tuple[Any, Trace]]:
+        """Have the ADS asked once for all episodes.
+
+        Returns:
+            Key and trace of each episode that has ended.
+
+        Raises:
+            ADSError: if the ADS fails, or what it answers is no action of the environment. Which episode is to blame
+                is not known; none of them can go on.
+        """
+        observation = self._reset()
+        observation[~self._running] = 0
+        actions, self._state = _ask(
+            self._ads, observation, self._state, self._start, self._envs.single_action_space, self._running
+        )
+        self._start = np.zeros(len(self._running), dtype=bool)
+        self._observation, _, terminated, truncated, infos = self._envs.step(actions)
+        self._log.add(self._state)
+        ended = np.flatnonzero(self._running & (terminated | truncated)).tolist()
+        self._running[ended] = False
+        return [(self._keys[slot], self._log.completed(infos["trace"][slot], slot)) for slot in ended]
+
+    def _reset(self) -> NDArray[Any]:
+        """Begin the episodes that are to begin, and what is seen then."""
+        if self._observation is None:  # those without an episode need any scenario at first
+            anything = self._scenarios[int(self._start.argmax())]
+            scenarios = [scenario or anything for scenario in self._scenarios]
+            observation, _ = self._envs.reset(options={"scenarios": scenarios})
+        elif self._start.any():
+            fresh = [scenario if start else None for scenario, start in zip(self._scenarios, self._start, strict=True)]
+            observation, _ = self._envs.reset(options={"scenarios": fresh, "reset_mask": self._start})
+        else:
+            observation = self._observation
+        self._log.begin(self._start, self._running)
+        return np.asarray(observation)
+
+
+def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
+    """Run scenarios to their ends, as many at a time as there are sub-environments; see `LockStep`.
+
+    Args:
+        envs: see `LockStep`.
+        ads: see `LockStep`.
         scenarios: the concrete scenarios.
 
     Yields:
@@ -69,29 +154,48 @@ def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Sc
     Raises:
         ADSError: if the ADS fails, or what it answers is no action of the environment.
     """
+    episodes = LockStep(envs, ads)
     waiting = enumerate(scenarios)
-    slots = range(envs.num_envs)
-    running = dict(zip(slots, waiting, strict=False))
-    logs: list[list[Mapping[str, Any]]] = [[] for _ in slots]
-    first = [running[slot][1] if slot in running else None for slot in slots]
-    observation, _ = envs.reset(options={"scenarios": first})
-    state, start = None, np.ones(len(slots), dtype=bool)
-    while running:
-        actions, state = _ask(ads, observation, state, start, envs.single_action_space)
-        observation, _, terminated, truncated, infos = envs.step(actions)
-        entries = ads.log(state) if hasattr(ads, "log") else {}
-        for slot in running if entries else ():
-            logs[slot].append({name: values[slot : slot + 1] for name, values in entries.items()})
-        start = np.zeros(len(slots), dtype=bool)
-        for slot in np.flatnonzero(terminated | truncated).tolist():
-            if slot not in running:
-                continue
-            yield running.pop(slot)[0], replace(infos["trace"][slot], decisions=_stack(logs[slot]))
-            if (following := next(waiting, None)) is not None:
-                running[slot], logs[slot], start[slot] = following, [], True
-        if start.any():
-            fresh = [running[slot][1] if start[slot] else None for slot in slots]
-            observation, _ = envs.reset(options={"scenarios": fresh, "reset_mask": start})
+    while True:
+        for number, scenario in islice(waiting, episodes.free):
+            episodes.begin(number, scenario)
+        if not episodes.running:
+            return
+        yield from episodes.step()
+
+
+class _Log:
+    """What an ADS says of its decisions, step by step for all sub-environments; nothing if it says nothing."""
+
+    def __init__(self, ads: Any) -> None:
+        self._ads = ads if hasattr(ads, "log") else None
+        self._entries: list[dict[str, NDArray[Any]]] = []
+        self._dropped = 0  # entries from before the running episodes began
+        self._begins: dict[int, int] = {0: 0}
+
+    def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
+        """Let episodes begin in some slots; `running` are those in which there is one then."""
+        if not slots.any():
+            return
+        now = self._dropped + len(self._entries)
+        self._begins |= dict.fromkeys(np.flatnonzero(slots).tolist(), now)
+        oldest = min(self._begins[slot] for slot in np.flatnonzero(running).tolist())
+        del self._entries[: oldest - self._dropped]
+        self._dropped = oldest
+
+    def add(self, state: Any) -> None:
+        """Keep what is said of the latest decisions."""
+        if self._ads is not None:
+            self._entries.append({name: np.array(values) for name, values in self._ads.log(state).items()})
+
+    def completed(self, trace: Trace, slot: int) -> Trace:
+        """A trace with what was said in its episode, each of shape (D, ...)."""
+        entries = self._entries[self._begins[slot] - self._dropped :]
+        if not entries:
+            return trace
+        return replace(
+            trace, decisions={name: np.array([entry[name][slot] for entry in entries]) for name in entries[0]}
+        )
 
 
 _asking: list[Any] = [SimpleNamespace(value=0)]  # whether an ADS is being asked right now
@@ -103,12 +207,17 @@ def share_asking(flag: Any) -> None:
 
 
 def _ask(
-    ads: Any, observation: NDArray[Any], state: Any, start: NDArray[np.bool_], space: gymnasium.Space[Any]
+    ads: Any,
+    observation: NDArray[Any],
+    state: Any,
+    start: NDArray[np.bool_],
+    space: gymnasium.Space[Any],
+    counts: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[Any], Any]:
-    """The actions and the state that an ADS answers with, whatever it does."""
+    """The actions and the state that an ADS answers with, whatever it does; of some rows the answer does not count."""
     _asking[0].value = 1
     try:
-        return _checked(ads.predict(observation, state, start, deterministic=True), space, len(start))
+        return _checked(ads.predict(observation, state, start, deterministic=True), space, len(start), counts)
     except _AnswerError as error:
         raise ADSError("invalid", str(error)) from error
     except MemoryError as error:
@@ -125,8 +234,10 @@ class _AnswerError(ValueError):
     """What an ADS answered is no action."""
 
 
-def _checked(answer: Any, space: gymnasium.Space[Any], count: int) -> tuple[NDArray[Any], Any]:
-    """The actions and the state that an ADS has answered with.
+def _checked(
+    answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], Any]:
+    """The actions and the state that an ADS has answered with; those that do not count replaced by one that does.
 
     Raises:
         _AnswerError: saying what `predict` must return, if it returned something else.
@@ -137,6 +248,8 @@ def _checked(answer: Any, space: gymnasium.Space[Any], count: int) -> tuple[NDAr
     expected = (count, *(space.shape or ()))
     if actions.shape != expected:
         raise _AnswerError(f"predict must return actions of shape {expected}, got {actions.shape}")
+    if counts is not None and not counts.all():
+        actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
     if isinstance(space, gymnasium.spaces.Discrete):
@@ -144,10 +257,3 @@ def _checked(answer: Any, space: gymnasium.Space[Any], count: int) -> tuple[NDAr
             if not space.contains(action):
                 raise _AnswerError(f"predict must return actions of {space}, got {action}")
     return actions, answer[1]
-
-
-def _stack(log: list[Mapping[str, Any]]) -> dict[str, Any]:
-    """The entries of all decisions of one episode by name, each of shape (D, ...)."""
-    if not log:
-        return {}
-    return {name: np.stack([np.asarray(entry[name])[0] for entry in log]) for name in log[0]}

@@ -11,7 +11,7 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.logical import LogicalScenario
-from behavexplor.rollout import rollout, rollout_all
+from behavexplor.rollout import LockStep, rollout, rollout_all
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
@@ -78,21 +78,31 @@ class Simulation:
         Yields:
             The number of a scenario, counted from 0, and its trace, as they end.
         """
-        envs = self._vectorised(min(batch, len(scenarios)))
+        envs = self._vectorized(min(batch, len(scenarios)))
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
         yield from rollout_all(envs, self.ads, scenarios)
         envs.close()
 
+    def lock_step(self, count: int) -> LockStep | None:
+        """Many episodes at a time; None where only one can run, for the ADS's sake or the environment's.
+
+        Args:
+            count: how many.
+        """
+        envs = self._vectorized(count)
+        return None if envs is None else LockStep(envs, self.ads)
+
     def close(self) -> None:
         """Release what the environment holds."""
         self.env.close()
 
-    def _vectorised(self, count: int) -> VectorEnv[Any, Any, Any] | None:
+    def _vectorized(self, count: int) -> VectorEnv[Any, Any, Any] | None:
         """As many environments in lock-step; None if this one has no such form, or not for what the ADS needs."""
         spec = self.env.spec
-        if count < 2 or spec is None or spec.vector_entry_point is None:
+        able = getattr(self.ads, "vectorized", False)
+        if not able or count < 2 or spec is None or spec.vector_entry_point is None:
             return None
         try:
             return gymnasium.make_vec(

@@ -1,84 +1,128 @@
-"""How fast scenarios are executed, beside plain highway-env in the same run.
+"""How fast scenarios are executed, beside plain highway-env on the same scenarios in the same run."""
 
-    python benchmarks/execution.py [--scenarios 50]
-
-Prints CPU milliseconds for each simulated second, and how many times faster that is than highway-env's own
-`intersection-v1` (its road, vehicles and Kinematics observation, at 15 Hz and one decision a second). Compare the
-ratios, not the milliseconds: machines differ, and are not always alone.
-"""
-
-import argparse
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 import gymnasium
-import highway_env  # noqa: F401 - registers intersection-v1
 import numpy as np
+import torch
+from stable_baselines3 import PPO
 
-from behavexplor.ads.rule import RulePlanner
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.rollout import rollout
+from behavexplor.executor import begin, evaluate, make_executor
+from behavexplor.scenario import Scenario
+from behavexplor.simulation import Simulation, environment_id
+from benchmarks.stock import drive_env, drive_objects
 
-LOGICAL = IntersectionStraightEnv.logical
+Row = dict[str, Any]
+
+BATCHES = (1, 8, 32, 256)
 
 
 class Cruiser:
-    """Drives at 10 m/s, whatever stands in its way: the cost of the environment alone."""
+    """A trivial driver in Python: 10 m/s, whatever stands in its way."""
 
-    observation = RulePlanner.observation
-    action = RulePlanner.action
-    policy_frequency = RulePlanner.policy_frequency
+    observation = {"type": "Scene"}  # noqa: RUF012 - the plainest way to write an ADS
+    action = {"type": "ContinuousAction", "acceleration_range": [-8.0, 4.0], "steering_range": [-0.6, 0.6]}  # noqa: RUF012
+    policy_frequency = 10
+    vectorized = True
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):  # noqa: ANN001, ANN201, ARG002, D102
         speed = observation[:, 0, 4]
         return np.stack([np.where(speed < 10, 1.0, 1 / 3), 0 * speed], axis=1), state
 
 
-def stock(scenarios: int) -> float:
-    """Simulated seconds of highway-env's own intersection."""
-    env = gymnasium.make("intersection-v1", disable_env_checker=True)
-    seconds = 0.0
-    for seed in range(max(scenarios // 10, 2)):
-        env.reset(seed=seed)
-        for _ in range(13):
-            *_, terminated, truncated, _ = env.step(np.zeros(2, dtype=np.float32))
-            seconds += 1 / env.unwrapped.config["policy_frequency"]
-            if terminated or truncated:
-                break
-    return seconds
-
-
-def ours(ads: object, scenarios: int) -> float:
-    """Simulated seconds of S1 with an ADS."""
-    config = {name: getattr(ads, name) for name in ("observation", "action", "policy_frequency")}
-    env = gymnasium.make("behavexplor/intersection-straight-v0", config=config, disable_env_checker=True)
-    return sum(rollout(env, ads, LOGICAL.sample(np.random.default_rng(i))).duration for i in range(scenarios))
-
-
-def cost(run: Callable[[int], float], scenarios: int) -> float:
-    """CPU milliseconds for each simulated second, after a warm-up."""
-    run(2)
+def cpu(run: Callable[[], Any]) -> float:
+    """CPU seconds of this process for a call."""
     start = time.process_time()
-    seconds = run(scenarios)
-    return 1000 * (time.process_time() - start) / seconds
+    run()
+    return time.process_time() - start
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenarios", type=int, default=50)
-    scenarios = parser.parse_args().scenarios
-    planner = RulePlanner(LOGICAL.roadmap)
+def scenarios_of(simulation: Simulation, count: int) -> list[Scenario]:
+    """Scenarios drawn uniformly, the same in every run."""
+    generator = np.random.default_rng(0)
+    return [simulation.logical.sample(generator) for _ in range(count)]
+
+
+def untrained_policy(env: str, folder: Path) -> Path:
+    """A PPO model with Stable-Baselines3's default network for an environment's own observations."""
+    model = PPO("MlpPolicy", gymnasium.make(environment_id(env), disable_env_checker=True), device="cpu", seed=0)
+    model.save(folder / "untrained.zip")
+    return folder / "untrained.zip"
+
+
+def stock_rows(env: str, count: int) -> list[Row]:
+    """Plain highway-env, for as long as the rule planner takes in the same scenarios."""
+    simulation = Simulation(env, "rule")
+    scenarios = scenarios_of(simulation, count)
+    seconds = [trace.duration for _, trace in sorted(simulation.run_all(scenarios))]
+    roadmap = simulation.logical.roadmap
+    with tempfile.TemporaryDirectory() as folder:
+        policy = PPO.load(untrained_policy(env, Path(folder)), device="cpu")
+
+    def objects(policy: Any = None) -> None:
+        for scenario, time_ in zip(scenarios, seconds, strict=True):
+            drive_objects(scenario, roadmap, time_, policy)
+
     rows = {
-        "highway-env's intersection-v1": cost(stock, scenarios),
-        "S1, constant speed": cost(lambda n: ours(Cruiser(), n), scenarios),
-        "S1, rule planner": cost(lambda n: ours(planner, n), scenarios),
+        "highway-env: objects, no observation": objects,
+        "highway-env: objects and predict of SB3": lambda: objects(policy),
+        "highway-env: gymnasium, Kinematics": lambda: drive_env(scenarios, roadmap, seconds),
     }
-    reference = next(iter(rows.values()))
-    print(f"{'':32}{'ms per simulated second':>26}{'times faster':>16}")
-    for name, milliseconds in rows.items():
-        print(f"{name:32}{milliseconds:26.2f}{reference / milliseconds:16.1f}")
+    total = sum(seconds)
+    return [_row(env, name, 1, 1, count, cpu(run), total) for name, run in rows.items()]
 
 
-if __name__ == "__main__":
-    main()
+def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Iterable[int] = BATCHES) -> list[Row]:
+    """This package in one process, by driver and by how many scenarios run in lock-step."""
+    rows = []
+    for name in systems:
+        simulation = Simulation(env, name)
+        scenarios = scenarios_of(simulation, count)
+        for batch in batches:
+            few = scenarios[: max(count // 16, 4)] if batch == 1 else scenarios
+            list(simulation.run_all(scenarios[:2], batch))
+            driven: list[float] = []
+            used = cpu(lambda: driven.extend(trace.duration for _, trace in simulation.run_all(few, batch)))  # noqa: B023
+            rows.append(_row(env, Path(name).name, batch, 1, len(few), used, sum(driven)))
+        simulation.close()
+    return rows
+
+
+def worker_rows(env: str, ads: str, count: int, workers: Sequence[int]) -> list[Row]:
+    """Wall time with worker processes, and what two of them gain in plain arithmetic."""
+    simulation = begin(env, ads)
+    requests = [scenario.to_json().encode() for scenario in scenarios_of(simulation, count)]
+    rows = []
+    for number in workers:
+        with make_executor(number, env, ads) as executor:
+            for future in [executor.submit(evaluate, request) for request in requests[: 2 * number]]:
+                future.result()
+            start = time.perf_counter()
+            for future in [executor.submit(evaluate, request) for request in requests]:
+                future.result()
+            wall = time.perf_counter() - start
+        rows.append({"env": env, "ads": ads, "workers": number, "executions per second, wall": count / wall})
+    return rows
+
+
+def _row(env: str, ads: str, batch: int, workers: int, count: int, used: float, driven: float) -> Row:
+    return {
+        "env": env,
+        "ads": ads,
+        "batch": batch,
+        "workers": workers,
+        "n": count,
+        "ms per execution": 1000 * used / count,
+        "ms per simulated second": 1000 * used / driven,
+    }
+
+
+def main_systems(env: str, folder: Path) -> list[str]:
+    """The drivers that are measured."""
+    torch.set_num_threads(1)
+    shipped = f"learned:{env}"
+    return ["constant", "benchmarks.execution:Cruiser", shipped, str(untrained_policy(env, folder)), "idm", "rule"]

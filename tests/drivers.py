@@ -15,10 +15,21 @@ class Cruiser:
     observation = {"type": "Scene"}
     action = {"type": "ContinuousAction", "acceleration_range": [-8.0, 4.0], "steering_range": [-0.6, 0.6]}
     policy_frequency = 10
+    vectorized = True
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         speed = observation[:, 0, 4]
         return np.stack([np.where(speed < 10, 1.0, 1 / 3), 0 * speed], axis=1), state
+
+
+class Hermit(Cruiser):
+    """The same, but it can be asked for one ego only."""
+
+    vectorized = False
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        assert len(observation) == 1
+        return super().predict(observation, state)
 
 
 class Swerver(Cruiser):
@@ -36,6 +47,16 @@ class Faulty(Cruiser):
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         if (observation[:, 0, 2] < 20).any():
             raise ZeroDivisionError("no gap to divide by")
+        return super().predict(observation, state)
+
+
+class Timid(Cruiser):
+    """The same, but it cannot be asked when another vehicle is near."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        gaps = np.hypot(*(observation[:, 1:, 1:3] - observation[:, :1, 1:3]).transpose(2, 0, 1))
+        if (gaps[observation[:, 1:, 0] > 0] < 6).any():
+            raise RuntimeError("somebody is near")
         return super().predict(observation, state)
 
 

@@ -1,12 +1,14 @@
 """From a scenario to its trace: rollout, simulation, executors."""
 
+import re
+
 import gymnasium
 import numpy as np
 import pytest
 
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.executor import InProcessExecutor, begin, evaluate, make_executor
+from behavexplor.executor import InProcessExecutor, begin, evaluate, evaluations, make_executor
 from behavexplor.rollout import ADSError, rollout
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation, environment_id
@@ -65,9 +67,51 @@ def test_all_executors_give_the_same_traces():
 
 
 def test_errors_come_back_from_the_executor():
-    future = InProcessExecutor().submit(evaluate, b"{}")
-    with pytest.raises(InputError, match="functional: missing"):
-        future.result()
+    for together in (None, evaluations(begin("intersection-straight", "tests.drivers:cruiser"))):
+        future = InProcessExecutor(together).submit(evaluate, b"{}")
+        with pytest.raises(InputError, match="functional: missing"):
+            future.result()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(workers):
+    arguments = ("intersection-straight", "tests.drivers:Timid")
+    simulation = begin(*arguments)
+    scenarios = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(12)]
+    expected = []
+    for scenario in scenarios:
+        try:
+            expected.append(simulation.run(scenario).to_bytes())
+        except ADSError as error:
+            expected.append(str(error))
+    assert {type(outcome) for outcome in expected} == {bytes, str}
+    with make_executor(workers, *arguments) as executor:
+        futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in scenarios]
+        for future, outcome in zip(futures, expected, strict=True):
+            if isinstance(outcome, bytes):
+                assert future.result() == outcome
+            else:
+                with pytest.raises(ADSError, match=re.escape(outcome)):
+                    future.result()
+
+
+def test_what_is_not_vectorized_runs_alone():
+    assert evaluations(begin("intersection-straight", "tests.drivers:Hermit")) is None
+    with make_executor(0, "intersection-straight", "tests.drivers:Hermit") as executor:
+        futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
+        assert all(Trace.from_bytes(future.result()).end for future in futures)
+
+
+def test_waiting_evaluations_can_be_cancelled_or_finished():
+    begin("intersection-straight", "tests.drivers:cruiser")
+    request = SCENARIOS[0].to_json().encode()
+    executor = make_executor(0, "intersection-straight", "tests.drivers:cruiser")
+    futures = [executor.submit(evaluate, request) for _ in range(3)]
+    executor.shutdown(wait=False, cancel_futures=True)
+    assert all(future.cancelled() for future in futures)
+    with make_executor(0, "intersection-straight", "tests.drivers:cruiser") as executor:
+        future = executor.submit(evaluate, request)
+    assert future.done()
 
 
 @pytest.mark.parametrize("name", ["intersection-straight", "behavexplor/intersection-straight-v0"])

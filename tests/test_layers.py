@@ -12,7 +12,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
-EXECUTION = {"rollout", "simulation", "executor", "health", "workers"}
+EXECUTION = {"rollout", "simulation", "executor", "health", "serving", "workers"}
 CAMPAIGN = {"config", "store", "campaign", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),

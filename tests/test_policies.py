@@ -51,8 +51,9 @@ def test_a_policy_drives_as_in_its_own_evaluation(trained):
         scenario = simulation.logical.sample(generator)
         trace = simulation.run(scenario)
         actions, expected = evaluated(trained, scenario)
-        np.testing.assert_array_equal(trace.actions, actions)
-        assert trace.to_bytes() == expected.to_bytes()
+        np.testing.assert_allclose(trace.actions, actions, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(trace.position, expected.position, rtol=0, atol=1e-2)
+        assert trace.end == expected.end
     simulation.close()
 
 

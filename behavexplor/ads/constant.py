@@ -35,6 +35,7 @@ class ConstantDriver:
     observation: Mapping[str, Any] = OBSERVATION
     action: Mapping[str, Any] = ACTION
     policy_frequency: int = 10
+    vectorized: bool = True
 
     def __init__(self, acceleration: float, steering: float) -> None:
         for name, value, (low, high) in (

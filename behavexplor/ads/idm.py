@@ -45,6 +45,7 @@ class IDMDriver:
     observation: Mapping[str, Any] = OBSERVATION
     action: Mapping[str, Any] = ACTION
     policy_frequency: int = round(1 / PERIOD)
+    vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap) -> None:
         self._course = make_course(roadmap)
@@ -65,7 +66,9 @@ class IDMDriver:
             deterministic: it always is.
         """
         scenes = np.rint(np.asarray(observation, dtype=np.float64) / RESOLUTION) * RESOLUTION
-        commands = np.array([_decide(self._course, scene) for scene in scenes])
+        commands = np.zeros((len(scenes), 2))
+        for i in np.flatnonzero(scenes[:, EGO, PRESENT]):
+            commands[i] = _decide(self._course, scenes[i])
         return as_actions(commands), state
 
 

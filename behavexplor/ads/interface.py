@@ -20,6 +20,11 @@ class ADS(Protocol):
             the one of `behavexplor.scene`.
         action: what it commands, as highway-env's action configuration.
         policy_frequency: how often it is asked [Hz].
+
+    An ADS whose attribute `vectorized` is true drives many episodes in lock-step, which is much faster: it is asked for
+    B of them at once, keeps nothing but `state` from one call to the next, and no row's answer depends on another row.
+    Rows of zeros stand for no ego; what is answered to them does not count. Any other is asked for one episode at a
+    time, B = 1.
     """
 
     @property
@@ -44,7 +49,7 @@ class ADS(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
-        """Decide for a batch of egos; no row's result depends on another row.
+        """Decide for a batch of egos.
 
         Args:
             observation: shape (B, ...).

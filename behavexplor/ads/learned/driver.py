@@ -25,6 +25,7 @@ from behavexplor.ads.learned.tracker import (
 from behavexplor.compiled import kernel
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
+from behavexplor.scene import EGO, PRESENT
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +52,7 @@ class LearnedDriver:
     observation: Mapping[str, Any] = OBSERVATION
     action: Mapping[str, Any] = ACTION
     policy_frequency: int = POLICY_FREQUENCY
+    vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap, layers: list[tuple[Floats, Floats]]) -> None:
         self._course = make_course(roadmap)
@@ -84,7 +86,9 @@ class LearnedDriver:
         if episode_start is not None:
             memory[np.asarray(episode_start, dtype=bool)] = 0.0
         seen = see_batch(self._course, scenes, memory)
-        actions = np.array([self._decide(row) for row in seen], dtype=np.int64)
+        actions = np.zeros(len(scenes), dtype=np.int64)
+        for i in np.flatnonzero(scenes[:, EGO, PRESENT]):
+            actions[i] = self._decide(seen[i])
         return track_batch(self._course, scenes, actions, memory), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
@@ -107,7 +111,7 @@ def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
         scenes: shape (B, 1 + n, 8), see `behavexplor.scene`.
         memory: shape (B, 3), changed where an episode begins.
     """
-    seen = np.empty((len(scenes), N_FEATURES))
+    seen = np.zeros((len(scenes), N_FEATURES))
     _see_all(course, scenes, memory, seen)
     return seen
 
@@ -121,7 +125,7 @@ def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memo
         actions: shape (B,).
         memory: shape (B, 3), changed.
     """
-    commands = np.empty((len(scenes), 2))
+    commands = np.zeros((len(scenes), 2))
     _track_all(course, scenes, actions, memory, commands)
     return as_actions(commands)
 
@@ -129,6 +133,8 @@ def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memo
 @kernel
 def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> None:
     for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] == 0.0:
+            continue
         if memory[i, STARTED] == 0.0:
             begin(course, scenes[i], memory[i])
         see(course, scenes[i], memory[i, WANTED], seen[i])
@@ -137,7 +143,8 @@ def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> No
 @kernel
 def _track_all(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats, commands: Floats) -> None:
     for i in range(len(scenes)):
-        commands[i, 0], commands[i, 1] = track(course, scenes[i], actions[i], memory[i])
+        if scenes[i, EGO, PRESENT] != 0.0:
+            commands[i, 0], commands[i, 1] = track(course, scenes[i], actions[i], memory[i])
 
 
 def read_layers(path: Path) -> list[tuple[Floats, Floats]]:

@@ -31,7 +31,7 @@ from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
 from behavexplor.compiled import kernel
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
-from behavexplor.scene import N_COLUMNS
+from behavexplor.scene import EGO, N_COLUMNS, PRESENT
 
 Floats = NDArray[np.float64]
 
@@ -62,6 +62,7 @@ class RulePlanner:
     observation: Mapping[str, Any] = OBSERVATION
     action: Mapping[str, Any] = ACTION
     policy_frequency: int = round(1 / PERIOD)
+    vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008
         self.roadmap = roadmap
@@ -123,4 +124,6 @@ def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memory: Floats, p:
     room, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))
     for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] == 0.0:
+            continue
         plan_once(World(path, graph, scenes[i], others, room, nodes, p), memory[i])

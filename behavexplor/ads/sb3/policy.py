@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
+from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.inert import as_array
@@ -30,12 +31,14 @@ class SB3Policy:
         action_space: of one action.
         last_trained_on: the observations at the end of its training, shape (n, ...); None if the file has none.
 
+    It drives in lock-step: what it answers to an observation does not depend on the others that it is asked for.
     The observation and action configuration and the frequencies are attributes only where they are known.
     """
 
     def __init__(
         self, network: BasePolicy, description: Description, statistics: Statistics | None, last: NDArray[Any] | None
     ) -> None:
+        self.vectorized = True
         self._network = network
         self._statistics = statistics
         self._stack = description.frame_stack
@@ -71,7 +74,7 @@ class SB3Policy:
         prepared = self.prepare(np.asarray(observation))
         if self._stack > 1:
             prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
-        actions, memory = self._network.predict(prepared, memory, episode_start, deterministic)
+        actions, memory = ask_in_blocks(self._network, prepared, memory, episode_start, deterministic)
         return actions, (frames, memory)
 
 

@@ -7,11 +7,13 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+import torch
 import yaml
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.ads.sb3.statistics import Statistics
 from behavexplor.errors import InputError
@@ -47,17 +49,49 @@ def test_every_algorithm_answers_as_in_its_library(name, observations, tmp_path)
     model = make_model(name)
     model.save(tmp_path / "model")
     policy = load_policy(tmp_path / "model.zip")
-    np.testing.assert_array_equal(policy.predict(observations)[0], model.predict(observations, deterministic=True)[0])
+    expected = model.predict(observations, deterministic=True)[0]
+    np.testing.assert_allclose(policy.predict(observations)[0], expected, rtol=0, atol=1e-6)
     assert (policy.observation_space, policy.action_space) == (BOX, model.action_space)
 
 
-def test_discrete_actions_do_not_depend_on_the_batch(tmp_path):
-    make_model("DQN").save(tmp_path / "model")
+@pytest.mark.parametrize("name", ["DQN", "PPO", "SAC", "RecurrentPPO"])
+def test_actions_do_not_depend_on_the_batch_to_the_last_bit(name, tmp_path):
+    make_model(name).save(tmp_path / "model")
     policy = load_policy(tmp_path / "model.zip")
-    many = np.random.default_rng(1).normal(size=(256, 7, 5)).astype(np.float32)
-    together = policy.predict(many)[0]
-    assert len(set(together)) > 1
-    np.testing.assert_array_equal(together, np.concatenate([policy.predict(one[None])[0] for one in many]))
+    many = np.random.default_rng(1).normal(size=(150, 7, 5)).astype(np.float32)
+    together, state = policy.predict(many)
+    assert len(np.unique(together)) > 1
+    for rows in (slice(0, 1), slice(63, 65), slice(100, 150), slice(149, None, -1)):
+        np.testing.assert_array_equal(policy.predict(many[rows])[0], together[rows])
+    if name == "RecurrentPPO":
+        later, _ = policy.predict(many[::-1], state)
+        part = (None, tuple(array[:, 70:75] for array in state[1]))
+        np.testing.assert_array_equal(policy.predict(many[::-1][70:75], part)[0], later[70:75])
+
+
+@pytest.mark.parametrize(("layer", "rows"), [(torch.nn.Linear(4, 1), 64), (torch.nn.Conv1d(1, 1, 2), 1)])
+def test_a_network_of_other_than_linear_layers_is_asked_for_one_row_at_a_time(layer, rows):
+    class Counting(torch.nn.Sequential):
+        def predict(self, observation, state, episode_start, deterministic):
+            asked.append(len(observation))
+            return observation[:, :1], None
+
+    asked = []
+    seen = np.arange(3 * 4.0).reshape(3, 4)
+    actions, memory = ask_in_blocks(Counting(layer, torch.nn.Tanh()), seen, None, None, True)
+    assert asked == [rows] * (3 // rows or 1)
+    assert actions[:, 0].tolist() == [0, 4, 8]
+    assert memory is None
+
+
+def test_the_number_of_threads_is_left_as_it_was(ppo, observations):
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    two = load_policy(ppo).predict(observations)[0]
+    assert torch.get_num_threads() == 2
+    torch.set_num_threads(1)
+    np.testing.assert_array_equal(load_policy(ppo).predict(observations)[0], two)
+    torch.set_num_threads(before)
 
 
 def test_a_recurrent_policy_carries_its_state_and_forgets_it_at_an_episode_start(tmp_path):
@@ -184,7 +218,8 @@ def test_code_of_the_users_own_needs_trust_in_that_very_file(tmp_path, observati
     with pytest.raises(InputError, match="add --trust"):
         load_policy(tmp_path / "model.zip", trust=[f"sha256:{'0' * 64}"])
     policy = load_policy(tmp_path / "model.zip", trust=[digest])
-    np.testing.assert_array_equal(policy.predict(observations)[0], model.predict(observations, deterministic=True)[0])
+    expected = model.predict(observations, deterministic=True)[0]
+    np.testing.assert_allclose(policy.predict(observations)[0], expected, rtol=0, atol=1e-6)
 
 
 def rewritten(source: Path, target: Path, **members) -> Path:

@@ -1,0 +1,115 @@
+"""Measures speed and prints tables: `python -m benchmarks [execution] [workers] [analysis] [startup]`.
+
+Everything is measured in one run on one machine, beside plain highway-env. Compare the ratios, not the milliseconds:
+machines differ, and are not always alone. CPU times are of one process; wall times are said to be such.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from behavexplor import FUNCTIONAL_SCENARIOS
+from benchmarks.analysis import analysis_rows
+from benchmarks.execution import lock_step_rows, main_systems, stock_rows, worker_rows
+from benchmarks.startup import startup_rows
+
+Row = dict[str, Any]
+
+FIRST = "intersection-straight"
+
+
+def execution(count: int) -> list[Row]:
+    """Our drivers beside plain highway-env, and how many times as fast they are as its objects."""
+    with tempfile.TemporaryDirectory() as folder:
+        stock = stock_rows(FIRST, max(count // 64, 4))
+        rows = stock + lock_step_rows(FIRST, main_systems(FIRST, Path(folder)), count)
+        for env in FUNCTIONAL_SCENARIOS:
+            if env != FIRST:
+                rows += lock_step_rows(env, [f"learned:{env}", "rule"], count, batches=(32,))
+    for row in rows:
+        for name, reference in (("objects", stock[0]), ("gymnasium", stock[2])):
+            row[f"x {name}"] = reference["ms per simulated second"] / row["ms per simulated second"]
+    return rows
+
+
+def workers(count: int) -> list[Row]:
+    """Wall time with one and two worker processes, and of plain arithmetic."""
+    return arithmetic_rows() + worker_rows(FIRST, "rule", count, (1, 2))
+
+
+def arithmetic_rows() -> list[Row]:
+    """What a loop of plain arithmetic gains from a second process."""
+    from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415 - only here
+
+    rows = []
+    for number in (1, 2):
+        with ProcessPoolExecutor(number) as pool:
+            list(pool.map(_add_up, [1000] * number))
+            start = time.perf_counter()
+            list(pool.map(_add_up, [3_000_000] * 8))
+            wall = time.perf_counter() - start
+        rows.append({"env": "", "ads": "plain arithmetic", "workers": number, "executions per second, wall": 8 / wall})
+    return rows
+
+
+def _add_up(count: int) -> int:
+    return sum(i * i % 7 for i in range(count))
+
+
+def analysis(count: int) -> list[Row]:
+    """What everything but execution costs as a campaign grows."""
+    sizes = tuple(size for size in (100, 1000, 2000, 5000, 10_000) if size <= 20 * count)
+    return analysis_rows(FIRST, "behavexplor", sizes)
+
+
+def startup(count: int) -> list[Row]:
+    """How long a user waits."""
+    return startup_rows(750 if count >= 256 else 50)
+
+
+PARTS: dict[str, Callable[[int], list[Row]]] = {
+    "execution": execution,
+    "workers": workers,
+    "analysis": analysis,
+    "startup": startup,
+}
+
+
+def main() -> None:
+    """Measure, print, and write what was measured."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="all of them if none is named")
+    parser.add_argument("--scenarios", type=int, default=512, help="in each row")
+    parser.add_argument("--json", type=Path, help="file to write the rows to")
+    arguments = parser.parse_args()
+    measured = {}
+    for part in arguments.parts or PARTS:
+        measured[part] = PARTS[part](arguments.scenarios)
+        print(f"\n{PARTS[part].__doc__}\n{table(measured[part])}", flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(measured, indent=1) + "\n")
+
+
+def table(rows: list[Row]) -> str:
+    """Rows as a Markdown table."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [names, ["---"] * len(names), *([_shown(row.get(name, "")) for name in names] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _shown(value: Any) -> str:
+    return (
+        f"{value:.3g}"
+        if isinstance(value, float) and value < 1000
+        else f"{value:.0f}"
+        if isinstance(value, float)
+        else str(value)
+    )
+
+
+if __name__ == "__main__":
+    main()

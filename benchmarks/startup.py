@@ -1,0 +1,43 @@
+"""How long a user waits: for help, for the first execution, and for a whole campaign, with and without machine code."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+
+def startup_rows(budget: int) -> list[Row]:
+    """Wall seconds of commands from the shell.
+
+    Args:
+        budget: executions of the campaign.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        cold = {"NUMBA_CACHE_DIR": str(Path(folder, "machine-code"))}
+        fuzz = ("fuzz", "--env", "intersection-straight", "--quiet")
+        commands = {
+            "fuzz --help": (("fuzz", "--help"), {}),
+            "first execution, machine code cached": ((*fuzz, "--budget", "1", "--out", f"{folder}/1"), {}),
+            "first execution, nothing cached": ((*fuzz, "--budget", "1", "--out", f"{folder}/2"), cold),
+            f"{budget} executions, BehAVExplor and rule": (
+                (*fuzz, "--budget", str(budget), "--out", f"{folder}/3"),
+                {},
+            ),
+            f"{budget} executions, BehAVExplor and a policy": (
+                (*fuzz, "--ads", "learned:intersection-straight", "--budget", str(budget), "--out", f"{folder}/4"),
+                {},
+            ),
+        }
+        return [{"command": name, "seconds": _wall(*command)} for name, command in commands.items()]
+
+
+def _wall(arguments: tuple[str, ...], environment: dict[str, str]) -> float:
+    start = time.perf_counter()
+    command = [sys.executable, "-m", "behavexplor", *arguments]
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment})
+    return time.perf_counter() - start
