@@ -20,18 +20,14 @@ def startup_rows(budget: int) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
         cold = {"NUMBA_CACHE_DIR": str(Path(folder, "machine-code"))}
         fuzz = ("fuzz", "--env", "intersection-straight", "--quiet")
+        once, whole = (*fuzz, "--budget", "1", "--out"), (*fuzz, "--budget", str(budget), "--out")
+        policy = ("--ads", "learned:intersection-straight")
         commands = {
             "fuzz --help": (("fuzz", "--help"), {}),
-            "first execution, machine code cached": ((*fuzz, "--budget", "1", "--out", f"{folder}/1"), {}),
-            "first execution, nothing cached": ((*fuzz, "--budget", "1", "--out", f"{folder}/2"), cold),
-            f"{budget} executions, BehAVExplor and rule": (
-                (*fuzz, "--budget", str(budget), "--out", f"{folder}/3"),
-                {},
-            ),
-            f"{budget} executions, BehAVExplor and a policy": (
-                (*fuzz, "--ads", "learned:intersection-straight", "--budget", str(budget), "--out", f"{folder}/4"),
-                {},
-            ),
+            "first execution, machine code cached": ((*once, f"{folder}/1"), {}),
+            "first execution, nothing cached": ((*once, f"{folder}/2"), cold),
+            f"{budget} executions, BehAVExplor and rule": ((*whole, f"{folder}/3"), {}),
+            f"{budget} executions, BehAVExplor and a policy": ((*whole, f"{folder}/4", *policy), {}),
         }
         return [{"command": name, "seconds": _wall(*command)} for name, command in commands.items()]
 
