@@ -27,6 +27,7 @@ from behavexplor.store import DATABASE, Store
 
 PROGRESS, WARNING, FAILED, DONE = "progress", "warning", "failed", "done"  # what a cell's process says
 _LISTEN_SECONDS: Final = 0.5
+_PRELOAD: Final = ["behavexplor.running", "behavexplor.envs.driving", "sklearn.cluster"]  # once for all processes
 
 
 @dataclass(frozen=True)
@@ -186,6 +187,8 @@ class _Process:
     def __init__(self, cell: Cell, folder: Path, workers: int) -> None:
         methods = multiprocessing.get_all_start_methods()
         context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+        if context.get_start_method() == "forkserver":
+            context.set_forkserver_preload(_PRELOAD)
         self.cell = cell
         self.failure: str | None = None
         self.done = False

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -108,16 +108,21 @@ class Experiment:
 
     def cells(self) -> list["Cell"]:
         """All campaigns: seed by seed, so that whatever part of them has run is balanced."""
-        return [
-            Cell(env, ads, method, seed, self._campaign(env, ads, choice, seed))
-            for seed in range(self.first_seed, self.first_seed + self.seeds)
+        campaigns = [
+            (env, ads, method, self._campaign(env, ads, choice))
             for env in self.envs
             for ads in self.ads
             for method, choice in self.methods.items()
         ]
+        return [
+            Cell(env, ads, method, seed, replace(config, seed=seed))
+            for seed in range(self.first_seed, self.first_seed + self.seeds)
+            for env, ads, method, config in campaigns
+        ]
 
-    def _campaign(self, env: str, ads: str, choice: MethodChoice, seed: int) -> CampaignConfig:
-        values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options, "seed": seed}
+    def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
+        """All campaigns of a method in one place but for their seeds."""
+        values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
         return campaign_config({**values, "budget": self.budget, "batch": self.batch, "trust": self.trust})
 
     def to_yaml(self) -> str:

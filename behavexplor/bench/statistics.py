@@ -61,12 +61,13 @@ def size(effect: float) -> str:
 def mann_whitney(first: Sequence[float], second: Sequence[float]) -> float:
     """The two-sided p of Mann and Whitney's U.
 
-    It is exact, but for samples with ties that can be arranged in more than `MOST_ARRANGEMENTS` ways.
+    It is exact, but for samples with ties that can be arranged in more than `MOST_ARRANGEMENTS` ways. A sample of one
+    value tells nothing: p is 1.
     """
     together = np.concatenate([np.asarray(first, float), np.asarray(second, float)])
     distinct = len(np.unique(together))
-    if distinct == 1:
-        return 1.0  # nothing is apart; the test has no variance to work with
+    if distinct == 1 or min(len(first), len(second)) < 2:
+        return 1.0  # where nothing is apart the test has no variance to work with
     method: object = "exact"
     if distinct < len(together):
         exact = math.comb(len(together), len(first)) <= MOST_ARRANGEMENTS
@@ -76,7 +77,7 @@ def mann_whitney(first: Sequence[float], second: Sequence[float]) -> float:
 
 def least_p(n: int, m: int) -> float:
     """The least p that samples of these sizes can have at all."""
-    return min(1.0, 2 / math.comb(n + m, n))
+    return 2 / math.comb(n + m, n) if min(n, m) > 1 else 1.0
 
 
 def holm(ps: Sequence[float]) -> list[float]:
