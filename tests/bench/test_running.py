@@ -11,10 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
-from behavexplor.bench.cells import Cells, state
+from behavexplor.bench.cells import Cells, State, _campaign, _Stop, state
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.bench.forecast import forecast
+from behavexplor.bench.summaries import summarise
 from behavexplor.bench.timing import Stopwatch, Timing, read_timing
 from behavexplor.campaign import Progress
 from behavexplor.commands import main
@@ -212,6 +214,43 @@ def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
     smaller = read_experiment(str(write(folder / "out", 10)))
     with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):
         state(smaller.cells()[0], folder / "out")
+
+
+def test_a_search_that_ends_early_has_finished(tmp_path):
+    text = TEXT.replace("config: paper", "method: tests.bench.methods:Brief").replace(
+        "  Uniform: {method: uniform}\n", ""
+    )
+    experiment = read_experiment(str(write(tmp_path, 20, text.replace("baseline: Uniform\n", ""))))
+    cell, other = experiment.cells()
+    said = []
+    folder = tmp_path / cell.folder
+    assert _campaign(yaml.safe_load(cell.config.to_yaml()), folder, 0, _Stop(), lambda *words: said.append(words))
+    assert ("progress", 5) in said
+    assert read_timing(folder).ended == "Five are enough."
+    assert read_timing(folder).executions == 5
+    assert state(cell, tmp_path) == State(5, finished=True)
+    assert state(other, tmp_path) == State(0, finished=False)
+    assert Cells([cell], tmp_path, 1, 0).run(lambda _: None).finished == 1
+
+
+def test_a_campaign_told_to_stop_before_it_began_does_nothing_and_is_not_finished(tmp_path):
+    cell, *_ = read_experiment(str(write(tmp_path, 20))).cells()
+    stop = _Stop()
+    stop()
+    assert not _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, stop, lambda *_: None)
+    assert state(cell, tmp_path) == State(0, finished=False)
+
+
+def test_classes_of_failures_come_from_whoever_can_tell_them(whole):
+    root = whole[0] / "out"
+    cell, *_ = read_experiment(str(whole[0] / "small.yaml")).cells()
+    plain = summarise(cell, root)
+    told = summarise(cell, root, lambda folder, execution: f"{folder.name}-{execution.record['violated'][-1]}")
+    assert plain.failures
+    assert not plain.classified
+    assert told.classified
+    assert all(kind.startswith("1-") for kind in told.kinds())
+    assert told.total() == plain.total()
 
 
 def test_a_stopwatch_adds_up_and_leaves_out_what_was_only_looked_at_again(tmp_path):
