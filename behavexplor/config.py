@@ -153,10 +153,10 @@ def read_config(name: str) -> dict[str, Any]:
         InputError: if there is no such file, or it holds no mapping.
     """
     path = Path(name)
-    if not path.is_file() and "/" not in name and (preset := _presets() / f"{name}.yaml").is_file():
+    if not path.is_file() and "/" not in name and (preset := preset_folder() / f"{name}.yaml").is_file():
         path = preset
     if not path.is_file():
-        presets = [preset.stem for preset in _presets().glob("*.yaml")]
+        presets = [preset.stem for preset in preset_folder().glob("*.yaml")]
         raise unknown_name("configuration (neither a file nor a preset)", name, presets)
     return read_yaml(path)
 
@@ -198,7 +198,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return values
 
 
-def _presets() -> Path:
+def preset_folder() -> Path:
     """The folder of presets: beside the package in a checkout, inside it when it was installed."""
     inside = Path(__file__).parent / "configs"
     return inside if inside.is_dir() else Path(__file__).parent.parent / "configs"

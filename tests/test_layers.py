@@ -13,14 +13,15 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
 EXECUTION = {"rollout", "simulation", "executor", "health", "serving", "workers"}
-CAMPAIGN = {"config", "store", "campaign", "drawing", "evaluation"}
+CAMPAIGN = {"config", "store", "campaign", "running", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),
     **{room: GROUND | {room} for room in STRANGERS},
     **dict.fromkeys(EXECUTION, GROUND | EXECUTION | {"ads"}),
     **dict.fromkeys(CAMPAIGN, GROUND | EXECUTION | CAMPAIGN | {"fuzz"}),
     "training": GROUND | EXECUTION | {"ads", "envs"},
-    "commands": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "training", "commands"},
+    "bench": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "bench"},
+    "commands": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "training", "bench", "commands"},
     "__main__": {"commands"},
     "fuzz.__main__": {"commands"},
     "envs.sb3": GROUND | {"envs"},
@@ -40,6 +41,7 @@ HEAVY = {  # where the heavy libraries may be imported
     "rich": {"commands"},
     "tyro": {"commands"},
     "PIL": {"drawing"},
+    "matplotlib": {"bench"},
 }
 
 

@@ -31,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     import tyro  # noqa: PLC0415 - a library user of this package never needs it
 
+    from behavexplor.commands.bench import bench  # noqa: PLC0415
     from behavexplor.commands.evaluate import evaluate  # noqa: PLC0415
     from behavexplor.commands.fuzz import fuzz  # noqa: PLC0415
     from behavexplor.commands.records import records  # noqa: PLC0415
@@ -42,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "replay": replay,
         "records": records,
         "evaluate": evaluate,
+        "bench": bench,
         "train": train,
     }
     try:

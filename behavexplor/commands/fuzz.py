@@ -11,13 +11,14 @@ from typing import Annotated, Any
 
 import tyro
 
-from behavexplor.campaign import Campaign, ExecutionError, run_folder, search_method
+from behavexplor.campaign import Campaign, ExecutionError, run_folder
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
 from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import available_cores, begin, make_executor, warm_up
+from behavexplor.executor import available_cores, warm_up
 from behavexplor.fuzz.methods import METHODS, describe_method
+from behavexplor.running import opened
 from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
@@ -79,23 +80,16 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
-    simulation = begin(chosen.env, chosen.ads, chosen.trust)
-    search = search_method(chosen, simulation.logical)
     folder = resume or out or run_folder(chosen, Path("runs"))
-    store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
-    limits = (chosen.time_limit, chosen.memory_limit)
-    executor = make_executor(workers, chosen.env, chosen.ads, chosen.trust, *limits)
-    try:
-        campaign = Campaign(chosen, search, simulation.logical, store, executor)
-        with _stopped_by_signals(campaign, display):
-            with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
-                warnings = warm_up(executor)
-            for warning in warnings:
-                display.say(f"Beware: {warning}")
-            return _run(campaign, store, display, fail_on_violation=fail_on_violation)
-    finally:
-        executor.shutdown(wait=False, cancel_futures=True)
-        store.close()
+    with (
+        opened(chosen, folder, workers, resume=resume is not None) as ready,
+        _stopped_by_signals(ready.campaign, display),
+    ):
+        with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
+            warnings = warm_up(ready.executor)
+        for warning in warnings:
+            display.say(f"Beware: {warning}")
+        return _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
 
 
 def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violation: bool) -> int:
@@ -147,12 +141,6 @@ def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     if executions is not None and executions < count:
         raise InputError(f"--budget {executions} is less than the {count} executions that {run} has already")
     return resumed
-
-
-def _reopened(run: Path, config: CampaignConfig) -> Store:
-    store = Store.reopen(run)
-    store.write_config(config.to_yaml())
-    return store
 
 
 @contextmanager

@@ -1,0 +1,1 @@
+"""Experiments: search methods compared over environments, driving systems and seeds, and the tables that come of it."""

@@ -1,0 +1,111 @@
+"""Discovery curves: how many failures, and how many classes of them, a campaign has found by when."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from behavexplor.bench.experiment import Experiment
+from behavexplor.bench.statistics import Estimate, estimate
+from behavexplor.bench.summaries import Summary
+
+POINTS: Final = 50  # of a curve
+FAILURES, UNIQUE = "failures", "unique violations"
+
+_COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The mean over campaigns of what was found by a number of executions.
+
+    Attributes:
+        figure: "failures" or "unique violations".
+        env: environment.
+        ads: system under test.
+        method: its name in the experiment.
+        executions: numbers of executions, rising to the budget.
+        found: for each of them.
+    """
+
+    figure: str
+    env: str
+    ads: str
+    method: str
+    executions: tuple[int, ...]
+    found: tuple[Estimate, ...]
+
+
+def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
+    """All curves of an experiment; those of unique violations only if all failures are classified."""
+    figures: list[tuple[str, Callable[[Summary, int], int]]] = [(FAILURES, _failed_by)]
+    if summaries and all(summary.classified for summary in summaries):
+        figures.append((UNIQUE, _kinds_by))
+    step = max(1, math.ceil(experiment.budget / POINTS))
+    at = tuple(sorted({*range(step, experiment.budget, step), experiment.budget}))
+    made = []
+    for name, figure in figures:
+        for group in dict.fromkeys((summary.env, summary.ads, summary.method) for summary in summaries):
+            found = [summary for summary in summaries if (summary.env, summary.ads, summary.method) == group]
+            estimates = tuple(estimate([figure(summary, count) for summary in found]) for count in at)
+            made.append(Curve(name, *group, at, estimates))
+    return made
+
+
+def _failed_by(summary: Summary, count: int) -> int:
+    return sum(failure.number < count for failure in summary.failures)
+
+
+def _kinds_by(summary: Summary, count: int) -> int:
+    return len({failure.kind for failure in summary.failures if failure.number < count})
+
+
+def curves_csv(found: Sequence[Curve]) -> str:
+    """Every point of every curve, a row each."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for curve in found:
+        for count, point in zip(curve.executions, curve.found, strict=True):
+            ends = ("" if math.isnan(end) else round(end, 6) for end in (point.low, point.high))
+            writer.writerow(
+                (curve.figure, curve.env, curve.ads, curve.method, count, point.n, round(point.mean, 6), *ends)
+            )
+    return text.getvalue()
+
+
+def curves_svg(found: Sequence[Curve]) -> str | None:
+    """The curves as a figure, a panel for each environment and ADS; None without matplotlib."""
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - heavy, and a figure is worth having only where it is
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    except ModuleNotFoundError:
+        return None
+    places = list(dict.fromkeys((curve.env, curve.ads) for curve in found))
+    figures = list(dict.fromkeys(curve.figure for curve in found))
+    several_ads = len({ads for _, ads in places}) > 1
+    text = io.StringIO()
+    settings: Any = {"svg.hashsalt": "behavexplor", "svg.fonttype": "none", "axes.spines.top": False}
+    with mpl.rc_context({**settings, "axes.spines.right": False}):
+        sheet = Figure(figsize=(4.2 * len(places), 3.2 * len(figures)), layout="constrained")
+        panels = sheet.subplots(len(figures), len(places), squeeze=False)
+        for row, figure in enumerate(figures):
+            for column, (env, ads) in enumerate(places):
+                panel = panels[row][column]
+                for curve in found:
+                    if (curve.figure, curve.env, curve.ads) == (figure, env, ads):
+                        _draw(panel, curve)
+                panel.set(title=f"{env}, {ads}" if several_ads else env, xlabel="executions", ylabel=figure)
+        panels[0][0].legend(frameon=False, fontsize="small")
+        sheet.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()
+
+
+def _draw(panel: Any, curve: Curve) -> None:
+    """One curve with its interval."""
+    means = [point.mean for point in curve.found]
+    (line,) = panel.plot(curve.executions, means, label=curve.method)
+    low, high = ([getattr(point, end) for point in curve.found] for end in ("low", "high"))
+    panel.fill_between(curve.executions, low, high, color=line.get_color(), alpha=0.15, lw=0)

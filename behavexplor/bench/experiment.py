@@ -1,0 +1,231 @@
+"""What an experiment is: read from a file, checked, and spread out into its cells, one campaign each."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import yaml
+from pydantic import ConfigDict
+
+from behavexplor.config import CampaignConfig, campaign_config, checked, preset_folder, read_config, read_yaml
+from behavexplor.errors import InputError, unknown_name
+
+EXPERIMENT: Final = "experiment.yaml"  # in an experiment's folder
+MOST_CELLS: Final = 100_000
+_FROM_CONFIG: Final = ("method", "options")  # all that an experiment takes from a campaign's file
+
+
+@dataclass(frozen=True)
+class MethodChoice:
+    """A search method of an experiment.
+
+    Attributes:
+        method: its name, as a campaign's `method`.
+        options: of it.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    method: str = "behavexplor"
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _MethodEntry(MethodChoice):
+    """The same as it stands in a file, where a campaign's file or preset may be named instead."""
+
+    config: str | None = None
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Every search method in every environment with every ADS, once with each seed.
+
+    Attributes:
+        name: of the experiment, and of its folder.
+        methods: search methods by the name that the tables call them.
+        envs: environments, as a campaign's `env`.
+        ads: systems under test, as a campaign's `ads`.
+        seeds: how many times each is repeated; the seeds are `first_seed`, `first_seed` + 1, ... for all alike.
+        first_seed: seed of the first repetition.
+        budget: executions of each campaign; a time is none, for results would depend on the machine.
+        batch: as a campaign's `batch`.
+        workers: processes that execute the scenarios of one campaign; 0 is the campaign's own, without limits of
+            time and memory.
+        trust: as a campaign's `trust`.
+        reference: the method that is compared with each other one; the first by default.
+        baseline: the method that each other one is compared with, if any.
+        groups: tables of some methods only, by name, beside the one of all.
+
+    Raises:
+        InputError: if a value is out of range, or a name is not that of a method.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    name: str
+    methods: dict[str, MethodChoice]
+    envs: tuple[str, ...] = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")
+    ads: tuple[str, ...] = ("rule",)
+    seeds: int = 5
+    first_seed: int = 1
+    budget: int = 750
+    batch: int = 8
+    workers: int = 0
+    trust: tuple[str, ...] = ()
+    reference: str = ""
+    baseline: str = ""
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _check_name("name of the experiment", self.name)
+        for key, values in (("envs", self.envs), ("ads", self.ads), ("methods", tuple(self.methods))):
+            _check_distinct(key, values)
+        for key, value, least, most in (
+            ("seeds", self.seeds, 1, 1000),
+            ("budget", self.budget, 1, 999_999_999),
+            ("workers", self.workers, 0, 64),
+        ):
+            if not least <= value <= most:
+                raise InputError(f"{key} of the experiment must lie between {least} and {most}, not be {value}")
+        for group in self.groups:
+            _check_name("name of a group", group)
+        named = [name for name in (self.reference, self.baseline) if name]
+        for name in [*named, *(member for members in self.groups.values() for member in members)]:
+            if name not in self.methods:
+                raise unknown_name("method of the experiment", name, self.methods)
+        count = len(self.envs) * len(self.ads) * len(self.methods) * self.seeds
+        if count > MOST_CELLS:
+            raise InputError(f"The experiment has {count} campaigns: more than {MOST_CELLS} are surely a mistake")
+        self.cells()
+
+    @property
+    def compared(self) -> str:
+        """The name of the reference."""
+        return self.reference or next(iter(self.methods))
+
+    def cells(self) -> list["Cell"]:
+        """All campaigns: seed by seed, so that whatever part of them has run is balanced."""
+        campaigns = [
+            (env, ads, method, self._campaign(env, ads, choice))
+            for env in self.envs
+            for ads in self.ads
+            for method, choice in self.methods.items()
+        ]
+        return [
+            Cell(env, ads, method, seed, replace(config, seed=seed))
+            for seed in range(self.first_seed, self.first_seed + self.seeds)
+            for env, ads, method, config in campaigns
+        ]
+
+    def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
+        """All campaigns of a method in one place but for their seeds."""
+        values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
+        return campaign_config({**values, "budget": self.budget, "batch": self.batch, "trust": self.trust})
+
+    def to_yaml(self) -> str:
+        """The whole experiment, its methods with their options."""
+        values = asdict(self)
+        values |= {key: list(values[key]) for key in ("envs", "ads", "trust")}
+        values["groups"] = {name: list(members) for name, members in self.groups.items()}
+        return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One campaign of an experiment.
+
+    Attributes:
+        env: environment.
+        ads: system under test.
+        method: name of the method in the experiment.
+        seed: of the campaign.
+        config: the campaign.
+    """
+
+    env: str
+    ads: str
+    method: str
+    seed: int
+    config: CampaignConfig = field(hash=False)
+
+    @property
+    def folder(self) -> Path:
+        """Its run folder, below the experiment's."""
+        return Path("runs", slug(self.env), slug(self.ads), slug(self.method), str(self.seed))
+
+    def __str__(self) -> str:
+        """What the cell is, for people."""
+        return f"{self.method} on {self.env} with {self.ads}, seed {self.seed}"
+
+
+def slug(name: str) -> str:
+    """A name as that of a folder."""
+    return re.sub(r"[^\w.+~-]+", "-", name).strip(".-") or "-"
+
+
+def read_experiment(name: str) -> Experiment:
+    """The experiment in a file.
+
+    Args:
+        name: path of a YAML file, or the name of one in `configs/experiments/`, such as "quick".
+
+    Raises:
+        InputError: if there is no such file, or anything in it is wrong.
+    """
+    path, shipped = Path(name), preset_folder() / "experiments"
+    if not path.is_file() and "/" not in name and (shipped / f"{name}.yaml").is_file():
+        path = shipped / f"{name}.yaml"
+    if not path.is_file():
+        raise unknown_name("experiment (neither a file nor one that is shipped)", name, _stems(shipped))
+    return experiment_config({"name": path.stem, **read_yaml(path)})
+
+
+def experiment_config(values: Mapping[str, Any]) -> Experiment:
+    """An experiment from plain values.
+
+    Raises:
+        InputError: naming the first value that is unknown, of a wrong type or out of range.
+    """
+    methods = values.get("methods")
+    if not isinstance(methods, Mapping) or not methods:
+        raise InputError("methods of the experiment must name the methods, such as `Uniform: {method: uniform}`")
+    choices = {str(name): _choice(str(name), entry) for name, entry in methods.items()}
+    return checked(Experiment, {**values, "methods": choices}, "experiment")
+
+
+def _choice(name: str, entry: Any) -> MethodChoice:
+    """A method as its file names it, or as the campaign's file does that it names."""
+    what = f"method {name!r} of the experiment"
+    if not isinstance(entry, Mapping) or not entry:
+        raise InputError(f"The {what} must say `method: NAME`, or `config: PRESET`")
+    read = checked(_MethodEntry, entry, what)
+    if read.config is None:
+        return MethodChoice(read.method, read.options)
+    if len(entry) > 1:
+        raise InputError(f"The {what} has a config: give method and options there, or else no config")
+    values = read_config(read.config)
+    foreign = [key for key in values if key not in _FROM_CONFIG]
+    if foreign:
+        raise InputError(f"The {what} has a config that sets {foreign[0]!r}: the experiment itself says that")
+    return checked(MethodChoice, values, f"config {read.config!r} of the {what}")
+
+
+def _check_distinct(key: str, values: Sequence[str]) -> None:
+    if not values:
+        raise InputError(f"{key} of the experiment must not be empty")
+    slugs = [slug(value) for value in values]
+    for i in range(len(slugs)):
+        if slugs[i] in slugs[:i]:
+            raise InputError(f"{key} of the experiment: {values[i]!r} would have the folder of another: change a name")
+
+
+def _check_name(what: str, name: str) -> None:
+    if not re.fullmatch(r"[\w.+-]{1,100}", name) or name.startswith("."):
+        raise InputError(f"The {what}, {name!r}, must be letters, digits, '-', '_', '+' or '.': files are called so")
+
+
+def _stems(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.yaml"))

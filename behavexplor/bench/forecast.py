@@ -1,0 +1,69 @@
+"""How long an experiment will take, as far as can be told before."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behavexplor.bench.cells import state
+from behavexplor.bench.experiment import Cell, Experiment
+from behavexplor.bench.timing import read_timing
+from behavexplor.simulation import Simulation
+
+TRIAL: Final = 10  # executions that are timed
+_WARMING: Final = 2  # executions before, in which what is compiled is compiled
+
+
+def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
+    """The time that the cells which are not finished will take [s].
+
+    What a method needs for its own thinking counts where a campaign of it has been measured already; else it is a
+    few executions, timed here and now, that are taken for all.
+
+    Raises:
+        InputError: if an ADS or an environment cannot be used.
+    """
+    cells = experiment.cells()
+    measured = _measured(cells, root)
+    seconds = 0.0
+    for cell in cells:
+        found = state(cell, root)
+        if found.finished:
+            continue
+        place = (cell.env, cell.ads)
+        if (*place, cell.method) not in measured and place not in measured:
+            measured[place] = trial(*place, experiment.trust)
+        seconds += (experiment.budget - found.executions) * measured.get((*place, cell.method), measured.get(place, 0))
+    return seconds / jobs
+
+
+def _measured(cells: Sequence[Cell], root: Path) -> dict[tuple[str, ...], float]:
+    """Seconds an execution by environment, ADS and method, where any was measured."""
+    found: dict[tuple[str, ...], list[float]] = {}
+    for cell in cells:
+        timing = read_timing(root / cell.folder)
+        if timing.executions:
+            seconds = (timing.executing + timing.analysing) / timing.executions
+            found.setdefault((cell.env, cell.ads, cell.method), []).append(seconds)
+    return {key: float(np.mean(values)) for key, values in found.items()}
+
+
+def trial(env: str, ads: str, trust: Sequence[str]) -> float:
+    """Seconds that an execution takes, from a few.
+
+    Raises:
+        InputError: if the ADS or the environment cannot be used.
+    """
+    simulation = Simulation(env, ads, trust)
+    generator = np.random.default_rng(0)
+    scenarios = [simulation.logical.sample(generator) for _ in range(_WARMING + TRIAL)]
+    for scenario in scenarios[:_WARMING]:
+        simulation.run(scenario)
+    start = time.monotonic()
+    for scenario in scenarios[_WARMING:]:
+        simulation.run(scenario)
+    seconds = (time.monotonic() - start) / TRIAL
+    simulation.close()
+    return seconds

@@ -1,0 +1,190 @@
+"""What one campaign found, in figures: made from its run folder alone, and again at any time."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from scipy.stats import pearsonr
+
+from behavexplor.bench.experiment import Cell
+from behavexplor.bench.timing import read_timing
+from behavexplor.campaign import ERROR
+from behavexplor.fuzz.fault import contact_fault
+from behavexplor.fuzz.specs import SPECS
+from behavexplor.store import Execution, Store
+
+COLLISION, LINES, DESTINATION = (spec.name for spec in SPECS)
+LABELS: Final = {COLLISION: "R1", LINES: "R2", DESTINATION: "R3", ERROR: "error"}  # what tables call them
+NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})  # verdicts of `contact_fault`
+_LEAST_PAIRS: Final = 3  # of a correlation
+
+Classify = Callable[[Path, Execution], str | None]  # of a run folder and a failure in it
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failed execution.
+
+    Attributes:
+        number: of the execution, counted from 0.
+        label: "R1", "R2" or "R3", the first requirement that it violates; or "error".
+        npc_caused: whether it is a collision that an NPC caused, as far as its trace alone tells.
+        kind: its class of violations, if it has been classified.
+    """
+
+    number: int
+    label: str
+    npc_caused: bool
+    kind: str | None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What one campaign found.
+
+    Attributes:
+        env: environment.
+        ads: system under test.
+        method: its name in the experiment.
+        seed: of the campaign.
+        executions: how many there were.
+        failures: all that failed, in order.
+        novelty_rate: share of executions that showed a behaviour that was new to the campaign.
+        executing: time spent on executions [s].
+        analysing: time spent on all else [s].
+        r: Pearson's correlation of violation degree and behaviour distance (the paper's r_BF), where the method
+            measures that distance.
+        r_p: its p.
+    """
+
+    env: str
+    ads: str
+    method: str
+    seed: int
+    executions: int
+    failures: tuple[Failure, ...]
+    novelty_rate: float
+    executing: float
+    analysing: float
+    r: float | None = None
+    r_p: float | None = None
+
+    def total(self, label: str | None = None) -> int:
+        """How many failed, of one label or of all."""
+        return sum(label in (None, failure.label) for failure in self.failures)
+
+    def kinds(self, label: str | None = None) -> frozenset[str]:
+        """The classes of the failures of one label, or of all: the unique violations."""
+        return frozenset(
+            failure.kind for failure in self.failures if failure.kind is not None and label in (None, failure.label)
+        )
+
+    @property
+    def classified(self) -> bool:
+        """Whether every failure has a class."""
+        return all(failure.kind is not None for failure in self.failures)
+
+    @property
+    def npc_caused(self) -> int:
+        """How many collisions NPCs caused."""
+        return sum(failure.npc_caused for failure in self.failures)
+
+
+def recorded_class(_: Path, execution: Execution) -> str | None:
+    """The class that a failure's own record names, if any."""
+    kind = execution.record.get("class")
+    return str(kind) if kind is not None else None
+
+
+def summarise(cell: Cell, root: Path, classify: Classify = recorded_class) -> Summary:
+    """What the campaign of a cell found.
+
+    Args:
+        cell: whose run folder is read.
+        root: the experiment's folder.
+        classify: gives the class of a failure in a run folder, or None if it is not classified.
+
+    Raises:
+        InputError: if the run folder is damaged.
+    """
+    folder = root / cell.folder
+    store = Store.read(folder)
+    novel, pairs, failures = 0, [], []
+    count = 0
+    for execution in store.executions():
+        record = execution.record
+        count += 1
+        novel += bool(record["novel"])
+        if "novelty" in record["search"] and ERROR not in record:
+            pairs.append((float(record["degree"]), float(record["search"]["novelty"])))
+        if record["violated"]:
+            failures.append(_failure(folder, execution, classify))
+    store.close()
+    timing = read_timing(folder)
+    share = count / timing.executions if timing.executions else math.nan
+    r, p = correlation(pairs)
+    return Summary(
+        cell.env,
+        cell.ads,
+        cell.method,
+        cell.seed,
+        count,
+        tuple(failures),
+        novel / count,
+        timing.executing * share,
+        timing.analysing * share,
+        r,
+        p,
+    )
+
+
+def _failure(folder: Path, execution: Execution, classify: Classify) -> Failure:
+    name = execution.record["violated"][0]
+    fault = contact_fault(execution.load_trace()) if name == COLLISION else None
+    return Failure(execution.id, LABELS.get(name, name), fault in NPC_CAUSED, classify(folder, execution))
+
+
+def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
+    """Pearson's r of pairs and its p; None where one side does not vary, or there are hardly any."""
+    values = np.asarray(pairs, dtype=float).reshape(-1, 2)
+    if len(values) < _LEAST_PAIRS or not np.ptp(values, axis=0).all():
+        return None, None
+    found = pearsonr(values[:, 0], values[:, 1])
+    return float(found.statistic), float(found.pvalue)
+
+
+def summaries_csv(summaries: Iterable[Summary]) -> str:
+    """A row for each campaign, as CSV; the columns of unique violations only if all failures are classified."""
+    summaries = list(summaries)
+    unique = bool(summaries) and all(summary.classified for summary in summaries)
+    rows = [_row(summary, unique=unique) for summary in summaries]
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]) if rows else ["env"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _row(summary: Summary, *, unique: bool) -> dict[str, object]:
+    labels = LABELS.values()
+    values: dict[str, object] = {name: getattr(summary, name) for name in ("env", "ads", "method", "seed")}
+    values |= {"executions": summary.executions, "failed": summary.total()}
+    values |= {f"failed_{label}": summary.total(label) for label in labels}
+    values |= {"R1_npc_caused": summary.npc_caused, "R1_other": summary.total("R1") - summary.npc_caused}
+    if unique:
+        values |= {"unique": len(summary.kinds()), **{f"unique_{label}": len(summary.kinds(label)) for label in labels}}
+        values["classes"] = " ".join(sorted(summary.kinds()))
+    values["novelty_rate"] = _rounded(summary.novelty_rate, 6)
+    values["executing_s"] = _rounded(summary.executing, 3)
+    values["analysing_s"] = _rounded(summary.analysing, 3)
+    values |= {"r_BF": _rounded(summary.r, 6), "r_BF_p": "" if summary.r_p is None else f"{summary.r_p:.6g}"}
+    return values
+
+
+def _rounded(value: float | None, digits: int) -> float | str:
+    return "" if value is None or math.isnan(value) else round(value, digits)

@@ -1,0 +1,179 @@
+"""`behavexplor bench`: an experiment, from its file to its tables."""
+
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from behavexplor.bench.cells import Cells, Progress, state
+from behavexplor.bench.curves import curves, curves_csv, curves_svg
+from behavexplor.bench.experiment import EXPERIMENT, Cell, Experiment, read_experiment
+from behavexplor.bench.forecast import forecast
+from behavexplor.bench.summaries import Summary, summaries_csv, summarise
+from behavexplor.bench.tables import Table, tables
+from behavexplor.bench.writing import table_csv, table_latex
+from behavexplor.campaign import search_method
+from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.display import clock
+from behavexplor.commands.meter import Meter
+from behavexplor.commands.tables import text
+from behavexplor.errors import InputError
+from behavexplor.executor import available_cores
+from behavexplor.simulation import Simulation
+
+_MAX_JOBS = 1024
+
+
+def bench(
+    experiment: Annotated[str, tyro.conf.Positional],
+    *,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ and its name)")
+    ] = None,
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the available cores)")] = None,
+    dry_run: bool = False,
+    tables_only: bool = False,
+    quiet: bool = False,
+) -> int:
+    """Run search methods in environments with driving systems, over and over with other seeds, and compare them.
+
+    What is finished is not run again: after an interruption the same command goes on.
+
+    Args:
+        experiment: File of the experiment, or the name of one that is shipped: "quick", "methods", "windows", "paper".
+        out: Folder of the experiment.
+        jobs: Campaigns that run at a time, each on one core.
+        dry_run: Only say how many campaigns there are and how long they will take.
+        tables_only: Run nothing; make the tables of what is finished.
+        quiet: Only the tables.
+    """
+    chosen = read_experiment(experiment)
+    jobs = _checked_jobs(jobs)
+    root = out or Path("runs") / chosen.name
+    if dry_run:
+        print(_plan(chosen, root, jobs))
+        return OK
+    code = OK
+    if not tables_only:
+        _prepare(chosen, root)
+        code = _run(chosen, root, jobs, quiet=quiet)
+    finished = [cell for cell in chosen.cells() if state(cell, root).finished]
+    if finished:
+        _report(chosen, root, [summarise(cell, root) for cell in finished])
+    print(f"{len(finished)} of {len(chosen.cells())} campaigns are finished; everything is kept in {root}")
+    return code
+
+
+def _checked_jobs(jobs: int | None) -> int:
+    if jobs is None:
+        return available_cores()
+    if not 1 <= jobs <= _MAX_JOBS:
+        raise InputError(f"--jobs {jobs} must lie between 1 and {_MAX_JOBS}")
+    return jobs
+
+
+def _plan(experiment: Experiment, root: Path, jobs: int) -> str:
+    """What would be run, in words."""
+    cells = experiment.cells()
+    states = [state(cell, root) for cell in cells]
+    finished = sum(found.finished for found in states)
+    left = sum(experiment.budget - found.executions for found in states if not found.finished)
+    parts = f"{len(experiment.envs)} environments, {len(experiment.ads)} ADS, {len(experiment.methods)} methods"
+    seconds = forecast(experiment, root, jobs)
+    return (
+        f"{len(cells)} campaigns of {experiment.budget} executions: {parts}, {experiment.seeds} seeds\n"
+        f"{finished} are finished; {left} executions are left, about {clock(seconds)} with {jobs} at a time"
+    )
+
+
+def _prepare(experiment: Experiment, root: Path) -> None:
+    """Refuse at once what no campaign could do, then make the folder.
+
+    Raises:
+        InputError: if an environment, an ADS or a method cannot be used, or the folder is another's.
+    """
+    if root.is_dir() and any(root.iterdir()) and not (root / EXPERIMENT).is_file():
+        raise InputError(f"{root} is not empty and no experiment's folder: choose another --out")
+    unlike: dict[tuple[str, str], list[Cell]] = {}
+    for cell in experiment.cells():
+        if cell.seed == experiment.first_seed:
+            unlike.setdefault((cell.env, cell.ads), []).append(cell)
+    for (env, ads), cells in unlike.items():
+        simulation = Simulation(env, ads, experiment.trust)
+        for cell in cells:
+            search_method(cell.config, simulation.logical)
+        simulation.close()
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        (root / EXPERIMENT).write_text(experiment.to_yaml())
+    except OSError as error:
+        raise InputError(f"The experiment's folder {root} cannot be written: {error.strerror}") from None
+
+
+def _run(experiment: Experiment, root: Path, jobs: int, *, quiet: bool) -> int:
+    """Run what is left; the exit code."""
+    running = Cells(experiment.cells(), root, jobs, experiment.workers)
+    total = len(experiment.cells()) * experiment.budget
+    with _stopped_by_signals(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
+        ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
+    for warning in ended.warnings:
+        print(f"Beware: {warning}", file=sys.stderr)
+    for cell, failure in ended.failed.items():
+        print(f"{program()}: {cell}: {failure}", file=sys.stderr)
+    if running.stopping:
+        print("Interrupted; the same command goes on", file=sys.stderr)
+        return INTERRUPTED
+    return EXECUTION_FAILED if ended.failed else OK
+
+
+def _words(progress: Progress) -> str:
+    failed = f", {len(progress.failed)} failed" if progress.failed else ""
+    left = f", about {clock(progress.left)} left" if progress.left is not None else ""
+    return f"{progress.finished} of {progress.cells} campaigns{failed}{left}"
+
+
+def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) -> None:
+    """Print the tables, and write them with all else that can be made of the summaries."""
+    made = tables(experiment, summaries)
+    printed = "\n\n".join(map(text, made)) + "\n"
+    drawn = curves(experiment, summaries)
+    files = {"summaries.csv": summaries_csv(summaries), "tables.txt": printed, "curves.csv": curves_csv(drawn)}
+    files |= {f"tables/{table.name}.{kind}": made for table in made for kind, made in _files(table).items()}
+    figure = curves_svg(drawn)
+    if figure is not None:
+        files["curves.svg"] = figure
+    try:
+        (root / "tables").mkdir(exist_ok=True)
+        for name, content in files.items():
+            (root / name).write_text(content)
+    except OSError as error:
+        raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
+    print(printed)
+
+
+def _files(table: Table) -> dict[str, str]:
+    return {"csv": table_csv(table), "tex": table_latex(table)}
+
+
+@contextmanager
+def _stopped_by_signals(cells: Cells) -> Iterator[None]:
+    """The first Ctrl-C (or SIGTERM) ends the running campaigns cleanly, the second at once."""
+
+    def stop(number: int, _frame: object) -> None:
+        cells.stop()
+        print("Stopping after the executions that are running; once more to stop at once.", file=sys.stderr)
+        signal.signal(number, _at_once)
+
+    def _at_once(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -1,0 +1,58 @@
+"""A campaign made ready to run: its ADS loaded, its run folder open, what executes it started; and all of it closed."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from behavexplor.campaign import Campaign, search_method
+from behavexplor.config import CampaignConfig
+from behavexplor.executor import begin, make_executor
+from behavexplor.store import Store
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A campaign that can be run now, and what it stands on.
+
+    Attributes:
+        campaign: not yet run.
+        store: its run folder.
+        executor: runs its scenarios; see `behavexplor.executor.warm_up`.
+    """
+
+    campaign: Campaign
+    store: Store
+    executor: Executor
+
+
+@contextmanager
+def opened(config: CampaignConfig, folder: Path, workers: int, *, resume: bool) -> Iterator[Ready]:
+    """Make a campaign ready, and release all of it afterwards.
+
+    Args:
+        config: what it is.
+        folder: its run folder, new or empty unless it is resumed.
+        workers: processes that execute scenarios; 0 is this one.
+        resume: go on with what the folder holds.
+
+    Raises:
+        InputError: if the ADS, the environment, the search method or the run folder cannot be used.
+    """
+    simulation = begin(config.env, config.ads, config.trust)
+    search = search_method(config, simulation.logical)
+    store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
+    limits = (config.time_limit, config.memory_limit)
+    executor = make_executor(workers, config.env, config.ads, config.trust, *limits)
+    try:
+        yield Ready(Campaign(config, search, simulation.logical, store, executor), store, executor)
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        store.close()
+
+
+def _reopened(run: Path, config: CampaignConfig) -> Store:
+    store = Store.reopen(run)
+    store.write_config(config.to_yaml())
+    return store
