@@ -78,7 +78,8 @@ class Simulation:
         Yields:
             The number of a scenario, counted from 0, and its trace, as they end.
         """
-        envs = self._vectorised(min(batch, len(scenarios)))
+        count = min(batch, len(scenarios))
+        envs = self.lockstep(count) if count > 1 else None
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
@@ -89,10 +90,18 @@ class Simulation:
         """Release what the environment holds."""
         self.env.close()
 
-    def _vectorised(self, count: int) -> VectorEnv[Any, Any, Any] | None:
-        """As many environments in lock-step; None if this one has no such form, or not for what the ADS needs."""
+    def lockstep(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
+        """As many environments in lock-step.
+
+        Args:
+            count: how many.
+            changes: keys of the environment's config that are to be others than the ADS declares.
+
+        Returns:
+            None if this environment has no such form, or not for what the ADS needs.
+        """
         spec = self.env.spec
-        if count < 2 or spec is None or spec.vector_entry_point is None:
+        if spec is None or spec.vector_entry_point is None:
             return None
         try:
             return gymnasium.make_vec(
@@ -100,7 +109,7 @@ class Simulation:
                 num_envs=count,
                 vectorization_mode="vector_entry_point",
                 autoreset_mode=AutoresetMode.DISABLED,
-                config=spec.kwargs["config"],
+                config={**spec.kwargs["config"], **changes},
             )
         except InputError:
             return None
