@@ -98,24 +98,27 @@ def upstream_first(weaknesses: Iterable[str]) -> tuple[str, ...]:
 def _causes(
     simulation: Simulation, scenario: Scenario, trace: Trace, moment: Moment, outlook: float
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The necessary and the sufficient weaknesses, if others are switched off so long before the violation [s]."""
+    """The necessary and the sufficient weaknesses, if others are switched off so long before the violation [s].
+
+    No weakness of the violated spec is sufficient if the violation happens without any of them.
+    """
     planner = simulation.ads
     assert isinstance(planner, RulePlanner)  # noqa: S101 - asked before
     decisions = recent_decisions(trace, moment.frame, outlook)
     begin = int(decisions[0]) if len(decisions) else 0
     until = None if moment.spec == R3 else float(trace.time[moment.frame]) + AFTERMATH
     suspects = suspected(trace, moment, outlook)
-    every, family = set(WEAKNESSES), [name for name in WEAKNESSES if name.startswith(moment.spec)]
-    relatives = [name for name in suspects if name in family]
-    off = [every, *({name} for name in suspects), *(set(family) - {name} for name in relatives)]
+    family = {name for name in WEAKNESSES if name.startswith(moment.spec)}
+    kin = [name for name in suspects if name in family]
+    off = [set(WEAKNESSES), family, *({name} for name in suspects), *(family - {name} for name in kin)]
     forks = [Fork(without(planner.parameters, _switches(switched)), begin) for switched in off]
     others = run_forks(simulation, scenario, trace, forks, until)
-    too_late, *fails = (_violates(other, moment.spec, until) for other in others)
+    too_late, without_kin, *fails = (_violates(other, moment.spec, until) for other in others)
     if too_late:  # whatever is switched off
         return (), ()
-    count = len(suspects)
-    necessary = tuple(name for name, fail in zip(suspects, fails[:count], strict=True) if not fail)
-    return necessary, tuple(name for name, fail in zip(relatives, fails[count:], strict=True) if fail)
+    necessary = tuple(name for name, fail in zip(suspects, fails, strict=False) if not fail)
+    alone = tuple(name for name, fail in zip(kin, fails[len(suspects) :], strict=True) if fail)
+    return necessary, () if without_kin else alone
 
 
 def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:

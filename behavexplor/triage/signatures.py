@@ -76,7 +76,7 @@ def _turned(trace: Trace, moment: Moment) -> bool:
 
 
 def _was_large(trace: Trace, moment: Moment) -> bool:
-    return _turned(trace, moment) and bool(trace.size[moment.partner, 0] > LARGE)
+    return bool(trace.size[moment.partner, 0] > LARGE)
 
 
 def _was_hidden(trace: Trace, moment: Moment) -> bool:
