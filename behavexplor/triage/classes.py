@@ -5,7 +5,7 @@ other came from, how large it was. Bounds lie where traffic has gaps, such as be
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -41,33 +41,34 @@ class ViolationClass:
     Attributes:
         spec: "R1", "R2" or "R3".
         manoeuvre: of the ego.
-        conflict: where the other was or came from (R1), which line was touched (R2), where the ego ended (R3).
-        other: kind and motion of the other vehicle; empty without one.
-        behaviour: of the ego.
+        conflict: where the other was or came from (R1), on which side the touched line was (R2), how the drive ended
+            (R3).
+        mark: what else sets classes apart: the other's size (R1), whether the ego was slow (R2), behind whom it was or
+            what it did before (R3).
+        detail: what one looks at next, and does not set classes apart: which side of the ego was touched, whether the
+            other crept or stood, whether the ego braked, crept or stood.
     """
 
     spec: str
     manoeuvre: str
     conflict: str
-    other: str
-    behaviour: str
+    mark: str
+    detail: str = field(default="", compare=False)
 
     @property
     def id(self) -> str:
-        """Readable and stable, such as "R1/turning-left/crossing-from-right/large/braking"."""
-        return "/".join(filter(None, (self.spec, self.manoeuvre, self.conflict, self.other, self.behaviour)))
+        """Readable and stable, such as "R1/turning-left/crossing-from-right/large"."""
+        return "/".join(filter(None, (self.spec, self.manoeuvre, self.conflict, self.mark)))
 
     @property
     def words(self) -> str:
-        """A line for people."""
-        what = {R1: "Collision with", R2: "Touched", R3: "Not at the destination:"}[self.spec]
-        if self.spec == R1:
-            words = f"{what} a {self.other} vehicle {self.conflict}; the ego was {self.manoeuvre}, {self.behaviour}"
-        elif self.spec == R2:
-            words = f"{what} a line on the {self.conflict}; the ego was {self.manoeuvre}, {self.behaviour}"
-        else:
-            beside = f", {self.other}" if self.other else ""
-            words = f"{what} {self.conflict}{beside}; the ego was {self.manoeuvre}, {self.behaviour}"
+        """A line for people, with the detail."""
+        what = {
+            R1: f"Collision with a {self.mark} vehicle {self.conflict}",
+            R2: f"Touched a line on the {self.conflict}, {self.mark}",
+            R3: ", ".join(filter(None, (f"Not at the destination: {self.conflict}", self.mark))),
+        }[self.spec]
+        words = f"{what}; the ego was {self.manoeuvre}" + (f", {self.detail}" if self.detail else "")
         return words.replace("-", " ")
 
 
@@ -88,10 +89,12 @@ def violation_class(trace: Trace, verdict: Verdict) -> ViolationClass | None:
 
 
 def _collision(trace: Trace, moment: Moment) -> ViolationClass:
-    npc = moment.partner
-    conflict = f"{_bearing(trace, moment.frame, npc)}-at-its-{_side(trace, moment.frame, npc)}"
-    behaviour = _behaviour(trace, moment.frame)
-    return ViolationClass(R1, manoeuvre_of(trace, moment.frame), conflict, kind_of(trace, moment.frame, npc), behaviour)
+    frame, npc = moment.frame, moment.partner
+    size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
+    motion = motion_of(trace, frame, npc)
+    other = f"the other {motion}, " if motion else ""
+    detail = f"touched at its {_side(trace, frame, npc)}, {other}{_behaviour(trace, frame)}"
+    return ViolationClass(R1, manoeuvre_of(trace, frame), _bearing(trace, frame, npc), size, detail)
 
 
 def _line(trace: Trace, moment: Moment) -> ViolationClass:
@@ -101,19 +104,18 @@ def _line(trace: Trace, moment: Moment) -> ViolationClass:
     nearest = start + np.clip((place - start) @ along / (along @ along), 0.0, 1.0) * along
     side = "right" if _across(nearest - place, trace.heading[frame, 0]) > 0 else "left"
     speed = "slow" if speed_of(trace, frame, 0) < SLOW else "fast"
-    return ViolationClass(R2, manoeuvre_of(trace, frame), side, "", speed)
+    return ViolationClass(R2, manoeuvre_of(trace, frame), side, speed)
 
 
 def _destination(trace: Trace, moment: Moment) -> ViolationClass:
-    frame = moment.frame
-    manoeuvre = manoeuvre_of(trace, frame)
-    leader = _ahead(trace, frame)
-    other = "" if leader is None else f"behind-a-{kind_of(trace, frame, leader)}-{_relation(trace, frame, leader)}"
+    frame, manoeuvre = moment.frame, manoeuvre_of(trace, moment.frame)
     if trace.end == "passed":
         offset = trace.position[frame, 0] - trace.destination
         side = "right" if _across(offset, trace.heading[frame, 0]) > 0 else "left"
-        return ViolationClass(R3, manoeuvre, f"passed-it-on-the-{side}", "", _way_there(trace))
-    return ViolationClass(R3, manoeuvre, f"ended-by-{trace.end}", other, _behaviour(trace, frame))
+        return ViolationClass(R3, manoeuvre, f"passed-it-on-the-{side}", _way_there(trace))
+    leader = _ahead(trace, frame)
+    behind = "nobody-ahead" if leader is None else f"behind-a-{motion_of(trace, frame, leader) or 'moving'}-vehicle"
+    return ViolationClass(R3, manoeuvre, f"ended-by-{trace.end}", behind, _behaviour(trace, frame))
 
 
 def _way_there(trace: Trace) -> str:
@@ -238,25 +240,24 @@ def _ahead(trace: Trace, frame: int) -> int | None:
     return 1 + int(np.where(in_way, reach, np.inf).argmin()) if in_way.any() else None
 
 
-def kind_of(trace: Trace, frame: int, vehicle: int) -> str:
-    """Size of another vehicle, and its motion where that is slow."""
-    size = "large" if trace.size[vehicle, 0] > LARGE else "car-sized"
+def motion_of(trace: Trace, frame: int, vehicle: int) -> str:
+    """Whether a vehicle stands or creeps; empty if it drives."""
     speed = speed_of(trace, frame, vehicle)
     if speed < STATIONARY_SPEED:
-        return f"{size}-standing"
-    return f"{size}-creeping" if speed < CREEPING else size
+        return "standing"
+    return "creeping" if speed < CREEPING else ""
 
 
 def _behaviour(trace: Trace, frame: int) -> str:
     """Whether the ego stood, crept, braked or drove."""
-    speed = speed_of(trace, frame, 0)
-    if speed < STATIONARY_SPEED:
-        return "standing"
+    speed, motion = speed_of(trace, frame, 0), motion_of(trace, frame, 0)
+    if motion == "standing":
+        return motion
     begin = int(recent(trace, frame, BRAKING_TIME)[0])
     elapsed = trace.time[frame] - trace.time[begin]
     if elapsed > 0 and (speed_of(trace, begin, 0) - speed) / elapsed > BRAKING:
         return "braking"
-    return "creeping" if speed < CREEPING else "driving"
+    return motion or "driving"
 
 
 def speed_of(trace: Trace, frame: int, vehicle: int) -> float:

@@ -15,6 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 R1, R2, R3 = "R1", "R2", "R3"
+_BLOCK: Final = 8  # frames that are looked at together in the search for a touched line
 REQUIREMENTS: Final = {Collision().name: R1, Lines().name: R2, Destination().name: R3}  # by the names of the specs
 
 
@@ -57,14 +58,22 @@ def violation_moment(trace: Trace, violated: tuple[str, ...]) -> Moment | None:
 def first_line_touch(trace: Trace) -> Moment | None:
     """The first frame in which the ego's box touches an illegal line, and the line."""
     lines, position, heading = trace.illegal_lines, trace.position[:, 0], trace.heading[:, 0]
-    reach = np.hypot(*trace.size[0]) / 2
-    gap = point_segment_distance(position[:, None], lines[:, 0], lines[:, 1])
-    frame, line = np.nonzero(gap <= reach + RESOLUTION)
+    if not len(lines):
+        return None
+    first = np.arange(0, len(position), _BLOCK)
+    stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
+    reach = np.hypot(*trace.size[0]) / 2 + np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
+    block, line = np.nonzero(point_segment_distance(position[first, None], lines[:, 0], lines[:, 1]) <= reach[:, None])
+    frame = np.minimum(first[block, None] + np.arange(_BLOCK), len(position) - 1).ravel()
+    line = np.repeat(line, _BLOCK)
     near = gap_across(position[frame], heading[frame], trace.size[0], lines[line]) <= RESOLUTION
     frame, line = frame[near], line[near]
     box = box_corners(position[frame], heading[frame], trace.size[0])
     touching = np.flatnonzero(box_segment_distance(box, lines[line]) <= RESOLUTION)
-    return Moment(R2, int(frame[touching[0]]), int(line[touching[0]])) if len(touching) else None
+    if not len(touching):
+        return None
+    earliest = touching[frame[touching].argmin()]
+    return Moment(R2, int(frame[earliest]), int(line[earliest]))
 
 
 def recent(trace: Trace, frame: int, seconds: float) -> Ints:

@@ -21,27 +21,24 @@ def class_of(recorded):
 
 
 @pytest.mark.parametrize(
-    ("recorded", "expected"),
+    ("recorded", "expected", "detail"),
     [
-        (trace(5.0, BEHIND, 9.0), "R1/going-straight/from-behind-at-its-rear/car-sized/driving"),
-        (trace(5.0, (4.6, 0.2), 1.0), "R1/going-straight/leading-at-its-front/car-sized-creeping/driving"),
-        (trace(5.0, (4.6, 0.2), 0.0), "R1/going-straight/leading-at-its-front/car-sized-standing/driving"),
-        (trace(5.0, (4.6, 0.0), 6.0, np.pi), "R1/going-straight/oncoming-at-its-front/car-sized/driving"),
-        (
-            trace(0.0, (0.0, 3.2), 6.0, -np.pi / 2),
-            "R1/going-straight/crossing-from-right-at-its-right/car-sized/standing",
-        ),
-        (
-            trace(1.0, (0.0, -3.2), 6.0, np.pi / 2),
-            "R1/going-straight/crossing-from-left-at-its-left/car-sized/creeping",
-        ),
-        (trace(5.0, (0.5, 2.0), 6.0, swerve=0.5), "R1/changing-right/on-the-right-at-its-right/car-sized/driving"),
-        (replace(trace(5.0, (6.5, 0.0), 3.0), size=BUS), "R1/going-straight/leading-at-its-front/large/driving"),
+        (trace(5.0, BEHIND, 9.0), "from-behind/car-sized", "rear, driving"),
+        (trace(5.0, (4.6, 0.2), 1.0), "leading/car-sized", "front, the other creeping, driving"),
+        (trace(5.0, (4.6, 0.2), 0.0), "leading/car-sized", "front, the other standing, driving"),
+        (trace(5.0, (4.6, 0.0), 6.0, np.pi), "oncoming/car-sized", "front, driving"),
+        (trace(0.0, (0.0, 3.2), 6.0, -np.pi / 2), "crossing-from-right/car-sized", "right, standing"),
+        (trace(1.0, (0.0, -3.2), 6.0, np.pi / 2), "crossing-from-left/car-sized", "left, creeping"),
+        (replace(trace(5.0, (6.5, 0.0), 3.0), size=BUS), "leading/large", "front, driving"),
     ],
-    ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_collisions_are_told_apart_by_what_a_person_would_say(recorded, expected):
-    assert class_of(recorded) == expected
+def test_collisions_are_told_apart_by_what_a_person_would_say(recorded, expected, detail):
+    assert class_of(recorded) == f"R1/going-straight/{expected}"
+    assert violation_class(recorded, judge(recorded)).detail == f"touched at its {detail}"
+
+
+def test_lane_changes_are_a_manoeuvre():
+    assert class_of(trace(5.0, (0.5, 2.0), 6.0, swerve=0.5)) == "R1/changing-right/on-the-right/car-sized"
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -62,7 +59,7 @@ def test_a_class_is_a_value_with_a_line_of_words():
     first, again = (violation_class(t, judge(t)) for t in (trace(5.0, BEHIND, 9.0), trace(5.2, BEHIND, 9.0)))
     assert first == again
     assert first.words == (
-        "Collision with a car sized vehicle from behind at its rear; the ego was going straight, driving"
+        "Collision with a car sized vehicle from behind; the ego was going straight, touched at its rear, driving"
     )
 
 
@@ -77,7 +74,8 @@ def braking(recorded):
 
 
 def test_who_brakes_is_told_from_who_drives():
-    assert class_of(braking(trace(5.0, (4.6, 0.2), 3.0))).endswith("/car-sized/braking")
+    slower = braking(trace(5.0, (4.6, 0.2), 3.0))
+    assert violation_class(slower, judge(slower)).detail == "touched at its front, braking"
 
 
 def test_a_touched_line_is_to_a_side():
@@ -108,9 +106,10 @@ def upto(recorded: Trace, frame: int) -> Trace:
 
 def test_missed_destinations_by_how_it_ended_and_behind_whom():
     standing = trace(0.0, (9.0, 0.0), 0.0)
-    assert class_of(replace(standing, end="standstill")) == (
-        "R3/going-straight/ended-by-standstill/behind-a-car-sized-standing-leading/standing"
-    )
+    ended = replace(standing, end="standstill")
+    assert class_of(ended) == "R3/going-straight/ended-by-standstill/behind-a-standing-vehicle"
+    alone = trace(0.0, (40.0, 0.0), 0.0)
+    assert class_of(replace(alone, end="timeout")) == "R3/going-straight/ended-by-timeout/nobody-ahead"
     beside = replace(standing, end="passed", destination=np.array([-1.0, -3.5]))
     assert class_of(beside) == "R3/going-straight/passed-it-on-the-right/having-left-its-lane"
 
