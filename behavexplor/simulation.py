@@ -78,7 +78,7 @@ class Simulation:
         Yields:
             The number of a scenario, counted from 0, and its trace, as they end.
         """
-        envs = self._vectorized(min(batch, len(scenarios)))
+        envs = self._lock_step(min(batch, len(scenarios)))
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
@@ -91,18 +91,29 @@ class Simulation:
         Args:
             count: how many.
         """
-        envs = self._vectorized(count)
+        envs = self._lock_step(count)
         return None if envs is None else LockStep(envs, self.ads)
 
     def close(self) -> None:
         """Release what the environment holds."""
         self.env.close()
 
-    def _vectorized(self, count: int) -> VectorEnv[Any, Any, Any] | None:
-        """As many environments in lock-step; None if this one has no such form, or not for what the ADS needs."""
+    def _lock_step(self, count: int) -> VectorEnv[Any, Any, Any] | None:
+        able = count > 1 and getattr(self.ads, "vectorized", False)
+        return self.vector_env(count) if able else None
+
+    def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
+        """As many environments in lock-step, for the ADS's observations and actions.
+
+        Args:
+            count: how many.
+            changes: keys of the environment's config that are to be others than the ADS declares.
+
+        Returns:
+            None if this environment has no such form, or not for what the ADS needs.
+        """
         spec = self.env.spec
-        able = getattr(self.ads, "vectorized", False)
-        if not able or count < 2 or spec is None or spec.vector_entry_point is None:
+        if spec is None or spec.vector_entry_point is None:
             return None
         try:
             return gymnasium.make_vec(
@@ -110,7 +121,7 @@ class Simulation:
                 num_envs=count,
                 vectorization_mode="vector_entry_point",
                 autoreset_mode=AutoresetMode.DISABLED,
-                config=spec.kwargs["config"],
+                config={**spec.kwargs["config"], **changes},
             )
         except InputError:
             return None

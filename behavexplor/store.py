@@ -102,7 +102,7 @@ class Store:
                 raise InputError(
                     f"{folder} is not empty: resume the run in it (--resume {folder}) or choose another --out"
                 )
-            _write_durably(folder / CONFIG, config)
+            write_durably(folder / CONFIG, config)
             (folder / FAILURES).mkdir()
             store = cls(folder, _connect(folder, "rwc"), _lock(folder))
         except OSError as error:
@@ -152,7 +152,7 @@ class Store:
 
     def write_config(self, config: str) -> None:
         """Replace the configuration: a resumed campaign may have a larger budget."""
-        _write_durably(self.folder / CONFIG, config)
+        write_durably(self.folder / CONFIG, config)
 
     def __len__(self) -> int:
         """How many executions are committed."""
@@ -187,7 +187,7 @@ class Store:
                 )
             )
             if execution.record["violated"]:
-                _write_durably(self.failure_path(execution.id), json.dumps(execution.record, indent=1) + "\n")
+                write_durably(self.failure_path(execution.id), json.dumps(execution.record, indent=1) + "\n")
         with self._connection:
             self._connection.executemany(
                 "INSERT INTO executions (id, record, trace, elapsed, checksum) VALUES (?, ?, ?, ?, ?)", rows
@@ -267,7 +267,7 @@ def _checksum(number: int, record: str, trace: bytes) -> int:
     return zlib.crc32(trace, zlib.crc32(f"{number}\n{record}".encode()))
 
 
-def _write_durably(path: Path, text: str) -> None:
+def write_durably(path: Path, text: str) -> None:
     """Write a whole file or none: a crash leaves no half of one."""
     partial = path.with_name(path.name + ".part")
     with partial.open("w") as file:

@@ -41,7 +41,7 @@ def test_a_planner_with_memory_and_a_log_drives_alike_in_lock_step():
 
 def test_what_only_the_single_environment_can_do_is_done_there(cruising):
     simulation = Simulation("intersection-straight", "tests.drivers:Ranger")
-    assert simulation._vectorized(8) is None
+    assert simulation.vector_env(8) is None
     assert [number for number, _ in simulation.run_all(cruising[1][:2])] == [0, 1]
 
 
@@ -51,7 +51,7 @@ def test_a_wrong_answer_to_a_batch_is_named(cruising):
             return np.zeros((1, 2)), state
 
     simulation, scenarios, _ = cruising
-    envs = simulation._vectorized(4)
+    envs = simulation.vector_env(4)
     with pytest.raises(ADSError, match=r"actions of shape \(4, 2\), got \(1, 2\)"):
         next(rollout_all(envs, Short(), scenarios))
 

@@ -37,11 +37,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from behavexplor.commands.records import records  # noqa: PLC0415
     from behavexplor.commands.replay import replay  # noqa: PLC0415
     from behavexplor.commands.train import train  # noqa: PLC0415
+    from behavexplor.commands.triage import triage  # noqa: PLC0415
 
     commands: dict[str, Callable[..., Any]] = {
         "fuzz": fuzz,
         "replay": replay,
         "records": records,
+        "triage": triage,
         "evaluate": evaluate,
         "bench": bench,
         "train": train,

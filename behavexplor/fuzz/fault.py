@@ -39,7 +39,7 @@ def contact_fault(trace: Trace) -> Fault | None:
     Returns:
         None if the ego touches nobody in the last frame.
     """
-    npc = _touched(trace)
+    npc = touched_npc(trace)
     if npc is None:
         return None
     if _struck_from_behind(trace, npc):
@@ -49,7 +49,7 @@ def contact_fault(trace: Trace) -> Fault | None:
     return "other"
 
 
-def _touched(trace: Trace) -> int | None:
+def touched_npc(trace: Trace) -> int | None:
     """The vehicle that the ego touches in the last frame; of several, the one whose centre is nearest."""
     boxes = box_corners(trace.position[-1], trace.heading[-1], trace.size)
     touched = 1 + np.flatnonzero(box_distance(boxes[:1], boxes[1:]) == 0.0)

@@ -192,7 +192,7 @@ def _line_distance(trace: Trace) -> float:
     frame = (first[block, None] + np.arange(_BLOCK)).ravel()
     line = np.repeat(line, _BLOCK)[frame < len(frames)]
     frame = frame[frame < len(frames)]
-    lower = _gap_across(position[frame], heading[frame], trace.size[0], lines[line])
+    lower = gap_across(position[frame], heading[frame], trace.size[0], lines[line])
 
     def exact(pairs: Ints) -> Floats:
         at = frame[pairs]
@@ -202,7 +202,7 @@ def _line_distance(trace: Trace) -> float:
     return _least(lower, upper, exact)
 
 
-def _gap_across(position: Floats, heading: Floats, size: Floats, line: Floats) -> Floats:
+def gap_across(position: Floats, heading: Floats, size: Floats, line: Floats) -> Floats:
     """Gaps between boxes and endless lines through segments, negative where they meet; all of n rows."""
     along = line[:, 1] - line[:, 0]
     angle = np.arctan2(along[:, 1], along[:, 0])

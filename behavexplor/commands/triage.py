@@ -1,0 +1,208 @@
+"""`behavexplor triage`: what the failures of a run are."""
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from behavexplor.ads.rule import RulePlanner
+from behavexplor.ads.rule.weaknesses import WEAKNESSES
+from behavexplor.campaign import ERROR, ads_failure
+from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.meter import Meter
+from behavexplor.config import CampaignConfig, stored_config
+from behavexplor.errors import InputError
+from behavexplor.executor import InProcessExecutor, available_cores, evaluate
+from behavexplor.rollout import ADSError
+from behavexplor.store import Execution, Store, write_durably
+from behavexplor.triage.agreement import agreement
+from behavexplor.triage.coverage import weakness_records
+from behavexplor.triage.examination import begin, begin_worker, error_finding, examination, examine, seen
+from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Triage, witness_path
+from behavexplor.workers import WorkerPool
+
+WRITTEN_AFTER = 10  # findings, so that an interruption costs no more than that
+MOST_WORKERS = 64
+TIME_LIMIT = 10.0  # of one failure, in those of one execution
+
+
+def triage(
+    run: Annotated[Path, tyro.conf.Positional],
+    *,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    afresh: bool = False,
+    quiet: bool = False,
+) -> int:
+    """Group the failures of a run, say whose fault they were and how they could have been avoided.
+
+    Each failure is run again first. For the rule planner the weakness that caused it is found out by replays. All
+    is kept in the run folder, triage.json and witnesses/; what is there already is not done again.
+
+    Args:
+        run: The run folder.
+        workers: Processes; the findings do not depend on it. 0 is this process.
+        afresh: Begin anew.
+        quiet: Only the tables.
+    """
+    count = min(available_cores(), MOST_WORKERS) if workers is None else workers
+    if not 0 <= count <= MOST_WORKERS:
+        raise InputError(f"--workers {workers} must lie between 0 and {MOST_WORKERS}")
+    config = stored_config(run)
+    store = Store.read(run)
+    simulation = begin(config.env, config.ads, config.trust)
+    known = {} if afresh else _known(run)
+    failures = [execution for execution in store.executions() if execution.record["violated"]]
+    waiting = [execution for execution in failures if execution.id not in known]
+    pool = _executor(min(count, len(waiting)), config)
+    total = len(store)
+    try:
+        (run / WITNESSES).mkdir(exist_ok=True)
+        with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
+            for done, finding in enumerate(_examined(pool, run, waiting, config), 1):
+                known[finding.id] = finding
+                if done % WRITTEN_AFTER == 0:
+                    _triage(config, total, known.values()).write(run)
+                meter.show(done)
+        found = _triage(config, total, (known[execution.id] for execution in failures))
+        if isinstance(simulation.ads, RulePlanner):
+            traces = ((execution.id, execution.load_trace()) for execution in store.executions())
+            found = replace(found, weaknesses=weakness_records(traces, found.findings))
+        found.write(run)
+    except OSError as error:
+        raise InputError(f"The run folder {run} cannot be written: {error.strerror}") from None
+    except RuntimeError as error:
+        print(f"{program()}: A failure could not be examined: {error}", file=sys.stderr)
+        return EXECUTION_FAILED
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        store.close()
+    print(report(found))
+    return OK
+
+
+def _known(run: Path) -> dict[int, Finding]:
+    """What an earlier call has found out."""
+    if not (run / TRIAGE).is_file():
+        return {}
+    return {finding.id: finding for finding in Triage.read(run).findings}
+
+
+def _triage(config: CampaignConfig, total: int, findings: Iterable[Finding]) -> Triage:
+    return Triage(config.env, config.ads, total, tuple(sorted(findings, key=lambda finding: finding.id)))
+
+
+def _executor(workers: int, config: CampaignConfig) -> Executor:
+    if workers == 0:
+        return InProcessExecutor()
+    functions = {"evaluate": evaluate, "examine": examine}
+    arguments = (config.env, config.ads, tuple(config.trust))
+    return WorkerPool(workers, functions, begin_worker, arguments, TIME_LIMIT * config.time_limit, config.memory_limit)
+
+
+def _examined(pool: Executor, run: Path, waiting: Sequence[Execution], config: CampaignConfig) -> Iterator[Finding]:
+    """What is found out about failures, in their order; witnesses are written."""
+    futures = []
+    for execution in waiting:
+        if ERROR in execution.record:
+            futures.append(pool.submit(evaluate, execution.scenario.to_json().encode()))
+        else:
+            futures.append(pool.submit(examine, examination(execution.record, execution.trace, config.seed)))
+    for execution, future in zip(waiting, futures, strict=True):
+        record = execution.record
+        try:
+            answer = future.result()
+        except ADSError as error:
+            if ERROR in record:
+                yield error_finding(record, happened_again=record[ERROR] == ads_failure(error))
+            else:
+                yield Finding(**seen(record, execution.load_trace()), same_verdict=False, same_trace=False)
+            continue
+        if ERROR in record:
+            yield error_finding(record, happened_again=False)
+            continue
+        values = json.loads(answer)
+        if values["witness"] is not None:
+            write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
+        yield Finding(**values["finding"])
+
+
+def report(found: Triage) -> str:
+    """The tables that a person reads."""
+    flaky = sum(not finding.same_verdict for finding in found.findings)
+    lines = [
+        f"{len(found.findings)} failures of {found.executions} executions, in {len(found.classes)} classes; "
+        f"{flaky} did not happen again",
+        "",
+        _plain(_class_table(found)),
+    ]
+    if found.weaknesses:
+        lines += ["", _plain(_weakness_table(found)), *_agreements(found.findings)]
+    return "\n".join(lines)
+
+
+def _class_table(found: Triage) -> Table:
+    table = _grid("class", "count", "first", "look at", "fault", *(["cause"] if found.weaknesses else []))
+    for class_id, findings in found.classes.items():
+        shown = next((finding.id for finding in findings if finding.same_trace), findings[0].id)
+        cells = [class_id, str(len(findings)), str(findings[0].id), str(shown), _most(f.fault for f in findings)]
+        table.add_row(*cells, *([_most(f.cause for f in findings)] if found.weaknesses else []))
+    return table
+
+
+def _most(names: Iterable[str | None]) -> str:
+    """The most frequent names, with their counts where there are several."""
+    counts = Counter(name for name in names if name is not None).most_common()
+    if len(counts) == 1:
+        return counts[0][0].replace("_", " ")
+    return ", ".join(f"{name} {count}" for name, count in counts).replace("_", " ")
+
+
+def _weakness_table(found: Triage) -> Table:
+    table = _grid("weakness", "reached", "first", "triggered", "first", "detected", "first")
+    for name, record in found.weaknesses.items():
+        sightings = (record.reached, record.triggered, record.detected)
+        table.add_row(name, *(cell for sighting in sightings for cell in _cells(sighting)))
+    return table
+
+
+def _cells(sighting: Sighting) -> tuple[str, str]:
+    return str(sighting.count), "" if sighting.first is None else str(sighting.first)
+
+
+def _agreements(findings: Sequence[Finding]) -> list[str]:
+    """How well what needs no replays agrees with the causes."""
+    caused = [finding for finding in findings if finding.cause in WEAKNESSES]
+    if not caused:
+        return []
+    causes = [str(finding.cause) for finding in caused]
+    signatures = agreement(causes, [finding.signature or "none" for finding in caused])
+    classes = agreement(causes, [finding.class_id for finding in caused])
+    return [
+        "",
+        f"Signatures equal the cause in {signatures.equal:.0%} of {signatures.n} failures with one (precision "
+        f"{signatures.precision:.2f}, recall {signatures.recall:.2f}, adjusted Rand index "
+        f"{signatures.adjusted_rand:.2f}); classes group them with an adjusted Rand index of "
+        f"{classes.adjusted_rand:.2f}",
+    ]
+
+
+def _grid(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for column in columns:
+        table.add_column(column, justify="right" if column in ("count", "first", "look at") else "left", no_wrap=True)
+    return table
+
+
+def _plain(table: Table) -> str:
+    console = Console(width=240, highlight=False, no_color=True)
+    with console.capture() as captured:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())

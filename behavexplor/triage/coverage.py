@@ -1,0 +1,31 @@
+"""How far a campaign got with each weakness of the rule planner: reached, triggered, detected."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from behavexplor.ads.rule.weaknesses import WEAKNESSES, names
+from behavexplor.trace import Trace
+from behavexplor.triage.findings import Finding, Sighting, WeaknessRecord
+
+
+def weakness_records(traces: Iterable[tuple[int, Trace]], findings: Sequence[Finding]) -> dict[str, WeaknessRecord]:
+    """Which executions reached and triggered each weakness, and of which failures it is the primary cause.
+
+    Args:
+        traces: of all executions of the rule planner with their numbers, in order.
+        findings: of its failures, in order.
+    """
+    bits = ("reached", "triggered")
+    seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESSES}
+    for number, trace in traces:
+        for bit in bits if len(trace.actions) else ():
+            for name in names(int(np.bitwise_or.reduce(trace.decisions[bit].astype(np.int64)))):
+                seen[name][bit].append(number)
+    detected = {name: [finding.id for finding in findings if finding.cause == name] for name in WEAKNESSES}
+    return {
+        name: WeaknessRecord(
+            Sighting.of(found["reached"]), Sighting.of(found["triggered"]), Sighting.of(detected[name])
+        )
+        for name, found in seen.items()
+    }

@@ -1,0 +1,165 @@
+"""Evasions: an ego that drives as recorded up to a moment, then brakes, accelerates, or gives way to the side."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.geometry import project_on_polyline
+from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+from behavexplor.trace import Trace
+from behavexplor.triage.playback import as_actions, recorded_commands
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SPACING: Final = 0.25  # of the points of a path [m]
+BEYOND: Final = 60.0  # that a path goes on straight at its end [m]
+BACK, AHEAD = 8, 16  # points of a path where the ego is looked for next
+LOOK_AHEAD: Final = 2.5  # of the steering, at least [m],
+LOOK_AHEAD_TIME: Final = 0.25  # and what it grows by with the speed [s]
+STEERING: Final = 0.6  # greatest steering angle [rad]
+STEERING_RATE: Final = 0.8  # and its greatest change [rad/s]
+LATERAL: Final = 5.0  # greatest lateral acceleration [m/s2]
+
+
+@dataclass(frozen=True)
+class Evasion:
+    """What the ego does instead.
+
+    Attributes:
+        name: for people.
+        begin: up to then it drives as recorded [s].
+        acceleration: wanted at first [m/s2].
+        lasting: for so long [s].
+        then: the acceleration wanted afterwards [m/s2].
+        jerk: limit of the change of the acceleration [m/s3].
+        offset: how far it moves to the right of the recorded path [m].
+        swing: the time that it takes for that [s].
+    """
+
+    name: str
+    begin: float
+    acceleration: float
+    lasting: float = math.inf
+    then: float = 0.0
+    jerk: float = math.inf
+    offset: float = 0.0
+    swing: float = 2.0
+
+    @property
+    def effort(self) -> float:
+        """By which the mildest of several is chosen."""
+        return max(abs(self.acceleration), abs(self.then)) + 2 * abs(self.offset)
+
+
+class EvasionDriver:
+    """Egos in the same scenario, each with an evasion of its own; an ADS. Row i of a batch is evasion i.
+
+    Args:
+        trace: what was recorded.
+        evasions: one for each ego.
+        path: along which they drive; it begins with the recorded one. Points `SPACING` apart, shape (P, 2) [m].
+        speed_limit: that they keep to while they accelerate [m/s].
+    """
+
+    def __init__(self, trace: Trace, evasions: Sequence[Evasion], path: Floats, speed_limit: float) -> None:
+        self._recorded = recorded_commands(trace)
+        self._period = float(trace.time[1])
+        self._limit = speed_limit
+        self._path = path
+        columns = ("begin", "acceleration", "lasting", "then", "jerk", "offset", "swing")
+        self._plan = {name: np.array([getattr(evasion, name) for evasion in evasions]) for name in columns}
+        self._first = np.rint(self._plan["begin"] / self._period).astype(np.int64)
+        self._arrival = project_on_polyline(trace.position[:, 0], self._path)[0]
+
+    def predict(
+        self,
+        observation: Floats,
+        state: tuple[int, Floats, Ints] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        deterministic: bool = True,  # noqa: ARG002 - they always are
+    ) -> tuple[Floats, tuple[int, Floats, Ints]]:
+        """Decide for all egos; the state counts the steps, and remembers the last commands and places on the path."""
+        count = len(observation)
+        step, last, place = (0, np.zeros((count, 2)), np.zeros(count, np.int64)) if state is None else state
+        commands = np.repeat(self._recorded[[min(step, len(self._recorded) - 1)]], count, axis=0)
+        evading = (step >= self._first) | (step >= len(self._recorded))
+        if not evading.any():
+            place = np.full(count, round(float(self._arrival[step]) / SPACING))
+            return as_actions(commands), (step + 1, commands, place)
+        ego = observation[:, EGO]
+        place = self._nearest(ego, place)
+        since = step * self._period - self._plan["begin"]
+        evading_commands = np.stack([self._accelerate(ego, since, last), self._steer(ego, since, place, last)], -1)
+        commands[evading] = evading_commands[evading]
+        return as_actions(commands), (step + 1, commands, place)
+
+    def _nearest(self, ego: Floats, place: Ints) -> Ints:
+        """The index of the path's point next to each ego, looked for around the last one, shape (B,)."""
+        near = np.clip(place[:, None] + np.arange(-BACK, AHEAD), 0, len(self._path) - 1)
+        gap = self._path[near] - ego[:, None, [X, Y]]
+        return np.asarray(near[np.arange(len(ego)), (gap**2).sum(-1).argmin(1)])
+
+    def _accelerate(self, ego: Floats, since: Floats, last: Floats) -> Floats:
+        """Accelerations, shape (B,) [m/s2]; nobody drives backwards."""
+        plan = self._plan
+        wanted = np.where(since < plan["lasting"], plan["acceleration"], plan["then"])
+        change = plan["jerk"] * self._period
+        wanted = np.clip(wanted, last[:, 0] - change, last[:, 0] + change)
+        room = np.maximum(self._limit - ego[:, SPEED], 0.0) / self._period
+        return np.maximum(np.minimum(wanted, room), -ego[:, SPEED] / self._period)
+
+    def _steer(self, ego: Floats, since: Floats, place: Ints, last: Floats) -> Floats:
+        """Steering angles by pure pursuit of the path and its offset, shape (B,) [rad]."""
+        plan, path, speed = self._plan, self._path, ego[:, SPEED]
+        away = LOOK_AHEAD + LOOK_AHEAD_TIME * speed
+        there = np.clip(place + np.rint(away / SPACING).astype(np.int64), 1, len(path) - 1)
+        along = path[there] - path[there - 1]
+        share = np.clip((since + away / np.maximum(speed, 1.0)) / plan["swing"], 0.0, 1.0)
+        offset = plan["offset"] * share**3 * (10 - 15 * share + 6 * share**2)
+        normal = np.stack([-along[:, 1], along[:, 0]], -1) / SPACING
+        gap = path[there] + offset[:, None] * normal - ego[:, [X, Y]]
+        bearing = np.arctan2(gap[:, 1], gap[:, 0]) - ego[:, HEADING]
+        ratio = ego[:, LENGTH] / np.maximum(np.hypot(gap[:, 0], gap[:, 1]), SPACING)
+        wanted = np.arctan(2 * ratio * np.sin(bearing) / (1 + ratio * np.cos(bearing)))
+        most = np.minimum(STEERING, np.arctan(LATERAL * ego[:, LENGTH] / np.maximum(speed, 0.1) ** 2))
+        change = STEERING_RATE * self._period
+        wanted = np.clip(wanted, last[:, 1] - change, last[:, 1] + change)
+        return np.asarray(np.clip(wanted, -most, most))
+
+
+def path_straight_on(trace: Trace) -> Floats:
+    """Where the ego drove, then straight on, points `SPACING` apart, shape (P, 2) [m]."""
+    return _spaced(np.concatenate([trace.position[:, 0], _beyond(trace.position[-1, 0], trace.heading[-1, 0])]))
+
+
+def path_beside_route(trace: Trace) -> Floats:
+    """Where the ego drove, then on beside its route as far as that goes, points `SPACING` apart, shape (P, 2) [m]."""
+    driven, route = trace.position[:, 0], trace.route
+    station, along = project_on_polyline(driven[-1:], route)
+    ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
+    foot = np.array([np.interp(station[0], ends, route[:, i]) for i in range(2)])
+    aside = (driven[-1] - foot) @ (-math.sin(along[0]), math.cos(along[0]))
+    beyond = route[ends > station[0] + 1.0]
+    if not len(beyond):
+        return path_straight_on(trace)
+    heading = project_on_polyline(beyond, route)[1]
+    onward = beyond + aside * np.stack([-np.sin(heading), np.cos(heading)], -1)
+    return _spaced(np.concatenate([driven, onward, _beyond(onward[-1], heading[-1])]))
+
+
+def _beyond(point: Floats, heading: float) -> Floats:
+    """A point straight ahead, shape (1, 2) [m]."""
+    return np.array([point + BEYOND * np.array([math.cos(heading), math.sin(heading)])])
+
+
+def _spaced(points: Floats) -> Floats:
+    """Points `SPACING` apart on the way through others."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    moved = np.concatenate([[True], np.diff(way) > 0])
+    stations = np.arange(0.0, way[-1], SPACING)
+    return np.stack([np.interp(stations, way[moved], points[moved, i]) for i in range(2)], -1)

@@ -1,0 +1,79 @@
+"""Commands for every step of the simulation: read from any trace, and given again."""
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+
+MAX_ACCELERATION: Final = 10.0  # that can be commanded, and as a deceleration [m/s2]
+MAX_STEERING: Final = math.pi / 3  # that can be commanded to either side [rad]
+MOVING: Final = 1e-3  # of a slower ego the steering is not seen, and has no effect [m/s]
+
+OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})
+ACTION: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "type": "ContinuousAction",
+        "acceleration_range": [-MAX_ACCELERATION, MAX_ACCELERATION],
+        "steering_range": [-MAX_STEERING, MAX_STEERING],
+    }
+)
+
+
+def frequency(trace: Trace) -> int:
+    """Steps of the simulation that was recorded [Hz]."""
+    return round((len(trace.time) - 1) / trace.duration)
+
+
+def recorded_commands(trace: Trace) -> Floats:
+    """What highway-env's bicycle model was commanded in every step, whatever ADS drove; see `Vehicle.step` there.
+
+    Returns:
+        Acceleration [m/s2] and steering [rad] between each frame and the next, shape (T - 1, 2).
+    """
+    heading, velocity = trace.heading[:, 0], trace.velocity[:, 0]
+    forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
+    speed = np.copysign(np.hypot(velocity[:, 0], velocity[:, 1]), forward)
+    direction = np.copysign(1.0, forward)
+    course = np.arctan2(velocity[:, 1] * direction, velocity[:, 0] * direction)
+    slip = np.remainder(course - heading + np.pi, 2 * np.pi) - np.pi
+    step = np.diff(trace.time)
+    moves = np.abs(speed) > MOVING
+    turn = np.diff(heading) * trace.size[0, 0] / 2 / np.where(moves[:-1], speed[:-1] * step, np.inf)
+    stopping = np.arcsin(np.clip(turn, -1.0, 1.0))  # one that has just stopped has no course; its heading tells
+    used = np.where(moves[1:], slip[1:], stopping)
+    return np.stack([np.diff(speed) / step, np.arctan(2 * np.tan(used))], axis=-1)
+
+
+def as_actions(commands: Floats) -> Floats:
+    """Accelerations [m/s2] and steering angles [rad], shape (..., 2), as values of `ACTION`."""
+    return np.asarray(commands / (MAX_ACCELERATION, MAX_STEERING))
+
+
+class Playback:
+    """Gives commands that were written down, one a step, and the last one for ever; an ADS.
+
+    Args:
+        commands: acceleration [m/s2] and steering [rad], shape (T, 2).
+    """
+
+    def __init__(self, commands: Floats) -> None:
+        self._actions = as_actions(commands)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: int | None = None,
+        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        deterministic: bool = True,  # noqa: ARG002 - it always is
+    ) -> tuple[Floats, int]:
+        """The command of this step for every ego; the state counts the steps."""
+        step = 0 if state is None else state
+        action = self._actions[min(step, len(self._actions) - 1)]
+        return np.repeat(action[None], len(observation), axis=0), step + 1

@@ -1,0 +1,137 @@
+"""Signatures: the likely cause of a failure of the rule planner, from its trace and its decision log alone.
+
+Rules after the paper's sixteen paragraphs (section IV-B2), as a person would apply them who looks at one recording: a
+weakness that changed what its module gave shortly before the violation, in a situation that looks like its own; of
+several the one farthest upstream, with those last that apply nearly always. They are written once and need no replay;
+`behavexplor.triage.counterfactual` says how often they are right.
+"""
+
+from collections.abc import Callable
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.rule.weaknesses import names
+from behavexplor.fuzz.fault import STATIONARY_SPEED
+from behavexplor.trace import Trace
+from behavexplor.triage.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
+from behavexplor.triage.moments import R3, Moment, recent, recent_decisions, violation_moment
+
+Floats = NDArray[np.float64]
+
+OUTLOOK: Final = 6.0  # before a violation, in which weaknesses are looked for [s]
+SUDDEN: Final = 2.0  # change of another's speed [m/s2]
+HIDDEN: Final = 0.2  # share of the time for which another was hidden that matters
+
+
+def signature(trace: Trace, violated: tuple[str, ...]) -> str | None:
+    """The likely cause of the first violated spec.
+
+    Args:
+        trace: of the rule planner, with its decision log.
+        violated: names of the violated specs.
+
+    Returns:
+        One of the sixteen weaknesses; None if none of them fits, or there is nothing to explain.
+    """
+    moment = violation_moment(trace, violated)
+    if moment is None or "triggered" not in trace.decisions:
+        return None
+    seconds = trace.duration if moment.spec == R3 else OUTLOOK
+    bits = trace.decisions["triggered"][recent_decisions(trace, moment.frame, seconds)].astype(np.int64)
+    triggered = names(int(np.bitwise_or.reduce(bits)))
+    kindred = (name for name in _RULES if name in triggered and name.startswith(moment.spec))
+    return next((name for name in kindred if _RULES[name](trace, moment)), None)
+
+
+def _changing_lanes(trace: Trace, moment: Moment) -> bool:
+    return manoeuvre_of(trace, moment.frame).startswith("changing")
+
+
+def _overtaken_from(trace: Trace, moment: Moment) -> bool:
+    """Whether the other came from behind while the ego changed lanes."""
+    gap = trace.position[moment.frame, moment.partner] - trace.position[moment.frame, 0]
+    heading = trace.heading[moment.frame, 0]
+    return _changing_lanes(trace, moment) and float(gap @ (np.cos(heading), np.sin(heading))) < 0.0
+
+
+def _restarted(trace: Trace, moment: Moment) -> bool:
+    """Whether the ego stood shortly before."""
+    frames = recent(trace, moment.frame, OUTLOOK)
+    return bool((np.hypot(*trace.velocity[frames, 0].T) < STATIONARY_SPEED).any())
+
+
+def _crept(trace: Trace, moment: Moment) -> bool:
+    """Whether the other crept most of the time."""
+    speed = np.hypot(*trace.velocity[recent(trace, moment.frame, OUTLOOK), moment.partner].T)
+    return float(np.median(speed)) < CREEPING
+
+
+def _turned(trace: Trace, moment: Moment) -> bool:
+    """Whether the other turned."""
+    now = trace.heading[moment.frame, moment.partner]
+    return abs(wrapped(now - heading_before(trace, moment.frame, moment.partner))) > TURNED
+
+
+def _was_large(trace: Trace, moment: Moment) -> bool:
+    return bool(trace.size[moment.partner, 0] > LARGE)
+
+
+def _was_hidden(trace: Trace, moment: Moment) -> bool:
+    """Whether the middle of the other was out of the ego's sight for a while."""
+    frames = recent(trace, moment.frame, OUTLOOK)
+    gap = trace.position[frames] - trace.position[frames][:, :1]
+    distance = np.hypot(gap[..., 0], gap[..., 1])
+    bearing = np.arctan2(gap[..., 1], gap[..., 0])
+    apart = np.abs(np.remainder(bearing - bearing[:, [moment.partner]] + np.pi, 2 * np.pi) - np.pi)
+    covers = apart < np.arctan2(trace.size[:, 1] / 2, np.maximum(distance, 0.1))
+    covers &= distance < distance[:, [moment.partner]]
+    covers[:, 0] = False
+    return bool(covers.any(1).mean() > HIDDEN)
+
+
+def _changed_suddenly(trace: Trace, moment: Moment) -> bool:
+    """Whether the other changed its speed suddenly."""
+    frames = recent(trace, moment.frame, OUTLOOK)
+    speed = np.hypot(*trace.velocity[frames, moment.partner].T)
+    return bool((np.abs(np.diff(speed) / np.diff(trace.time[frames])) > SUDDEN).any())
+
+
+def _slow(trace: Trace, moment: Moment) -> bool:
+    return speed_of(trace, moment.frame, 0) < STATIONARY_SPEED
+
+
+def _passed(trace: Trace, moment: Moment) -> bool:  # noqa: ARG001 - a rule
+    return trace.end == "passed"
+
+
+def _ended_standing(trace: Trace, moment: Moment) -> bool:
+    return trace.end != "passed" and _slow(trace, moment)
+
+
+def _always(trace: Trace, moment: Moment) -> bool:  # noqa: ARG001 - a rule
+    return True
+
+
+_RULES: Final = MappingProxyType[str, Callable[[Trace, Moment], bool]](
+    {  # in the order in which they are tried
+        "R1-6": _overtaken_from,
+        "R1-5": _changing_lanes,
+        "R1-3": _restarted,
+        "R1-2": _crept,
+        "R1-8": _turned,
+        "R1-7": _was_large,
+        "R1-1": _was_hidden,
+        "R1-4": _changed_suddenly,
+        "R2-3": _always,
+        "R2-2": _always,
+        "R2-4": _always,
+        "R2-1": _always,
+        "R3-4": _ended_standing,
+        "R3-3": _passed,
+        "R3-2": _passed,
+        "R3-1": _always,
+    }
+)

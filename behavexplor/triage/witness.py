@@ -1,0 +1,169 @@
+"""Witnesses: what the ego could have done to avoid a collision, as commands that anyone can replay.
+
+NPCs react to nothing, so what they would have done is what they did, and a witness is exact. It drives as recorded up
+to some moment, then otherwise, touches nobody until `SURVIVED` after the recorded collision, and no illegal line.
+The models of drivers are those of UN Regulation 157 (annex 4, appendix 3) and milder and harsher ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.geometry import box_corners, boxes_overlap
+from behavexplor.rollout import rollout_all
+from behavexplor.scenario import Scenario
+from behavexplor.simulation import Simulation
+from behavexplor.trace import Trace
+from behavexplor.triage.evasion import Evasion, EvasionDriver, path_beside_route, path_straight_on
+from behavexplor.triage.moments import Moment, first_line_touch
+from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency, recorded_commands
+
+Floats = NDArray[np.float64]
+
+SURVIVED: Final = 4.0  # for so long after the recorded collision a witness touches nobody [s]
+SAMPLES: Final = 192  # evasions that are drawn before a collision counts as unpreventable
+BATCH: Final = 64  # of them that are driven at a time
+
+ALARM: Final = 2.0  # at a time to collision below this a careful driver reacts [s]
+DELAY: Final = 0.75  # after so long [s]
+CAREFUL_BRAKING: Final = 0.774 * 9.81  # [m/s2]
+CAREFUL_JERK: Final = 12.65  # [m/s3]
+IDEAL_BRAKING: Final = 8.5  # [m/s2]
+ANTICIPATING: Final = 4.0  # braking of one who saw it coming [m/s2],
+ANTICIPATED: Final = (3.0, 3.5, 4.0, 4.5, 5.0)  # so long before the collision [s]
+EARLIEST, LATEST = 6.0, 0.3  # before the collision, when drawn evasions begin [s]
+SIDEWAYS: Final = 3.5  # as far as they go to either side [m]
+
+CAREFUL, IDEAL, ANTICIPATION, SAMPLED = "careful and competent", "ideal braking", "anticipation", "sampled"
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """How a collision could have been avoided.
+
+    Attributes:
+        name: kind of the evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
+        begin: up to then it drives as recorded [s].
+        frequency: of the commands, one for each step of the simulation [Hz].
+        commands: acceleration [m/s2] and steering [rad], shape (T, 2).
+    """
+
+    name: str
+    begin: float
+    frequency: int
+    commands: Floats
+
+
+def find_witness(
+    simulation: Simulation, scenario: Scenario, trace: Trace, moment: Moment, rng: np.random.Generator
+) -> tuple[Witness | None, int]:
+    """How a collision could have been avoided: at first as drivers would, mildest model first, then by drawn evasions.
+
+    Args:
+        simulation: in whose environment it happened; its ADS is not asked.
+        scenario: that was driven.
+        trace: of it.
+        moment: of the collision.
+        rng: for the draws.
+
+    Returns:
+        The witness, None if there is none among those tried; and how many were tried, 0 where the environment cannot
+        run in lock-step.
+    """
+    tried = 0
+    for batch in range(1 + SAMPLES // BATCH):
+        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modelled(trace, moment)
+        path = path_beside_route(trace) if batch else path_straight_on(trace)
+        driven = drive(simulation, scenario, trace, evasions, path)
+        tried += len(driven)
+        good = [i for i, other in enumerate(driven) if avoids(other, trace, evasions[i].begin)]
+        if good:
+            best = good[0] if batch == 0 else min(good, key=lambda i: evasions[i].effort)
+            chosen, commands = evasions[best], recorded_commands(driven[best])
+            return Witness(chosen.name, chosen.begin, frequency(trace), commands), tried
+    return None, tried
+
+
+def avoids(other: Trace, trace: Trace, begin: float) -> bool:
+    """Whether a drive is a witness against a recorded one from which it differs since a time [s]."""
+    if other.end not in ("arrived", "timeout", "standstill"):
+        return False
+    if other.end != "arrived" and other.duration < trace.duration + SURVIVED - 1e-6:
+        return False
+    touch = first_line_touch(other)
+    return touch is None or bool(other.time[touch.frame] <= begin)  # as it was recorded
+
+
+def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness) -> Trace:
+    """What happens if a witness drives.
+
+    Raises:
+        ValueError: if the environment cannot run in lock-step.
+    """
+    seconds = len(witness.commands) / witness.frequency
+    envs = simulation.vector_env(1, **_config(witness.frequency, seconds))
+    if envs is None:
+        raise ValueError("this environment cannot run in lock-step")
+    (_, trace), *_ = rollout_all(envs, Playback(witness.commands), [scenario])
+    envs.close()
+    return trace
+
+
+def drive(
+    simulation: Simulation, scenario: Scenario, trace: Trace, evasions: Sequence[Evasion], path: Floats
+) -> list[Trace]:
+    """What becomes of evasions along a path, up to `SURVIVED` after the recorded end; nothing without lock-step."""
+    rate = frequency(trace)
+    envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
+    if envs is None:
+        return []
+    driver = EvasionDriver(trace, evasions, path, simulation.logical.roadmap.speed_limit)
+    ended = dict(rollout_all(envs, driver, [scenario] * len(evasions)))
+    envs.close()
+    return [ended[row] for row in range(len(evasions))]
+
+
+def _config(rate: int, seconds: float) -> dict[str, Any]:
+    return {
+        "observation": dict(OBSERVATION),
+        "action": dict(ACTION),
+        "policy_frequency": rate,
+        "simulation_frequency": rate,
+        "duration": round(seconds * rate) / rate,
+    }
+
+
+def modelled(trace: Trace, moment: Moment) -> list[Evasion]:
+    """What models of drivers would have done."""
+    alarm, end = alarm_time(trace, moment), float(trace.time[moment.frame])
+    earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
+    careful = Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
+    return [careful, Evasion(IDEAL, alarm, -IDEAL_BRAKING), *earlier]
+
+
+def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
+    """An evasion by chance: two accelerations one after the other, and half of the time a move to the side."""
+    end = trace.duration
+    return Evasion(
+        SAMPLED,
+        begin=max(end - float(rng.uniform(LATEST, EARLIEST)), 0.0),
+        acceleration=float(rng.uniform(-IDEAL_BRAKING, 3.0)),
+        lasting=float(rng.uniform(0.3, 4.0)),
+        then=float(rng.uniform(-ANTICIPATING, 3.0)),
+        offset=float(rng.uniform(-SIDEWAYS, SIDEWAYS)) if rng.random() < 0.5 else 0.0,
+        swing=float(rng.uniform(1.5, 4.0)),
+    )
+
+
+def alarm_time(trace: Trace, moment: Moment) -> float:
+    """When the time to collision was first below `ALARM`, if everybody kept their velocity and heading [s]."""
+    frames = np.arange(max(moment.frame - round(EARLIEST * frequency(trace)), 0), moment.frame + 1)
+    pair = [0, moment.partner]
+    position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
+    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # boxes do not pass through each other in between
+    boxes = box_corners(position + ahead * velocity, trace.heading[frames][:, pair], trace.size[pair])
+    conflict = boxes_overlap(boxes[:, :, 0], boxes[:, :, 1]).any(0)
+    return float(trace.time[frames[conflict.argmax() if conflict.any() else -1]])
