@@ -6,11 +6,11 @@ from typing import Literal
 import numpy as np
 
 from behavexplor.fuzz.fault import contact_fault
+from behavexplor.fuzz.moments import R1, violation_moment
 from behavexplor.roadmap import RoadMap
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 from behavexplor.trace import Trace
-from behavexplor.triage.moments import R1, violation_moment
 from behavexplor.triage.witness import Witness, find_witness
 
 Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "preventable", "unpreventable", "other"]

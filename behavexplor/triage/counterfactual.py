@@ -16,12 +16,12 @@ import numpy as np
 
 from behavexplor.ads.rule import RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES, names
+from behavexplor.fuzz.moments import R3, REQUIREMENTS, Moment, recent_decisions, violation_moment
 from behavexplor.fuzz.specs import judge
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 from behavexplor.trace import Trace
 from behavexplor.triage.forks import Fork, run_forks, without
-from behavexplor.triage.moments import R3, REQUIREMENTS, Moment, recent_decisions, violation_moment
 
 OUTLOOKS: Final = (6.0, 15.0)  # before a violation, in which its causes are looked for; the longer if in vain [s]
 AFTERMATH: Final = 6.0  # behind it: a violation that is put off for longer is another one [s]

@@ -8,16 +8,16 @@ from typing import Any, Final
 import numpy as np
 
 from behavexplor import executor
+from behavexplor.fuzz.classes import violation_class
+from behavexplor.fuzz.moments import REQUIREMENTS
 from behavexplor.fuzz.specs import judge
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 from behavexplor.trace import Trace
 from behavexplor.triage.blame import Blame, blame
-from behavexplor.triage.classes import violation_class
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.findings import Finding, witness_values
 from behavexplor.triage.flakiness import repeat
-from behavexplor.triage.moments import REQUIREMENTS
 from behavexplor.triage.signatures import signature
 from behavexplor.triage.witness import Witness
 

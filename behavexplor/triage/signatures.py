@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule.weaknesses import names
+from behavexplor.fuzz.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
 from behavexplor.fuzz.fault import STATIONARY_SPEED
+from behavexplor.fuzz.moments import R3, Moment, recent, recent_decisions, violation_moment
 from behavexplor.trace import Trace
-from behavexplor.triage.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
-from behavexplor.triage.moments import R3, Moment, recent, recent_decisions, violation_moment
 
 Floats = NDArray[np.float64]
 

@@ -12,13 +12,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.fuzz.moments import Moment, first_line_touch
 from behavexplor.geometry import box_corners, boxes_overlap
 from behavexplor.rollout import rollout_all
 from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 from behavexplor.trace import Trace
 from behavexplor.triage.evasion import Evasion, EvasionDriver, path_beside_route, path_straight_on
-from behavexplor.triage.moments import Moment, first_line_touch
 from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency, recorded_commands
 
 Floats = NDArray[np.float64]

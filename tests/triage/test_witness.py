@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behavexplor.fuzz.moments import violation_moment
 from behavexplor.fuzz.specs import judge
 from behavexplor.simulation import Simulation
 from behavexplor.triage.blame import blame
 from behavexplor.triage.evasion import Evasion, path_straight_on
-from behavexplor.triage.moments import violation_moment
 from behavexplor.triage.playback import recorded_commands
 from behavexplor.triage.witness import (
     CAREFUL,

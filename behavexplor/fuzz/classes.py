@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.fuzz.fault import ALIGNED, CUT_IN_TIME, STATIONARY_SPEED
+from behavexplor.fuzz.moments import R1, R2, R3, Moment, recent, violation_moment
 from behavexplor.fuzz.specs import Verdict
 from behavexplor.geometry import box_corners, project_on_polyline
 from behavexplor.trace import Trace
-from behavexplor.triage.moments import R1, R2, R3, Moment, recent, violation_moment
 
 Floats = NDArray[np.float64]
 

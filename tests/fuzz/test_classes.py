@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behavexplor.fuzz.classes import violation_class
+from behavexplor.fuzz.moments import first_line_touch, violation_moment
 from behavexplor.fuzz.specs import judge
 from behavexplor.trace import Trace
-from behavexplor.triage.classes import violation_class
-from behavexplor.triage.moments import first_line_touch, violation_moment
 from tests.fuzz.test_fault import BEHIND, SIZE, trace
 
 BUS = np.array([SIZE[0], [9.21, 3.26]])
