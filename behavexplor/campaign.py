@@ -50,7 +50,8 @@ class Progress:
             the ego from its destination, too; and "error", what else an ADS did than driving.
         novel: how many showed a behaviour that was new to the campaign.
         elapsed: running time, also before an interruption [s].
-        executing: part of it spent waiting for executions [s].
+        earlier: part of it before the interruption [s].
+        executing: part of the rest spent waiting for executions [s].
         resumed: executions that had been stored by an earlier run.
         method: figures of the search method by name.
         last: the latest execution that was "novel", or counts for a spec, by that name.
@@ -61,6 +62,7 @@ class Progress:
     violations: Mapping[str, int] = field(default_factory=dict)
     novel: int = 0
     elapsed: float = 0.0
+    earlier: float = 0.0
     executing: float = 0.0
     resumed: int = 0
     method: Mapping[str, float] = field(default_factory=dict)
@@ -93,13 +95,12 @@ class Campaign:
         self._store = store
         self._executor = executor
         self._archive = NoveltyArchive()
-        self._stored = {execution.id: execution for execution in store.executions()}
+        self._stored = store.end  # candidates before this one have been executed, unless the store has lost them
         self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
         self._asked = 0
-        earlier = max((execution.elapsed for execution in self._stored.values()), default=0.0)
-        self._start = time.monotonic() - earlier
+        self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
-        self.progress = Progress(violations={spec.name: 0 for spec in SPECS})
+        self.progress = Progress(violations={spec.name: 0 for spec in SPECS}, earlier=store.elapsed)
         self.stopping = False
 
     def stop(self) -> None:
@@ -150,10 +151,10 @@ class Campaign:
     def _within_budget(self) -> bool:
         if self._budget.executions is not None:
             return self._asked < self._budget.executions
-        return self._asked in self._stored or self.elapsed < (self._budget.seconds or 0.0)
+        return self._asked < self._stored or self.elapsed < (self._budget.seconds or 0.0)
 
     def _execute(self, candidate: Candidate) -> Future[bytes] | Execution:
-        stored = self._stored.pop(candidate.number, None)
+        stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
         if stored is None:
             with self._waiting():
                 return self._submit(candidate)

@@ -93,7 +93,7 @@ class Display:
             ("time left", self._left(progress)),
             ("executions", self._done(progress)),
             ("speed", f"{rate(progress):.1f} per second"),
-            ("executing", f"{progress.executing / max(progress.elapsed, 1e-9):.0%} of the time"),
+            ("executing", f"{progress.executing / max(progress.elapsed - progress.earlier, 1e-9):.0%} of the time"),
             ("novelty rate", f"{share(progress.novel, progress)}{_ago(progress, 'novel')}"),
         ]
         right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
@@ -126,9 +126,8 @@ def summary(progress: Progress, store: Store, program: str) -> str:
         f"{progress.failed} failed ({share(progress.failed, progress)}):" if progress.failed else "None failed.",
     ]
     failures: dict[str, list[int]] = {name: [] for name in progress.violations}
-    for execution in store.executions() if progress.failed else ():
-        for name in execution.record["violated"][:1]:
-            failures[name].append(execution.id)
+    for number, name in store.failures() if progress.failed else ():
+        failures[name].append(number)
     for name, numbers in failures.items():
         if numbers:
             more = ", ..." if len(numbers) > _LISTED_FAILURES else ""

@@ -82,7 +82,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     simulation = begin(chosen.env, chosen.ads, chosen.trust)
     search = search_method(chosen, simulation.logical)
     folder = resume or out or run_folder(chosen, Path("runs"))
-    store = _reopened(folder, chosen) if resume else Store.create(folder, chosen.to_yaml())
+    store = _reopened(folder, chosen, display) if resume else Store.create(folder, chosen.to_yaml())
     limits = (chosen.time_limit, chosen.memory_limit)
     executor = make_executor(workers, chosen.env, chosen.ads, chosen.trust, *limits)
     try:
@@ -136,23 +136,30 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     """The configuration in a run folder; only its budget may be changed."""
     stored = stored_config(run)
-    store = Store.read(run)
-    count = len(store)
-    store.close()
     for name, value in given.items():
         if name != "budget" and value != getattr(stored, name):
             raise InputError(f"--{name} cannot be changed on --resume: the run has {getattr(stored, name)!r}")
-    resumed = replace(stored, budget=given.get("budget", stored.budget))
-    executions = Budget.parse(resumed.budget).executions
+    return replace(stored, budget=given.get("budget", stored.budget))
+
+
+def _reopened(run: Path, config: CampaignConfig, display: Display) -> Store:
+    """The store of a run that has no more executions than the budget allows."""
+    store = Store.reopen(run)
+    try:
+        _check_budget(run, config, len(store))
+        store.write_config(config.to_yaml())
+    except InputError:
+        store.close()
+        raise
+    if store.repaired:
+        display.say(store.repaired)
+    return store
+
+
+def _check_budget(run: Path, config: CampaignConfig, count: int) -> None:
+    executions = Budget.parse(config.budget).executions
     if executions is not None and executions < count:
         raise InputError(f"--budget {executions} is less than the {count} executions that {run} has already")
-    return resumed
-
-
-def _reopened(run: Path, config: CampaignConfig) -> Store:
-    store = Store.reopen(run)
-    store.write_config(config.to_yaml())
-    return store
 
 
 @contextmanager
