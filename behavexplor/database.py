@@ -80,15 +80,23 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     if mode == "ro" and not os.access(path.parent, os.W_OK) and not _wal(path).exists():
         mode = "ro&immutable=1"  # nobody can write it, and SQLite cannot make the files that it would need beside it
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=30)
+    try:
+        _set_up(connection, is_reader=mode.startswith("ro"))
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def _set_up(connection: sqlite3.Connection, *, is_reader: bool) -> None:
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
     connection.text_factory = bytes  # damaged text is found by its checksum, not by its encoding
-    if mode.startswith("ro"):
+    if is_reader:
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off as far as it goes
     else:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
-    return connection
 
 
 def begin(connection: sqlite3.Connection) -> None:
