@@ -18,6 +18,7 @@ READABLE = (1, 2)
 MAX_VALUE = 100_000_000  # bytes of one stored value; a trace has some thousand
 _LEAST_ROW = 64  # bytes that a row takes at least
 _ROWS_AT_ONCE = 500
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last for JSON that is none
 
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -126,6 +127,16 @@ def read_format(connection: sqlite3.Connection) -> str:
     return row[0].decode(errors="replace") if row and isinstance(row[0], bytes) else "none"
 
 
+def written_format(path: Path) -> str | None:
+    """The format of a file that is only looked at; None if it does not say, or cannot be read."""
+    try:
+        with closing(connect(path, "ro")) as connection:
+            found = read_format(connection)
+    except sqlite3.Error:
+        return None
+    return None if found == "none" else found
+
+
 def upgrade(connection: sqlite3.Connection) -> None:
     """Bring a database of format 1 to this version's, all or nothing."""
     connection.executescript(_UPGRADE)
@@ -212,11 +223,16 @@ class Table:
         number = 0
         try:
             for found in self._connection.execute(f"{query} WHERE id >= 0 ORDER BY id"):
+                if found[0] < number:  # pages are out of order
+                    break
                 yield from ((missing, None) for missing in range(number, min(found[0], number + self._most)))
                 yield found[0], found
                 number = found[0] + 1
-        except sqlite3.DatabaseError:  # a page is damaged: the rows in other pages can be found one by one
-            yield from self._one_by_one(query, number)
+            else:
+                return
+        except sqlite3.DatabaseError:  # a page is damaged
+            pass
+        yield from self._one_by_one(query, number)  # rows in other pages can be found so
 
     def _one_by_one(self, query: str, first: int) -> Iterator[tuple[int, tuple[Any, ...] | None]]:
         last = self.last
@@ -243,7 +259,7 @@ def is_whole(path: Path) -> bool:
         with closing(connect(path, "rw")) as connection:
             return bool(connection.execute("PRAGMA quick_check(1)").fetchone()[0] == b"ok")
     except sqlite3.DatabaseError as error:
-        if error.sqlite_errorcode & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+        if error.sqlite_errorcode & 0xFF in _DAMAGED:
             return False
         raise
 

@@ -30,6 +30,7 @@ from behavexplor.database import (
     read_format,
     rebuild,
     upgrade,
+    written_format,
 )
 from behavexplor.errors import InputError
 from behavexplor.scenario import Scenario
@@ -94,9 +95,7 @@ class Losses:
             numbers = _ranges(self.damaged) + (" and whatever came after" if self.cut_off else "")
             said.append(f"Damaged or missing in {folder / DATABASE}: {numbers}; fuzz --resume executes that again")
         if self.files:
-            said.append(
-                f"Missing in {folder / FAILURES}: the files of {_ranges(self.files)}; fuzz --resume writes them"
-            )
+            said.append(f"Missing in {folder / FAILURES}: files of {_ranges(self.files)}; fuzz --resume writes them")
         if not (folder / CONFIG).is_file():
             said.append(f"{folder / CONFIG} is missing: without it the run can neither be replayed nor resumed")
         return said
@@ -350,12 +349,14 @@ def _execution(row: Row) -> Execution:
 def _repaired(folder: Path) -> str | None:
     """Mend the structure of a damaged database; what was lost, as a sentence."""
     path = folder / DATABASE
-    if not path.is_file() or is_whole(path):
+    if not path.is_file():
+        return None
+    if (found := written_format(path)) is not None:
+        _check_format(path, found)  # before anything is changed
+    if is_whole(path):
         return None
     count, kept = rebuild(path)
-    return (
-        f"{path} was damaged: {count} executions could be read, the others run again; the old file is now {kept.name}"
-    )
+    return f"{path} was damaged: {count} executions were saved, the others run again; the old file is now {kept.name}"
 
 
 def _prepared(folder: Path) -> sqlite3.Connection:

@@ -121,7 +121,7 @@ def test_damage_is_named(store, change):
     connection.close()
     executions = store.executions()
     assert [next(executions).id, next(executions).id] == [0, 1]
-    with pytest.raises(InputError, match="is damaged"):
+    with pytest.raises(InputError, match=r"Execution 2 in .* is damaged or missing"):
         next(executions)
 
 
