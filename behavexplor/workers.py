@@ -27,6 +27,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 BEGIN_SECONDS: Final = 600.0  # in which a worker must be ready [s]
+ENDING_SECONDS: Final = 2.0  # in which a worker that has closed its connection must have ended [s]
+CLOSED: Final = 83  # exit code of a worker that finds its connection closed
 RESULT, ADS_FAILED, FAILED = b"R", b"A", b"E"  # what an answer begins with
 
 Serve = Mapping[str, Callable[[bytes], bytes]]
@@ -165,7 +167,7 @@ class _Worker:
                 raise self._death("hang", f"no answer within {time_limit:g} s")
             answer: bytes = self._connection.recv_bytes()
         except (EOFError, OSError):
-            self._process.join()
+            self._process.join(ENDING_SECONDS)
             raise self._death("crash", _ending(self._process.exitcode)) from None
         tag, content = answer[:1], answer[1:]
         if tag == ADS_FAILED:
@@ -176,7 +178,7 @@ class _Worker:
 
     def _death(self, kind: str, message: str) -> Exception:
         """What has ended this worker, which can be laid to the ADS only if it was being asked."""
-        was_asking = bool(self._asking.value)
+        was_asking = bool(self._asking.value) or (kind == "crash" and _has_closed(self._process.exitcode))
         self.kill()
         return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
 
@@ -208,7 +210,11 @@ def _serve(
             name, _, data = connection.recv_bytes().partition(b"\0")
         except EOFError:
             return
-        connection.send_bytes(_answered(functions[name.decode()], data))
+        answer = _answered(functions[name.decode()], data)
+        try:
+            connection.send_bytes(answer)
+        except OSError:  # the ADS has closed our files, or the campaign has ended
+            os._exit(CLOSED)
 
 
 def _answered(function: Callable[[bytes], bytes], data: bytes) -> bytes:
@@ -218,6 +224,8 @@ def _answered(function: Callable[[bytes], bytes], data: bytes) -> bytes:
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message}).encode()
     except Exception as error:
         return FAILED + f"{type(error).__name__}: {error}".encode(errors="replace")
+    except BaseException as error:  # such as KeyboardInterrupt, which here nobody raises but an ADS
+        return ADS_FAILED + json.dumps({"kind": "raised", "message": f"{type(error).__name__}: {error}"}).encode()
 
 
 def _limit_memory(gibibytes: float) -> None:
@@ -227,7 +235,14 @@ def _limit_memory(gibibytes: float) -> None:
             resource.setrlimit(resource.RLIMIT_DATA, (int(gibibytes * 2**30),) * 2)
 
 
+def _has_closed(exit_code: int | None) -> bool:
+    """Whether a worker has lost its connection, which nobody closes but an ADS: it has said so, or still runs."""
+    return exit_code in (CLOSED, None)
+
+
 def _ending(exit_code: int | None) -> str:
+    if _has_closed(exit_code):
+        return "it closed the files of its process"
     if exit_code is not None and exit_code < 0:
         return f"its process was ended by {signal.Signals(-exit_code).name}"
     return f"its process ended with exit code {exit_code}"
