@@ -135,7 +135,7 @@ class Scenario:
             raise InputError(f"A scenario of {len(text)} characters is too long: at most {MAX_JSON_LENGTH} are read.")
         try:
             value = json.loads(text)
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"Not a scenario in JSON: {error}") from None
         return cls.from_dict(value)
 

@@ -269,7 +269,7 @@ class Store:
         for number, row in self._table.rows(traces=True):
             if row is None:
                 raise self._damaged(number)
-            yield _execution(row)
+            yield self._checked(row)
 
     def records(self, losses: Losses | None = None) -> Iterator[dict[str, Any]]:
         """The records of all committed executions in order; no trace is read.
@@ -281,8 +281,10 @@ class Store:
             InputError: if one is damaged and there are no `losses` to say it in.
         """
         for number, row in self._table.rows(traces=False):
-            if row is not None:
-                record = json.loads(row.record)
+            record = None
+            with suppress(DamagedError):
+                record = None if row is None else _record(row)
+            if record is not None:
                 if losses is not None and record["violated"] and not self.failure_path(number).is_file():
                     losses.files.append(number)
                 yield record
@@ -310,7 +312,13 @@ class Store:
             raise self._damaged(number) from None
         if row is None:
             raise InputError(f"{self.folder} has no execution {number}: it has {len(self)}, numbered from 0")
-        return _execution(row)
+        return self._checked(row)
+
+    def _checked(self, row: Row) -> Execution:
+        try:
+            return _execution(row)
+        except DamagedError:
+            raise self._damaged(row.id) from None
 
     def recall(self, number: int) -> Execution | None:
         """An execution for the campaign that goes on; None if it must be executed again.
@@ -319,11 +327,11 @@ class Store:
         """
         try:
             row = self._table.row(number)
+            if row is None:
+                return None
+            execution = _execution(row)
         except DamagedError:
             return None
-        if row is None:
-            return None
-        execution = _execution(row)
         if execution.record["violated"] and not self.failure_path(number).is_file():
             self._write_failure(execution)
         return execution
@@ -343,7 +351,25 @@ class Store:
 
 
 def _execution(row: Row) -> Execution:
-    return Execution(json.loads(row.record), row.trace, row.elapsed)
+    return Execution(_record(row), row.trace, row.elapsed)
+
+
+def _record(row: Row) -> dict[str, Any]:
+    """What a row says, if a campaign can have said it.
+
+    Raises:
+        DamagedError: if it cannot.
+    """
+    try:
+        record = json.loads(row.record)
+    except (ValueError, RecursionError) as error:
+        raise DamagedError(str(error)) from None
+    if not isinstance(record, dict) or record.get("id") != row.id or not isinstance(record.get("scenario"), dict):
+        raise DamagedError("it is no record")
+    violated = record.get("violated")
+    if not isinstance(violated, list) or not all(isinstance(name, str) for name in violated):
+        raise DamagedError("it is no record")
+    return record
 
 
 def _repaired(folder: Path) -> str | None:

@@ -10,7 +10,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "behavexplor"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
+GROUND = {"compiled", "errors", "geometry", "plain", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
 EXECUTION = {"rollout", "simulation", "executor", "health", "workers"}
 CAMPAIGN = {"config", "database", "store", "campaign", "drawing", "evaluation"}

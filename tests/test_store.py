@@ -18,6 +18,7 @@ def execution(number, violated=()):
         "id": number,
         "violated": list(violated),
         "degree": 0.1 * number,
+        "degrees": {"collision": 0.1 * number},
         "novelty": 0.5,
         "end": "arrived",
         "scenario": Scenario("intersection-straight", ()).to_dict(),

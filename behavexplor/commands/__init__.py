@@ -16,6 +16,8 @@ from behavexplor.errors import InputError
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
+_LONGEST = 900  # characters of a sentence that is shown
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, such as `behavexplor fuzz`.
@@ -49,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             commands, prog=program(), args=arguments, description="Find out how a driving policy fails."
         )
     except InputError as error:
-        print(f"{program()}: {error}", file=sys.stderr)
+        print(f"{program()}: {_sentence(error)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -61,6 +63,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{program()}: This is a bug in behavexplor or in an extension of it; please report it.", file=sys.stderr)
         return INTERNAL_ERROR
     return code
+
+
+def _sentence(error: InputError) -> str:
+    """What is wrong in one line, however much of it was given."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def program() -> str:
