@@ -208,7 +208,7 @@ def _serve(
     while True:
         try:
             name, _, data = connection.recv_bytes().partition(b"\0")
-        except EOFError:
+        except (EOFError, OSError):  # the campaign has ended, perhaps in the middle of a request
             return
         answer = _answered(functions[name.decode()], data)
         try:

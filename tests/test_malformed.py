@@ -125,7 +125,7 @@ KINDS = {  # how many of each in the short test
     of_zoo: 15,
     of_flags: 30,
 }
-FACTOR = {of_scenario: 40, of_trace: 40, of_config_file: 40, of_run: 10, of_flags: 30}  # and more in the long one
+FACTOR = {of_scenario: 45, of_trace: 40, of_config_file: 40, of_run: 10, of_flags: 30}  # and more in the long one
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
