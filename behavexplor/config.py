@@ -170,7 +170,7 @@ def stored_config(run: Path) -> CampaignConfig:
     """
     path = run / CONFIG
     if not path.is_file():
-        raise InputError(f"{run} is not a run folder: it has no {CONFIG}")
+        raise InputError(f"{run} is not a run folder, or has lost its {CONFIG}: put that back, or begin another run")
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty: the configuration of the run is lost")
