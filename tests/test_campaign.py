@@ -148,7 +148,7 @@ def test_an_interrupted_campaign_goes_on_as_if_nothing_had_happened(tmp_path, me
 
 
 def test_resuming_holds_no_more_traces_than_are_in_flight(tmp_path, monkeypatch):
-    run(tmp_path / "a", budget="30")
+    run(tmp_path / "a", budget="30", batch=4)
     recalled, most = [0], [0]
     recall, observe = Store.recall, NoveltyArchive.observe
 
