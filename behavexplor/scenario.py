@@ -14,6 +14,7 @@ from typing import Any, Self
 from behavexplor.errors import InputError
 
 MAX_JSON_LENGTH = 1_000_000  # characters; a scenario of the paper has about 1500
+MAX_NAME_LENGTH = 200  # characters
 MAX_NUMBER = 1e9  # no position [m] or speed [m/s] is larger
 
 
@@ -189,7 +190,7 @@ def _parts(name: str, value: Any) -> tuple[Any, ...]:
 
 
 def _text(name: str, value: object) -> str:
-    if not isinstance(value, str) or not value:
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_NAME_LENGTH:
         raise InputError(f"{name}: expected a name, got {value!r:.80}")
     return value
 

@@ -4,6 +4,7 @@ import io
 import json
 import shutil
 import zipfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -162,9 +163,21 @@ def network(rng):
     header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({10 ** int(rng.integers(6, 18))},), }}".encode()
     header += b" " * (63 - (len(header) + 10) % 64) + b"\n"
     array = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
+    if kind == 2:
+        return bomb("weights_0.npy", "bias_0.npy")
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr("weights_0.npy", array if kind == 2 else bytes(200_000_000))
+        file.writestr("weights_0.npy", array)
         file.writestr("bias_0.npy", array)
+    return buffer.getvalue()
+
+
+@cache
+def bomb(large, small):
+    """A small zip file that unpacks to 300 MB."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr(large, bytes(300_000_000))
+        file.writestr(small, b"x" * 300)
     return buffer.getvalue()
 
 
@@ -178,9 +191,10 @@ def model(rng):
         "action_space": 3,
     }
     kind = rng.integers(5)
+    if kind == 1:
+        return bomb("data", "policy.pth")
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
-        text = json.dumps(mutated(data, rng)) if kind else "[" * 100_000
-        file.writestr("data", text if kind != 1 else b"\0" * 300_000_000)
+        file.writestr("data", json.dumps(mutated(data, rng)) if kind else "[" * 100_000)
         file.writestr("policy.pth", rng.bytes(300))
         if kind == 2:
             file.writestr("../../escape.pth", b"x")

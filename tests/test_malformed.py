@@ -74,7 +74,7 @@ def of_scenario(rng, tmp_path, capfd):
 
 def of_trace(rng, tmp_path, capfd):
     signal.alarm(SECONDS)
-    data = malformed.scrambled(TRACES[0], rng) if rng.random() < 0.8 else malformed.network(rng)
+    data = malformed.scrambled(TRACES[0], rng) if rng.random() < 0.95 else malformed.network(rng)
     try:
         Trace.from_bytes(data)
     except InputError:
