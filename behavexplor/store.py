@@ -9,9 +9,9 @@ import json
 import os
 import re
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -33,6 +33,7 @@ from behavexplor.database import (
     written_format,
 )
 from behavexplor.errors import InputError
+from behavexplor.losses import DATABASE, FAILURES, Losses
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
 
@@ -41,7 +42,7 @@ try:
 except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
-DATABASE, FAILURES, LOCK = "campaign.db", "failures", "campaign.lock"
+LOCK = "campaign.lock"
 _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # what a run may leave that was ended before it had begun
 
 
@@ -72,33 +73,6 @@ class Execution:
     def load_trace(self) -> Trace:
         """What happened."""
         return Trace.from_bytes(self.trace)
-
-
-@dataclass
-class Losses:
-    """What a run folder has lost.
-
-    Attributes:
-        damaged: numbers of executions that are damaged or missing.
-        cut_off: whether nobody can say how many there were after the last of them.
-        files: numbers of failed executions whose file is missing.
-    """
-
-    damaged: list[int] = field(default_factory=list)
-    cut_off: bool = False
-    files: list[int] = field(default_factory=list)
-
-    def sentences(self, folder: Path) -> list[str]:
-        """What was lost, a sentence for each kind of loss."""
-        said = []
-        if self.damaged:
-            numbers = _ranges(self.damaged) + (" and whatever came after" if self.cut_off else "")
-            said.append(f"Damaged or missing in {folder / DATABASE}: {numbers}; fuzz --resume executes that again")
-        if self.files:
-            said.append(f"Missing in {folder / FAILURES}: files of {_ranges(self.files)}; fuzz --resume writes them")
-        if not (folder / CONFIG).is_file():
-            said.append(f"{folder / CONFIG} is missing: without it the run can neither be replayed nor resumed")
-        return said
 
 
 class Store:
@@ -420,18 +394,6 @@ def _check_format(path: Path, found: str) -> None:
 def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:
     reason = error.strerror if isinstance(error, OSError) else str(error)
     return InputError(f"The run folder {folder} cannot be written: {reason}")
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    """Increasing numbers in words: "execution 3", "executions 3, 5 to 9"."""
-    ranges: list[list[int]] = []
-    for number in numbers:
-        if ranges and number == ranges[-1][1] + 1:
-            ranges[-1][1] = number
-        else:
-            ranges.append([number, number])
-    named = ", ".join(str(first) if first == last else f"{first} to {last}" for first, last in ranges)
-    return f"execution{'s' if len(numbers) > 1 else ''} {named}"
 
 
 def _lock(folder: Path) -> IO[str]:

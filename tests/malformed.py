@@ -11,7 +11,8 @@ import numpy as np
 import yaml
 
 from behavexplor.config import CampaignConfig
-from behavexplor.store import DATABASE, FAILURES, Store
+from behavexplor.losses import DATABASE, FAILURES
+from behavexplor.store import Store
 from tests.test_store import execution
 
 HUGE = {

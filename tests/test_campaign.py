@@ -11,8 +11,9 @@ from behavexplor.envs.functional.intersection_straight import IntersectionStraig
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS
 from behavexplor.fuzz.novelty import NoveltyArchive
+from behavexplor.losses import DATABASE
 from behavexplor.scenario import Scenario
-from behavexplor.store import DATABASE, Store
+from behavexplor.store import Store
 from tests.fuzz.fakes import simulate
 
 LOGICAL = IntersectionStraightEnv.logical

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.config import CONFIG
 from behavexplor.errors import InputError
-from behavexplor.store import CONFIG, DATABASE, FAILURES, LOCK, Losses, Store
+from behavexplor.losses import DATABASE, FAILURES, Losses
+from behavexplor.store import LOCK, Store
 from tests.test_store import execution
 
 ROOT = Path(__file__).parent.parent

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from behavexplor.errors import InputError
-from behavexplor.store import DATABASE, FAILURES, Store
+from behavexplor.losses import DATABASE, FAILURES
+from behavexplor.store import Store
 
 ROOT = Path(__file__).parent.parent
 KILLS = 200

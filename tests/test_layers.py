@@ -13,7 +13,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 GROUND = {"compiled", "errors", "geometry", "plain", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
 EXECUTION = {"rollout", "simulation", "executor", "health", "workers"}
-CAMPAIGN = {"config", "database", "store", "campaign", "drawing", "evaluation"}
+CAMPAIGN = {"config", "database", "losses", "store", "campaign", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),
     **{room: GROUND | {room} for room in STRANGERS},

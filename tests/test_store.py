@@ -6,8 +6,9 @@ import sqlite3
 import pytest
 
 from behavexplor.errors import InputError
+from behavexplor.losses import DATABASE
 from behavexplor.scenario import Scenario
-from behavexplor.store import DATABASE, Execution, Store
+from behavexplor.store import Execution, Store
 from tests.strategies import random_trace
 
 TRACES = [random_trace(seed).to_bytes() for seed in range(3)]

@@ -8,7 +8,8 @@ from typing import Annotated
 import tyro
 
 from behavexplor.commands import BAD_INPUT, OK, program
-from behavexplor.store import Losses, Store
+from behavexplor.losses import Losses
+from behavexplor.store import Store
 
 
 def records(run: Annotated[Path, tyro.conf.Positional]) -> int:
