@@ -18,10 +18,13 @@ from typing import Any
 from behavexplor.config import Budget, CampaignConfig, checked
 from behavexplor.errors import InputError
 from behavexplor.executor import evaluate
+from behavexplor.fuzz.classes import violation_class
+from behavexplor.fuzz.fault import contact_fault
 from behavexplor.fuzz.methods import load_method
+from behavexplor.fuzz.moments import R1
 from behavexplor.fuzz.novelty import NoveltyArchive
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
-from behavexplor.fuzz.specs import SPECS, judge
+from behavexplor.fuzz.specs import SPECS, Verdict, judge
 from behavexplor.logical import LogicalScenario
 from behavexplor.rollout import ADSError
 from behavexplor.store import Execution, Store
@@ -48,19 +51,23 @@ class Progress:
         failed: how many of them violate a spec.
         violations: failures by the first spec that they violate, R1 before R2 before R3: a collision keeps
             the ego from its destination, too; and "error", what else an ADS did than driving.
+        classes: failures by their class, see `behavexplor.fuzz.classes`; one for each unique violation.
         novel: how many showed a behaviour that was new to the campaign.
         elapsed: running time, also before an interruption [s].
-        executing: part of it spent waiting for executions [s].
+        earlier: part of it before the interruption [s].
+        executing: part of the rest spent waiting for executions [s].
         resumed: executions that had been stored by an earlier run.
         method: figures of the search method by name.
-        last: the latest execution that was "novel", or counts for a spec, by that name.
+        last: the latest execution that was "novel", of a new "class", or counts for a spec, by that name.
     """
 
     executions: int = 0
     failed: int = 0
     violations: Mapping[str, int] = field(default_factory=dict)
+    classes: Mapping[str, int] = field(default_factory=dict)
     novel: int = 0
     elapsed: float = 0.0
+    earlier: float = 0.0
     executing: float = 0.0
     resumed: int = 0
     method: Mapping[str, float] = field(default_factory=dict)
@@ -93,13 +100,12 @@ class Campaign:
         self._store = store
         self._executor = executor
         self._archive = NoveltyArchive()
-        self._stored = {execution.id: execution for execution in store.executions()}
+        self._stored = store.end  # candidates before this one have been executed, unless the store has lost them
         self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
         self._asked = 0
-        earlier = max((execution.elapsed for execution in self._stored.values()), default=0.0)
-        self._start = time.monotonic() - earlier
+        self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
-        self.progress = Progress(violations={spec.name: 0 for spec in SPECS})
+        self.progress = Progress(violations={spec.name: 0 for spec in SPECS}, earlier=store.elapsed)
         self.stopping = False
 
     def stop(self) -> None:
@@ -150,10 +156,10 @@ class Campaign:
     def _within_budget(self) -> bool:
         if self._budget.executions is not None:
             return self._asked < self._budget.executions
-        return self._asked in self._stored or self.elapsed < (self._budget.seconds or 0.0)
+        return self._asked < self._stored or self.elapsed < (self._budget.seconds or 0.0)
 
     def _execute(self, candidate: Candidate) -> Future[bytes] | Execution:
-        stored = self._stored.pop(candidate.number, None)
+        stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
         if stored is None:
             with self._waiting():
                 return self._submit(candidate)
@@ -200,7 +206,7 @@ class Campaign:
         record = self._record(candidate, Trace.from_bytes(data), failure)
         if stored is None:
             self._store.add(Execution(record, data, self.elapsed))
-        elif stored.record != record:
+        elif any(record.get(name) != value for name, value in stored.record.items()):  # old records say less
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} is judged otherwise now, so the "
                 f"configuration or the program has changed"
@@ -222,6 +228,7 @@ class Campaign:
             **({ERROR: dict(failure)} if failure is not None else {}),
             "duration": trace.duration,
             "violated": list(verdict.violated),
+            **_described(trace, verdict, failure),
             "degree": verdict.degree,
             "degrees": dict(verdict.degrees),
             "novelty": novelty,
@@ -244,16 +251,30 @@ class Campaign:
     def _count(self, execution: Execution, resumed: int = 0) -> None:
         record, progress = execution.record, self.progress
         first = record["violated"][:1]
+        kind = record.get("class")
         marks = (["novel"] if record["novel"] else []) + first
+        marks += ["class"] if kind is not None and kind not in progress.classes else []
         self.progress = replace(
             progress,
             executions=progress.executions + 1,
             failed=progress.failed + bool(record["violated"]),
             violations={**progress.violations, **{name: progress.violations.get(name, 0) + 1 for name in first}},
+            classes=progress.classes if kind is None else {**progress.classes, kind: progress.classes.get(kind, 0) + 1},
             novel=progress.novel + record["novel"],
             resumed=progress.resumed + resumed,
             last={**progress.last, **dict.fromkeys(marks, execution.id)},
         )
+
+
+def _described(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> dict[str, str | None]:
+    """For the record of a failure: its class, and the verdict on the contact if there is one."""
+    if failure is not None:
+        return {"class": f"{ERROR}/{failure['kind']}"}
+    kind = violation_class(trace, verdict)
+    if kind is None:
+        return {}
+    fault = contact_fault(trace) if kind.spec == R1 else None
+    return {"class": kind.id, **({"fault": fault} if fault is not None else {})}
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

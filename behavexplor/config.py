@@ -9,7 +9,8 @@ from typing import Any, ClassVar, Self, TypeVar, get_type_hints
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, brief, unknown_name
+from behavexplor.plain import parse_yaml
 
 CONFIG = "config.yaml"  # in a run folder
 MAX_FILE_SIZE = 100_000  # bytes; a campaign's file has a few hundred
@@ -127,7 +128,7 @@ def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
         if isinstance(cause, InputError):
             raise cause from None
         place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{place} of the {what}: {first['msg']}, got {first['input']!r:.80}") from None
+        raise InputError(f"{place} of the {what}: {first['msg']}, got {brief(first['input'])}") from None
 
 
 def _refuse_unknown(kind: type[Any], values: Mapping[str, Any], what: str) -> None:
@@ -169,7 +170,7 @@ def stored_config(run: Path) -> CampaignConfig:
     """
     path = run / CONFIG
     if not path.is_file():
-        raise InputError(f"{run} is not a run folder: it has no {CONFIG}")
+        raise InputError(f"{run} is not a run folder, or has lost its {CONFIG}: put that back, or begin another run")
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty: the configuration of the run is lost")
@@ -186,11 +187,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
         data = path.read_bytes()
         if len(data) > MAX_FILE_SIZE:
             raise InputError(f"{path} has {len(data)} bytes: no campaign's configuration is that long")
-        values = yaml.safe_load(data.decode())
-    except (OSError, ValueError, LookupError, AttributeError, TypeError, RecursionError, yaml.YAMLError) as error:
+        values = parse_yaml(data.decode())
+    except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path} is not a YAML file: {' '.join(str(error).split())}") from None
+        raise InputError(f"{path} is not a YAML file: {error!s:.300}") from None
     if values is None:
         return {}
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):

@@ -8,6 +8,14 @@ class InputError(ValueError):
     """Something that the user gave cannot be used; the message says what is wrong and how to mend it."""
 
 
+def brief(value: object) -> str:
+    """A value for a sentence: the beginning of its `repr`."""
+    try:
+        return f"{value!r:.80}"
+    except (ValueError, RecursionError):  # a number of thousands of digits, or lists within lists
+        return f"a {type(value).__name__} that is too long to be shown"
+
+
 def missing_library(what: str, library: str | None, extra: str) -> InputError:
     """The error for something that needs a library of one of this package's extras."""
     command = f"pip install -c constraints.txt -e '.[{extra}]'"

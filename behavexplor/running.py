@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behavexplor.campaign import Campaign, search_method
-from behavexplor.config import CampaignConfig
+from behavexplor.config import Budget, CampaignConfig
+from behavexplor.errors import InputError
 from behavexplor.executor import begin, make_executor
 from behavexplor.store import Store
 
@@ -53,6 +54,18 @@ def opened(config: CampaignConfig, folder: Path, workers: int, *, resume: bool) 
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:
+    """The store of a run that has no more executions than the budget allows."""
     store = Store.reopen(run)
-    store.write_config(config.to_yaml())
+    try:
+        _check_budget(run, config, len(store))
+        store.write_config(config.to_yaml())
+    except InputError:
+        store.close()
+        raise
     return store
+
+
+def _check_budget(run: Path, config: CampaignConfig, count: int) -> None:
+    executions = Budget.parse(config.budget).executions
+    if executions is not None and executions < count:
+        raise InputError(f"--budget {executions} is less than the {count} executions that {run} has already")

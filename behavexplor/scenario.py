@@ -14,6 +14,7 @@ from typing import Any, Self
 from behavexplor.errors import InputError
 
 MAX_JSON_LENGTH = 1_000_000  # characters; a scenario of the paper has about 1500
+MAX_NAME_LENGTH = 200  # characters
 MAX_NUMBER = 1e9  # no position [m] or speed [m/s] is larger
 
 
@@ -135,7 +136,7 @@ class Scenario:
             raise InputError(f"A scenario of {len(text)} characters is too long: at most {MAX_JSON_LENGTH} are read.")
         try:
             value = json.loads(text)
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"Not a scenario in JSON: {error}") from None
         return cls.from_dict(value)
 
@@ -189,7 +190,7 @@ def _parts(name: str, value: Any) -> tuple[Any, ...]:
 
 
 def _text(name: str, value: object) -> str:
-    if not isinstance(value, str) or not value:
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_NAME_LENGTH:
         raise InputError(f"{name}: expected a name, got {value!r:.80}")
     return value
 

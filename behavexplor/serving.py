@@ -24,6 +24,7 @@ except ImportError:  # Windows cannot limit a process so
 
 READY, RESULT, ADS_FAILED, FAILED, SUSPECT = b"C", b"R", b"A", b"E", b"S"  # what an answer says, after its key
 KEY_BYTES: Final = 8
+CLOSED: Final = 83  # exit code of a worker that finds its connection closed
 
 Functions = Mapping[str, Callable[[bytes], bytes]]
 
@@ -143,7 +144,10 @@ def _work(
 
 
 def _answer(connection: Connection, key: int, content: bytes) -> None:
-    connection.send_bytes(key.to_bytes(KEY_BYTES) + content)
+    try:
+        connection.send_bytes(key.to_bytes(KEY_BYTES) + content)
+    except OSError:  # the ADS has closed our files, or the campaign has ended
+        os._exit(CLOSED)
 
 
 def _call(function: Callable[[bytes], bytes], data: bytes) -> bytes:
@@ -153,6 +157,8 @@ def _call(function: Callable[[bytes], bytes], data: bytes) -> bytes:
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message}).encode()
     except Exception as error:
         return FAILED + _words(error)
+    except BaseException as error:  # such as KeyboardInterrupt, which here nobody raises but an ADS
+        return ADS_FAILED + json.dumps({"kind": "raised", "message": f"{type(error).__name__}: {error}"}).encode()
 
 
 def _begin(together: Together, request: Request) -> bytes | None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.errors import InputError
+from behavexplor.plain import read_arrays
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -146,9 +147,8 @@ class Trace:
             InputError: if the data is not a trace, or is damaged.
         """
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as file:
-                values = {name: file[name] for name in file.files}
-        except Exception as error:  # damaged zips and arrays make zipfile, zlib and numpy raise a dozen kinds
+            values = read_arrays(data)
+        except ValueError as error:
             raise InputError(f"Not a trace, or a damaged one: {error}") from None
         missing = {"format", "end", *_ARRAYS} - values.keys()
         if missing:

@@ -15,13 +15,25 @@ from threading import Lock, Thread
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
 from behavexplor.rollout import ADSError
-from behavexplor.serving import ADS_FAILED, FAILED, KEY_BYTES, READY, SUSPECT, Functions, Request, Together, serve
+from behavexplor.serving import (
+    ADS_FAILED,
+    CLOSED,
+    FAILED,
+    KEY_BYTES,
+    READY,
+    SUSPECT,
+    Functions,
+    Request,
+    Together,
+    serve,
+)
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 BEGIN_SECONDS: Final = 600.0  # in which a worker must be ready [s]
 CRASHES: Final = 2  # of a process that an execution has to itself, until they are laid to its ADS
+ENDING_SECONDS: Final = 2.0  # in which a worker that has closed its connection must have ended [s]
 
 
 class WorkerDiedError(RuntimeError):
@@ -195,7 +207,7 @@ class WorkerPool(Executor):
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
         """Replace a worker that has died, or must."""
-        was_asking = bool(worker.asking.value)
+        was_asking = bool(worker.asking.value) or (kind == "crash" and worker.has_closed())
         self._remove(worker)
         tasks = list(worker.tasks.values())
         if worker.capacity == 1 or worker.is_alone:
@@ -276,9 +288,15 @@ class _Worker:
         self._wait_for(time_limit)
         return int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:]
 
+    def has_closed(self) -> bool:
+        """Whether it has lost its connection, which nobody closes but an ADS: it has said so, or still runs."""
+        self._process.join(ENDING_SECONDS)
+        return self._process.exitcode in (CLOSED, None)
+
     def ending(self) -> str:
         """How the process has ended."""
-        self._process.join()
+        if self.has_closed():
+            return "it closed the files of its process"
         code = self._process.exitcode
         if code is not None and code < 0:
             return f"its process was ended by {signal.Signals(-code).name}"

@@ -1,5 +1,6 @@
 """Campaigns: the same records whatever executes them, nothing counted that is not stored, and resumption."""
 
+import sqlite3
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import pytest
@@ -9,6 +10,8 @@ from behavexplor.config import CampaignConfig
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS
+from behavexplor.fuzz.novelty import NoveltyArchive
+from behavexplor.losses import DATABASE
 from behavexplor.scenario import Scenario
 from behavexplor.store import Store
 from tests.fuzz.fakes import simulate
@@ -143,6 +146,47 @@ def test_an_interrupted_campaign_goes_on_as_if_nothing_had_happened(tmp_path, me
     executed = []
     assert run(folder, FakeExecutor(executed), method=method) == whole
     assert len(executed) == 40 - stop_after
+
+
+def test_resuming_holds_no_more_traces_than_are_in_flight(tmp_path, monkeypatch):
+    run(tmp_path / "a", budget="30", batch=4)
+    recalled, most = [0], [0]
+    recall, observe = Store.recall, NoveltyArchive.observe
+
+    def counting_recall(store, number):
+        recalled[0] += 1
+        most[0] = max(most[0], recalled[0])
+        return recall(store, number)
+
+    def counting_observe(archive, trace):
+        recalled[0] -= 1
+        return observe(archive, trace)
+
+    monkeypatch.setattr(Store, "recall", counting_recall)
+    monkeypatch.setattr(NoveltyArchive, "observe", counting_observe)
+    run(tmp_path / "a", budget="30", batch=4)
+    assert (recalled[0], most[0]) == (0, 4)
+
+
+def test_what_the_store_has_lost_is_executed_again(tmp_path):
+    whole = run(tmp_path / "a", budget="30")
+    with sqlite3.connect(tmp_path / "a" / DATABASE) as connection:
+        connection.execute("UPDATE executions SET trace = zeroblob(9) WHERE id IN (3, 29)")
+        connection.execute("DELETE FROM executions WHERE id = 17")
+    connection.close()
+    executed = []
+    assert run(tmp_path / "a", FakeExecutor(executed), budget="30") == whole
+    assert len(executed) == 3
+
+
+def test_earlier_running_time_is_told_apart(tmp_path):
+    last = []
+    run(tmp_path / "a", budget="20", observe=last.append)
+    first = last[-1]
+    run(tmp_path / "a", budget="30", observe=last.append)
+    assert first.earlier == 0.0
+    assert 0.0 < last[-1].earlier <= first.elapsed < last[-1].elapsed
+    assert last[-1].executing <= last[-1].elapsed - last[-1].earlier
 
 
 def test_an_execution_that_fails_is_no_finding(tmp_path):

@@ -1,6 +1,7 @@
 """What a campaign shows on a terminal and elsewhere."""
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -14,6 +15,7 @@ PROGRESS = Progress(
     executions=50,
     failed=6,
     violations={"collision": 4, "lines": 0, "destination": 2},
+    classes={"R1/going-straight/leading/car-sized": 4, "R3/going-straight/passed": 2},
     novel=10,
     elapsed=20.0,
     executing=15.0,
@@ -38,7 +40,7 @@ def shown(stream, budget, progress=PROGRESS, quiet=False):
 
 def test_a_plain_line():
     line = shown(io.StringIO(), Budget(executions=100))
-    assert "50 of 100 executions, 2.5/s, 6 failed (collision 4, lines 0, destination 2)" in line
+    assert "50 of 100 executions, 2.5/s, 6 failed (collision 4, lines 0, destination 2) in 2 classes" in line
     assert "20.0% novel, 0:20 left" in line
 
 
@@ -67,6 +69,13 @@ def test_the_screen_of_a_terminal(monkeypatch):
     for part in ("50 of 100 executions", "2.5 per second", "75% of the time", "12.0%", "mean energy", "0.75", "corpus"):
         assert part in screen
     assert "last 10 ago" in screen
+
+
+def test_the_share_of_executing_is_that_of_the_time_since_resuming(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "120")
+    resumed = replace(PROGRESS, elapsed=1020.0, earlier=1000.0)
+    assert "75% of the time" in shown(Terminal(), Budget(executions=100), resumed)
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0, "0:00"), (59.6, "1:00"), (61, "1:01"), (3661, "1:01:01")])

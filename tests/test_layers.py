@@ -10,10 +10,10 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "behavexplor"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-GROUND = {"compiled", "errors", "geometry", "roadmap", "scenario", "logical", "scene", "trace"}
+GROUND = {"compiled", "errors", "geometry", "plain", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
 EXECUTION = {"rollout", "simulation", "executor", "health", "serving", "workers"}
-CAMPAIGN = {"config", "store", "campaign", "running", "drawing", "evaluation"}
+CAMPAIGN = {"config", "database", "losses", "store", "campaign", "running", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),
     **{room: GROUND | {room} for room in STRANGERS},

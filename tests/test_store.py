@@ -6,8 +6,9 @@ import sqlite3
 import pytest
 
 from behavexplor.errors import InputError
+from behavexplor.losses import DATABASE
 from behavexplor.scenario import Scenario
-from behavexplor.store import DATABASE, Execution, Store
+from behavexplor.store import Execution, Store
 from tests.strategies import random_trace
 
 TRACES = [random_trace(seed).to_bytes() for seed in range(3)]
@@ -18,6 +19,7 @@ def execution(number, violated=()):
         "id": number,
         "violated": list(violated),
         "degree": 0.1 * number,
+        "degrees": {"collision": 0.1 * number},
         "novelty": 0.5,
         "end": "arrived",
         "scenario": Scenario("intersection-straight", ()).to_dict(),
@@ -121,7 +123,7 @@ def test_damage_is_named(store, change):
     connection.close()
     executions = store.executions()
     assert [next(executions).id, next(executions).id] == [0, 1]
-    with pytest.raises(InputError, match="is damaged"):
+    with pytest.raises(InputError, match=r"Execution 2 in .* is damaged or missing"):
         next(executions)
 
 

@@ -22,8 +22,9 @@ from behavexplor.campaign import Progress as CampaignProgress
 from behavexplor.config import campaign_config, stored_config
 from behavexplor.errors import InputError
 from behavexplor.executor import warm_up
+from behavexplor.losses import DATABASE
 from behavexplor.running import opened
-from behavexplor.store import DATABASE, Store
+from behavexplor.store import Store
 
 PROGRESS, WARNING, FAILED, DONE = "progress", "warning", "failed", "done"  # what a cell's process says
 _LISTEN_SECONDS: Final = 0.5

@@ -3,10 +3,10 @@
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.stats import pearsonr
@@ -14,16 +14,13 @@ from scipy.stats import pearsonr
 from behavexplor.bench.experiment import Cell
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign import ERROR
-from behavexplor.fuzz.fault import contact_fault
 from behavexplor.fuzz.specs import SPECS
-from behavexplor.store import Execution, Store
+from behavexplor.store import Store
 
 COLLISION, LINES, DESTINATION = (spec.name for spec in SPECS)
 LABELS: Final = {COLLISION: "R1", LINES: "R2", DESTINATION: "R3", ERROR: "error"}  # what tables call them
 NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})  # verdicts of `contact_fault`
 _LEAST_PAIRS: Final = 3  # of a correlation
-
-Classify = Callable[[Path, Execution], str | None]  # of a run folder and a failure in it
 
 
 @dataclass(frozen=True)
@@ -95,19 +92,12 @@ class Summary:
         return sum(failure.npc_caused for failure in self.failures)
 
 
-def recorded_class(_: Path, execution: Execution) -> str | None:
-    """The class that a failure's own record names, if any."""
-    kind = execution.record.get("class")
-    return str(kind) if kind is not None else None
-
-
-def summarise(cell: Cell, root: Path, classify: Classify = recorded_class) -> Summary:
+def summarise(cell: Cell, root: Path) -> Summary:
     """What the campaign of a cell found.
 
     Args:
         cell: whose run folder is read.
         root: the experiment's folder.
-        classify: gives the class of a failure in a run folder, or None if it is not classified.
 
     Raises:
         InputError: if the run folder is damaged.
@@ -116,14 +106,13 @@ def summarise(cell: Cell, root: Path, classify: Classify = recorded_class) -> Su
     store = Store.read(folder)
     novel, pairs, failures = 0, [], []
     count = 0
-    for execution in store.executions():
-        record = execution.record
+    for record in store.records():
         count += 1
         novel += bool(record["novel"])
         if "novelty" in record["search"] and ERROR not in record:
             pairs.append((float(record["degree"]), float(record["search"]["novelty"])))
         if record["violated"]:
-            failures.append(_failure(folder, execution, classify))
+            failures.append(_failure(record))
     store.close()
     timing = read_timing(folder)
     share = count / timing.executions if timing.executions else math.nan
@@ -143,10 +132,9 @@ def summarise(cell: Cell, root: Path, classify: Classify = recorded_class) -> Su
     )
 
 
-def _failure(folder: Path, execution: Execution, classify: Classify) -> Failure:
-    name = execution.record["violated"][0]
-    fault = contact_fault(execution.load_trace()) if name == COLLISION else None
-    return Failure(execution.id, LABELS.get(name, name), fault in NPC_CAUSED, classify(folder, execution))
+def _failure(record: Mapping[str, Any]) -> Failure:
+    name = record["violated"][0]
+    return Failure(int(record["id"]), LABELS.get(name, name), record.get("fault") in NPC_CAUSED, record.get("class"))
 
 
 def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:

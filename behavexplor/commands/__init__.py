@@ -16,6 +16,8 @@ from behavexplor.errors import InputError
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
+_LONGEST = 900  # characters of a sentence that is shown
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, such as `behavexplor fuzz`.
@@ -52,19 +54,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code: int = tyro.extras.subcommand_cli_from_dict(
             commands, prog=program(), args=arguments, description="Find out how a driving policy fails."
         )
-    except InputError as error:
-        print(f"{program()}: {error}", file=sys.stderr)
-        return BAD_INPUT
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
-    except Exception:
-        traceback.print_exc()
-        print(f"{program()}: This is a bug in behavexplor or in an extension of it; please report it.", file=sys.stderr)
-        return INTERNAL_ERROR
+    except Exception as error:
+        return _failed(error)
     return code
+
+
+def _failed(error: Exception) -> int:
+    """Say what went wrong: a sentence for the user's input, which a file's name or rights are, too; the exit code."""
+    if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
+        print(f"{program()}: {_sentence(error)}", file=sys.stderr)
+        return BAD_INPUT
+    traceback.print_exception(error)
+    print(f"{program()}: This is a bug in behavexplor or in an extension of it; please report it.", file=sys.stderr)
+    return INTERNAL_ERROR
+
+
+def _sentence(error: Exception) -> str:
+    """What is wrong in one line, however much of it was given."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def program() -> str:

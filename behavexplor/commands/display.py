@@ -2,11 +2,12 @@
 
 import shlex
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Timer
 from types import TracebackType
-from typing import Self, TextIO
+from typing import NamedTuple, Self, TextIO
 
 from rich.console import Console
 from rich.live import Live
@@ -19,6 +20,7 @@ from behavexplor.store import Store
 
 LINE_SECONDS = 10.0  # between two plain lines [s]
 _LISTED_FAILURES = 3  # of each spec in the summary
+_LISTED_CLASSES = 8  # of failures
 
 
 class Display:
@@ -80,7 +82,8 @@ class Display:
         violations = ", ".join(f"{name} {count}" for name, count in progress.violations.items())
         return (
             f"{clock(progress.elapsed)}  {self._done(progress)}, {rate(progress):.1f}/s, "
-            f"{progress.failed} failed ({violations}), {share(progress.novel, progress)} novel, "
+            f"{progress.failed} failed ({violations}) in {len(progress.classes)} classes, "
+            f"{share(progress.novel, progress)} novel, "
             f"{self._left(progress)} left"
         )
 
@@ -93,11 +96,12 @@ class Display:
             ("time left", self._left(progress)),
             ("executions", self._done(progress)),
             ("speed", f"{rate(progress):.1f} per second"),
-            ("executing", f"{progress.executing / max(progress.elapsed, 1e-9):.0%} of the time"),
+            ("executing", f"{progress.executing / max(progress.elapsed - progress.earlier, 1e-9):.0%} of the time"),
             ("novelty rate", f"{share(progress.novel, progress)}{_ago(progress, 'novel')}"),
         ]
         right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
         right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
+        right += [("unique violations", f"{len(progress.classes)}{_ago(progress, 'class')}")]
         right += [(name.replace("_", " "), f"{value:.4g}") for name, value in progress.method.items()]
         blank = ("", "")
         for i in range(max(len(left), len(right))):
@@ -122,25 +126,46 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     """What a campaign found, where it lies, and how to look at it."""
     lines = [
         f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
-        f"{share(progress.novel, progress)} of them with new behaviour",
-        f"{progress.failed} failed ({share(progress.failed, progress)}):" if progress.failed else "None failed.",
+        f"{share(progress.novel, progress)} of them with new behaviour"
     ]
-    failures: dict[str, list[int]] = {name: [] for name in progress.violations}
-    for execution in store.executions() if progress.failed else ():
-        for name in execution.record["violated"][:1]:
-            failures[name].append(execution.id)
-    for name, numbers in failures.items():
-        if numbers:
-            more = ", ..." if len(numbers) > _LISTED_FAILURES else ""
-            listed = ", ".join(map(str, numbers[:_LISTED_FAILURES]))
-            lines.append(f"  {name:12} {len(numbers):5}   executions {listed}{more}")
-    lines.append(
-        f"Everything is kept in {store.folder}" + (", the failures in its folder failures" if progress.failed else "")
-    )
-    if progress.failed:
-        number = min(numbers[0] for numbers in failures.values() if numbers)
-        lines.append(f"Look at the first failure: {program} replay {shlex.quote(str(store.folder))} {number}")
-    return "\n".join(lines)
+    if not progress.failed:
+        return "\n".join([*lines, "None failed.", f"Everything is kept in {store.folder}"])
+    failures = [_Failure(*row) for row in store.failures()]
+    kinds = {failure.kind for failure in failures if failure.kind is not None}
+    unique = f" in {len(kinds)} classes" if kinds else ""
+    lines += [f"{progress.failed} failed ({share(progress.failed, progress)}){unique}:"]
+    lines += [_line_of(name, [one for one in failures if one.spec == name]) for name in progress.violations]
+    lines += _listed_classes(failures)
+    lines += [f"Everything is kept in {store.folder}, the failures in its folder failures"]
+    folder = shlex.quote(str(store.folder))
+    lines += [f"Look at the first failure: {program} replay {folder} {failures[0].number}"]
+    return "\n".join(line for line in lines if line)
+
+
+class _Failure(NamedTuple):
+    number: int
+    spec: str
+    kind: str | None
+
+
+def _line_of(spec: str, failures: list[_Failure]) -> str:
+    """How often a spec was violated, and where first; empty if it never was."""
+    if not failures:
+        return ""
+    more = ", ..." if len(failures) > _LISTED_FAILURES else ""
+    listed = ", ".join(str(failure.number) for failure in failures[:_LISTED_FAILURES])
+    return f"  {spec:12} {len(failures):5}   executions {listed}{more}"
+
+
+def _listed_classes(failures: list[_Failure]) -> list[str]:
+    """The most frequent classes, a line each."""
+    counts = Counter(failure.kind for failure in failures if failure.kind is not None)
+    if not counts:
+        return []
+    first = {failure.kind: failure.number for failure in reversed(failures)}
+    shown = counts.most_common(_LISTED_CLASSES)
+    title = "Its classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
+    return [title, *(f"  {kind:52} {count:5}   first {first[kind]}" for kind, count in shown)]
 
 
 def clock(seconds: float) -> str:

@@ -7,18 +7,25 @@ from typing import Annotated
 
 import tyro
 
+from behavexplor.commands import BAD_INPUT, OK, program
+from behavexplor.losses import Losses
 from behavexplor.store import Store
 
 
 def records(run: Annotated[Path, tyro.conf.Positional]) -> int:
     """Print one JSON object per execution, in order; equal campaigns print equal lines.
 
+    Of a damaged run those that can be read are printed; what is lost is said, and the exit code is 2.
+
     Args:
         run: the run folder.
     """
-    store = Store.read(run)
-    for execution in store.executions():
-        sys.stdout.write(json.dumps(execution.record, separators=(",", ":")) + "\n")
+    store, losses = Store.read(run), Losses()
+    for record in store.records(losses):
+        sys.stdout.write(json.dumps(record, separators=(",", ":")) + "\n")
     sys.stdout.flush()
     store.close()
-    return 0
+    lost = losses.sentences(run)
+    for sentence in lost:
+        print(f"{program()}: {sentence}", file=sys.stderr)
+    return BAD_INPUT if lost else OK

@@ -43,9 +43,26 @@ def replay(
         failure = execution.record[ERROR]
         print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
     else:
-        _draw(execution, simulation, out or run / "replays")
+        _show(execution, simulation, out or run / "replays")
     simulation.close()
     return _compare(execution, config)
+
+
+def _show(execution: Execution, simulation: Simulation, folder: Path) -> None:
+    """Draw an execution if it is one of the simulation's environment, on a disk that has the room.
+
+    Raises:
+        InputError: if not.
+    """
+    foreign = f"Execution {execution.id} is none of a campaign in this environment"
+    if len(execution.load_trace().illegal_lines) != len(simulation.logical.roadmap.line_kinds):
+        raise InputError(f"{foreign}: its trace has other lines")
+    try:
+        _draw(execution, simulation, folder)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
+    except OSError as error:
+        raise InputError(f"The pictures in {folder} cannot be written: {error.strerror}") from None
 
 
 def _draw(execution: Execution, simulation: Simulation, folder: Path) -> None:

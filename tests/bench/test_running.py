@@ -16,11 +16,12 @@ import yaml
 from behavexplor.bench.cells import Cells, State, _campaign, _Stop, state
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.bench.forecast import forecast
-from behavexplor.bench.summaries import summarise
+from behavexplor.bench.summaries import NPC_CAUSED, summarise
 from behavexplor.bench.timing import Stopwatch, Timing, read_timing
 from behavexplor.campaign import Progress
 from behavexplor.commands import main
 from behavexplor.errors import InputError
+from behavexplor.fuzz.fault import contact_fault
 from behavexplor.store import Store
 
 ROOT = Path(__file__).parents[2]
@@ -241,16 +242,17 @@ def test_a_campaign_told_to_stop_before_it_began_does_nothing_and_is_not_finishe
     assert state(cell, tmp_path) == State(0, finished=False)
 
 
-def test_classes_of_failures_come_from_whoever_can_tell_them(whole):
+def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
     root = whole[0] / "out"
     cell, *_ = read_experiment(str(whole[0] / "small.yaml")).cells()
-    plain = summarise(cell, root)
-    told = summarise(cell, root, lambda folder, execution: f"{folder.name}-{execution.record['violated'][-1]}")
-    assert plain.failures
-    assert not plain.classified
-    assert told.classified
-    assert all(kind.startswith("1-") for kind in told.kinds())
-    assert told.total() == plain.total()
+    summary = summarise(cell, root)
+    assert summary.failures
+    assert summary.classified
+    assert all(kind.startswith(("R1/", "R2/", "R3/")) for kind in summary.kinds())
+    store = Store.read(root / cell.folder)
+    faults = [contact_fault(store.execution(failure.number).load_trace()) for failure in summary.failures]
+    store.close()
+    assert [failure.npc_caused for failure in summary.failures] == [fault in NPC_CAUSED for fault in faults]
 
 
 def test_a_stopwatch_adds_up_and_leaves_out_what_was_only_looked_at_again(tmp_path):

@@ -1,11 +1,9 @@
 """A learned policy as a system under test: its network's weights as plain arrays."""
 
 from collections.abc import Mapping
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +22,7 @@ from behavexplor.ads.learned.tracker import (
 )
 from behavexplor.compiled import kernel
 from behavexplor.errors import InputError
+from behavexplor.plain import read_arrays
 from behavexplor.roadmap import RoadMap
 from behavexplor.scene import EGO, PRESENT
 
@@ -154,11 +153,12 @@ def read_layers(path: Path) -> list[tuple[Floats, Floats]]:
         InputError: if it cannot be read.
     """
     try:
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            count = len(file.files) // 2
-            layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(count)]
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, BadZipFile) as error:
+        file = read_arrays(path.read_bytes())
+        layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
+    except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} holds no network of this package: {error}") from None
+    if any(array.dtype.kind != "f" for layer in layers for array in layer):
+        raise InputError(f"{path} holds no network of this package: weights and biases must be floating-point numbers")
     return [(weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in layers]
 
 

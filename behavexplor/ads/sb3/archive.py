@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 from behavexplor.ads.sb3.inert import read_pickle
 from behavexplor.errors import InputError
@@ -64,7 +64,7 @@ def read_archive(path: Path) -> Archive:
             weights = file.read(WEIGHTS)
     except InputError:
         raise
-    except (OSError, BadZipFile, EOFError, ValueError, RuntimeError, NotImplementedError, RecursionError) as error:
+    except Exception as error:  # damaged zips make zipfile, zlib and json raise a dozen kinds
         raise InputError(f"{path} is no zip file of Stable-Baselines3, or is damaged: {error}") from None
     try:
         settings = {key: _plain(data[key]) for key in SETTINGS if key in data}

@@ -10,7 +10,8 @@ import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, brief, unknown_name
+from behavexplor.plain import parse_yaml
 
 MAX_BYTES: Final = 1_000_000  # of a YAML file
 STATISTICS = "vecnormalize.pkl"
@@ -129,7 +130,7 @@ def _checked(path: Path, values: Mapping[str, Any]) -> Description:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{place} in {path}: {first['msg']}, got {first['input']!r:.80}") from None
+        raise InputError(f"{place} in {path}: {first['msg']}, got {brief(first['input'])}") from None
     if description.frame_stack < 1:
         raise InputError(f"frame_stack in {path} must be at least 1, got {description.frame_stack}")
     return description
@@ -155,9 +156,9 @@ _Loader.add_constructor(
 def _read(path: Path) -> dict[str, Any]:
     try:
         data = path.read_bytes()[: MAX_BYTES + 1]
-        values = yaml.load(data.decode(), _Loader) if len(data) <= MAX_BYTES else "too long"  # noqa: S506 - it is safe
-    except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError, yaml.YAMLError) as error:
-        raise InputError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+        values = parse_yaml(data.decode(), _Loader) if len(data) <= MAX_BYTES else "too long"
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {error!s:.300}") from None
     if values is None:
         return {}
     if not isinstance(values, dict):

@@ -1,0 +1,53 @@
+"""Whatever a driving system does in a worker, it is recorded, and no other execution is lost for it."""
+
+from pathlib import Path
+
+import pytest
+
+from behavexplor.campaign import ERROR, Campaign, search_method
+from behavexplor.config import CampaignConfig
+from behavexplor.executor import make_executor
+from behavexplor.simulation import Simulation
+from behavexplor.store import Store
+from tests.faults import DROVE, FAULTS, table
+
+DOCS = Path(__file__).parent.parent / "docs" / "robustness.md"
+LOGICAL = Simulation("lane-follow", "constant").logical
+BUDGET = 2
+
+
+def records(folder, ads):
+    """The records of a short campaign in a worker, which has little time and memory."""
+    config = CampaignConfig(env="lane-follow", ads=ads, method="uniform", budget=str(BUDGET), seed=1)
+    store = Store.create(folder, config.to_yaml())
+    executor = make_executor(1, config.env, ads, time_limit=4.0, memory_limit=2.0)
+    try:
+        Campaign(config, search_method(config, LOGICAL), LOGICAL, store, executor).run(lambda _: None)
+        return list(store.records())
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+        store.close()
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    return records(tmp_path_factory.mktemp("healthy") / "run", "tests.drivers:Cruiser")
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.ads)
+def test_a_fault_is_recorded_and_costs_no_other_execution(fault, healthy, tmp_path):
+    found = records(tmp_path / "run", f"tests.faults:{fault.ads}")
+    assert [record["id"] for record in found] == list(range(BUDGET))
+    assert [record["scenario"] for record in found] == [record["scenario"] for record in healthy]
+    if fault.outcome == DROVE:
+        assert found == healthy
+        return
+    for record in found:
+        assert record["violated"] == [ERROR]
+        assert record[ERROR]["kind"] == fault.outcome
+        assert fault.message in record[ERROR]["message"]
+
+
+def test_the_table_in_the_documentation_is_that_of_the_faults():
+    """If this fails, put what tests.faults.table() gives into docs/robustness.md."""
+    assert table() in DOCS.read_text()

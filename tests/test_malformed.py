@@ -1,0 +1,157 @@
+"""Malformed input ends with exit code 2 and one sentence: no traceback, no hang, no memory eaten."""
+
+import json
+import resource
+import signal
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.config import CampaignConfig
+from behavexplor.errors import InputError
+from behavexplor.scenario import Scenario
+from behavexplor.simulation import Simulation
+from behavexplor.trace import Trace
+from tests import malformed
+from tests.test_store import TRACES
+
+SECONDS = 20  # for one input
+GIBIBYTES = 6  # that this process may have
+LOGICAL = Simulation("lane-follow", "constant").logical
+
+
+class TooLongError(BaseException):
+    """Something hangs; nobody catches that by mistake."""
+
+
+@pytest.fixture(autouse=True)
+def limits():
+    """A limit on the memory of this process, and on the time of each input."""
+
+    def stop(*_):
+        raise TooLongError
+
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (GIBIBYTES * 2**30, before[1]))
+    handler = signal.signal(signal.SIGALRM, stop)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, handler)
+    resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def refuse(capfd, *arguments, accepted=(BAD_INPUT,), sentences=1):
+    """The program refuses its arguments in one sentence, or accepts them."""
+    signal.alarm(SECONDS)
+    try:
+        code = main(list(map(str, arguments)))
+    except SystemExit as exit_:  # of the parser of flags
+        code, sentences = exit_.code, None  # it draws a box
+    signal.alarm(0)
+    out, err = capfd.readouterr()
+    assert code in (BAD_INPUT, *accepted), (code, arguments, err)
+    assert "Traceback" not in err + out, err
+    if code == BAD_INPUT and sentences is not None:
+        said = [line for line in err.splitlines() if not line.startswith("Fuzzing ")]
+        assert 1 <= len(said) <= sentences, err
+        assert all(len(line) < 1000 for line in said), err
+    return code
+
+
+def of_scenario(rng, tmp_path, capfd):
+    text = malformed.scenario_text(rng, LOGICAL.sample(rng))
+    signal.alarm(SECONDS)
+    try:
+        LOGICAL.check(Scenario.from_json(text.decode(errors="replace")))
+    except InputError as error:
+        assert "\n" not in str(error)
+        assert len(str(error)) < 1000
+        return BAD_INPUT
+    return OK
+
+
+def of_trace(rng, tmp_path, capfd):
+    signal.alarm(SECONDS)
+    data = malformed.scrambled(TRACES[0], rng) if rng.random() < 0.95 else malformed.network(rng)
+    try:
+        Trace.from_bytes(data)
+    except InputError:
+        return BAD_INPUT
+    return OK
+
+
+def of_config_file(rng, tmp_path, capfd):
+    path = malformed.write(tmp_path / "config.yaml", malformed.config_text(rng))
+    return refuse(capfd, "fuzz", "--config", path, "--workers", "0", "--seed", "-1")
+
+
+def of_run(rng, tmp_path, capfd):
+    config = CampaignConfig(env="lane-follow", ads="constant", method="uniform", budget="12", seed=3).to_yaml()
+    malformed.make_run(tmp_path / "whole", config)
+    run = malformed.broken_run(tmp_path / "whole", tmp_path / "run", rng)
+    command = [["records"], ["replay"], ["fuzz", "--workers", "0", "--quiet", "--resume"]][int(rng.integers(3))]
+    more = [str(rng.integers(-1, 14)), "--out", tmp_path / "pictures"] if command == ["replay"] else []
+    return refuse(capfd, *command, run, *more, accepted=(OK, 1), sentences=3)
+
+
+def of_network(rng, tmp_path, capfd):
+    path = malformed.write(tmp_path / "policy.npz", malformed.network(rng))
+    return refuse(capfd, "fuzz", "--ads", path, "--env", "lane-follow", "--out", tmp_path / "run")
+
+
+def of_model(rng, tmp_path, capfd):
+    path = malformed.write(tmp_path / "policy.zip", malformed.model(rng))
+    return refuse(capfd, "fuzz", "--ads", path, "--env", "lane-follow", "--out", tmp_path / "run")
+
+
+def of_zoo(rng, tmp_path, capfd):
+    folder = malformed.zoo(tmp_path / "zoo", rng)
+    return refuse(capfd, "fuzz", "--ads", folder, "--env", "lane-follow", "--out", tmp_path / "run")
+
+
+def of_flags(rng, tmp_path, capfd):
+    return refuse(capfd, "fuzz", *malformed.flags(rng), "--seed", "-1")
+
+
+KINDS = {  # how many of each in the short test
+    of_scenario: 80,
+    of_trace: 60,
+    of_config_file: 60,
+    of_run: 30,
+    of_network: 20,
+    of_model: 20,
+    of_zoo: 15,
+    of_flags: 30,
+}
+FACTOR = {of_scenario: 45, of_trace: 40, of_config_file: 40, of_run: 10, of_flags: 30}  # and more in the long one
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_malformed_input_is_refused_in_one_sentence(kind, tmp_path, capfd, monkeypatch):
+    attack(kind, range(KINDS[kind]), tmp_path, capfd, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_much_malformed_input_is_refused_in_one_sentence(kind, tmp_path, capfd, monkeypatch):
+    count = KINDS[kind] * FACTOR.get(kind, 10)
+    codes = attack(kind, range(1000, 1000 + count), tmp_path, capfd, monkeypatch)
+    with capfd.disabled():
+        print(json.dumps({kind.__name__: codes}))  # noqa: T201 - the figures of docs/robustness.md
+
+
+def attack(kind, seeds, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    codes = Counter()
+    for seed in seeds:
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        try:
+            codes[kind(np.random.default_rng(seed), folder, capfd)] += 1
+        except BaseException as error:
+            error.add_note(f"{kind.__name__} with seed {seed}")
+            raise
+    assert codes[BAD_INPUT] >= 0.2 * len(seeds)
+    return codes
