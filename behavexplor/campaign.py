@@ -21,7 +21,7 @@ from behavexplor.executor import evaluate
 from behavexplor.fuzz.classes import violation_class
 from behavexplor.fuzz.fault import contact_fault
 from behavexplor.fuzz.methods import load_method
-from behavexplor.fuzz.moments import R1
+from behavexplor.fuzz.moments import R1, REQUIREMENTS
 from behavexplor.fuzz.novelty import NoveltyArchive
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.fuzz.specs import SPECS, Verdict, judge
@@ -270,11 +270,12 @@ def _described(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None
     """For the record of a failure: its class, and the verdict on the contact if there is one."""
     if failure is not None:
         return {"class": f"{ERROR}/{failure['kind']}"}
-    kind = violation_class(trace, verdict)
-    if kind is None:
+    if not verdict.violated:
         return {}
-    fault = contact_fault(trace) if kind.spec == R1 else None
-    return {"class": kind.id, **({"fault": fault} if fault is not None else {})}
+    first, kind = verdict.violated[0], violation_class(trace, verdict)
+    spec = REQUIREMENTS.get(first, first)
+    fault = contact_fault(trace) if spec == R1 else None
+    return {"class": kind.id if kind else spec, **({"fault": fault} if fault is not None else {})}
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

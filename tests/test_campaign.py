@@ -1,6 +1,7 @@
 """Campaigns: the same records whatever executes them, nothing counted that is not stored, and resumption."""
 
 import sqlite3
+from collections import Counter
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import pytest
@@ -9,9 +10,13 @@ from behavexplor.campaign import Campaign, ExecutionError, search_method
 from behavexplor.config import CampaignConfig
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
+from behavexplor.fuzz.classes import violation_class
+from behavexplor.fuzz.fault import contact_fault
 from behavexplor.fuzz.methods import METHODS
 from behavexplor.fuzz.novelty import NoveltyArchive
+from behavexplor.fuzz.specs import judge
 from behavexplor.losses import DATABASE
+from behavexplor.rollout import ADSError
 from behavexplor.scenario import Scenario
 from behavexplor.store import Store
 from tests.fuzz.fakes import simulate
@@ -77,6 +82,42 @@ def test_each_record_says_what_happened(tmp_path):
         assert record["degree"] == pytest.approx(sum(record["degrees"].values()))
         assert set(record["violated"]) <= set(record["degrees"])
         LOGICAL.check(Scenario.from_dict(record["scenario"]))
+
+
+def test_failures_are_recorded_with_their_class_and_fault(tmp_path):
+    seen = []
+    records = run(tmp_path / "a", observe=seen.append, method="uniform", budget="60")
+    store = Store.read(tmp_path / "a")
+    kinds = Counter()
+    for execution in store.executions():
+        record, trace = execution.record, execution.load_trace()
+        if not record["violated"]:
+            assert not {"class", "fault"} & record.keys()
+            continue
+        kind = violation_class(trace, judge(trace))
+        assert record["class"] == (kind.id if kind else "R1")  # the fake goes on driving after a contact
+        assert record.get("fault") == (contact_fault(trace) if record["class"].startswith("R1") else None)
+        kinds[record["class"]] += 1
+    assert list(store.failures()) == [(r["id"], r["violated"][0], r["class"]) for r in records if r["violated"]]
+    store.close()
+    assert len(kinds) > 1
+    assert seen[-1].classes == kinds
+    newest = max(min(r["id"] for r in records if r.get("class") == kind) for kind in kinds)
+    assert seen[-1].last["class"] == newest
+
+
+def test_an_error_is_a_class_of_its_own(tmp_path):
+    class Failing(FakeExecutor):
+        def submit(self, evaluate, scenario):
+            future = super().submit(evaluate, scenario)
+            if len(self.executed) % 5:
+                return future
+            failed = Future()
+            failed.set_exception(ADSError("invalid", "predict must return numbers"))
+            return failed
+
+    records = run(tmp_path / "a", Failing(), method="uniform", budget="20")
+    assert [record["class"] for record in records if "error" in record] == ["error/invalid"] * 4
 
 
 def test_a_longer_budget_only_adds(tmp_path):

@@ -94,6 +94,18 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
     assert f"behavexplor replay {store.folder} 3" in text
 
 
+def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
+    for number in range(30):
+        failed = execution(number, ["collision"])
+        failed.record["class"] = f"R1/kind-{min(number // 2, 10):02}"
+        store.add(failed)
+    store.commit()
+    text = summary(PROGRESS, store, "behavexplor")
+    assert "6 failed (12.0%) in 11 classes:" in text
+    assert "The 8 most frequent classes:\n  R1/kind-10    10   first 20\n  R1/kind-00     2   first 0\n" in text
+    assert "kind-07" not in text
+
+
 def test_the_summary_of_a_campaign_without_failures(store):  # noqa: F811 - the fixture
     text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor")
     assert "None failed." in text

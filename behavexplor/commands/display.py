@@ -165,7 +165,8 @@ def _listed_classes(failures: list[_Failure]) -> list[str]:
     first = {failure.kind: failure.number for failure in reversed(failures)}
     shown = counts.most_common(_LISTED_CLASSES)
     title = "Its classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
-    return [title, *(f"  {kind:52} {count:5}   first {first[kind]}" for kind, count in shown)]
+    width = max(len(str(kind)) for kind, _ in shown)
+    return [title, *(f"  {kind:{width}} {count:5}   first {first[kind]}" for kind, count in shown)]
 
 
 def clock(seconds: float) -> str:
