@@ -50,7 +50,7 @@ FAULTS = (
     Fault("eats memory", "Eating", "memory", "out of memory"),
     Fault("recurses for ever", "Recursing", "raised", "RecursionError"),
     Fault("closes all its files, also those that are ours", "ClosingAll", "crash", "it closed the files"),
-    Fault("closes all its files and hangs", "Vanishing", "crash", "it closed the files"),
+    Fault("closes all its files and hangs", "Vanishing", "hang", "no answer within"),
     Fault("closes stdin, stdout and stderr", "Closing", DROVE),
     Fault("prints rubbish to stdout and stderr", "Printing", DROVE),
     Fault("starts threads that never end", "Threading", DROVE),
