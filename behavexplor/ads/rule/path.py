@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.rule.lanes import CURVATURE, LENGTH, lane_array, pose_on_lane, project_on_lane
 from behavexplor.ads.rule.parameters import Parameters
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.roadmap import Lane, RoadMap
 
 Floats = NDArray[np.float64]
@@ -113,33 +113,33 @@ def _speed_limits(roadmap: RoadMap, parameters: Parameters, stations: Floats) ->
     return limits
 
 
-@kernel
+@kernel_in_place
 def _index(path: Path, station: float) -> int:
     return min(max(int(station / SPACING), 0), len(path.limits) - 1)
 
 
-@kernel
+@kernel_in_place
 def limit_at(path: Path, station: float) -> float:
     """Greatest speed [m/s] at a station [m]."""
     limit: float = path.limits[_index(path, station)]
     return limit
 
 
-@kernel
+@kernel_in_place
 def has_lane(path: Path, lane: int, station: float) -> bool:
     """Whether a lane (0 is the route's, 1 the next to the right) runs the ego's way at a station."""
     i = _index(path, station)
     return bool(-path.left[i] <= lane <= path.right[i])
 
 
-@kernel
+@kernel_in_place
 def oncoming_lane(path: Path, station: float) -> int:
     """The lane of the other direction that is next to the ego's, 0 where there is none."""
     i = _index(path, station)
     return -int(path.left[i]) - 1 if path.oncoming[i] else 0
 
 
-@kernel
+@kernel_in_place
 def lane_end(path: Path, lane: int, station: float) -> float:
     """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
     end = station
@@ -148,7 +148,7 @@ def lane_end(path: Path, lane: int, station: float) -> float:
     return min(end, path.destination)
 
 
-@kernel
+@kernel_in_place
 def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     """The lane of the route that is nearest to a point; the point's station on the route, and its offset [m]."""
     last = len(path.lanes) - 1
@@ -166,14 +166,14 @@ def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     return best, best_station, best_offset
 
 
-@kernel
+@kernel_in_place
 def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
     """Station and offset (positive to the right) of a point [m]; the outer lanes are continued."""
     _, station, offset = locate_on_path(path, x, y)
     return station, offset
 
 
-@kernel
+@kernel_in_place
 def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     """Whether the route is straight between two stations about one of its lanes; its ends are continued."""
     if path.lanes[lane, CURVATURE] != 0.0:
@@ -182,7 +182,7 @@ def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     return bool(starts and (lane == len(path.lanes) - 1 or high <= path.bounds[lane + 1]))
 
 
-@kernel
+@kernel_in_place
 def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     """Position and heading at a station; the outer lanes are continued."""
     i = 0
@@ -191,7 +191,7 @@ def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     return pose_on_lane(path.lanes, i, station - path.bounds[i])
 
 
-@kernel
+@kernel_in_place
 def point_beside(path: Path, station: float, offset: float) -> tuple[float, float]:
     """The point at a station and offset."""
     x, y, heading = pose_on_path(path, station)

@@ -20,7 +20,7 @@ from behavexplor.ads.rule.lanes import (
     project_on_lane,
 )
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.roadmap import Lane, Route
 
 Floats = NDArray[np.float64]
@@ -72,7 +72,7 @@ def _distance(lane: Lane, way: Floats) -> float:
     return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
 
 
-@kernel
+@kernel_in_place
 def find_tails(
     graph: LaneGraph, x: float, y: float, heading: float, p: Numbers, tails: Ints, stations: Floats
 ) -> tuple[int, int]:
@@ -118,7 +118,7 @@ def find_tails(
     return count + overlooked, overlooked
 
 
-@kernel
+@kernel_in_place
 def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
     """Whether a way on turns off, but the vehicle has not yet clearly done so (weakness R1-8)."""
     lanes, lane, following = graph.lanes, graph.tails[tail, 0], graph.tails[tail, 1]
@@ -128,7 +128,7 @@ def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool
     return bool(turned < p.branch_turn)
 
 
-@kernel
+@kernel_in_place
 def travelled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
     """Distance [m] driven in a time if the acceleration goes on for a duration, between standstill and the limit."""
     if acceleration > 0.0:
@@ -140,7 +140,7 @@ def travelled(speed: float, acceleration: float, duration: float, limit: float, 
     return speed * first + 0.5 * acceleration * first * first + after * (time - first)
 
 
-@kernel
+@kernel_in_place
 def reach(
     speed: float, acceleration: float, duration: float, limit: float, since: float, until: float
 ) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel, kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -99,7 +99,7 @@ def empty_nodes() -> Nodes:
     return Nodes(np.empty((2, most, 7)), np.empty((N_STATION_BINS, N_SPEED_BINS), np.int64))
 
 
-@kernel
+@kernel_in_place
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """The best speed along the path, from the free one to an emergency.
 
@@ -119,14 +119,14 @@ def plan_speed(situation: Situation, station: float, speed: float, acceleration:
     return _escape(situation, station, speed)
 
 
-@kernel
+@kernel_in_place
 def free_acceleration(path: Path, station: float, speed: float, p: Numbers) -> float:
     """Towards the limit, here and after the time of response, comfortably."""
     limit = min(limit_at(path, station), limit_at(path, station + RESPONSE * speed))
     return min(max((limit - speed) / RESPONSE, -p.firm_braking), p.comfortable_acceleration)
 
 
-@kernel
+@kernel_in_place
 def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPlan:
     path, p = situation.path, situation.p
     first = free_acceleration(path, station, speed, p)
@@ -141,7 +141,7 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
     return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True)
 
 
-@kernel
+@kernel_in_place
 def _search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Stage by stage the cheapest way to each (station, speed); at the end the cheapest of the latest stage."""
     now, following, count = nodes.stages[0], nodes.stages[1], 1
@@ -163,7 +163,7 @@ def _search(situation: Situation, station: float, speed: float, acceleration: fl
     return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False)
 
 
-@kernel
+@kernel_in_place
 def _expand(
     situation: Situation,
     station: float,
@@ -203,7 +203,7 @@ def _expand(
     return found
 
 
-@kernel
+@kernel_in_place
 def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     """Cost of the braking that a plan leaves for later; without it every plan would brake too late."""
     if survived < N_INTERVALS:
@@ -217,7 +217,7 @@ def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     return debt
 
 
-@kernel
+@kernel_in_place
 def _braking_cost(situation: Situation, closing: float, room: float) -> float:
     """Cost of losing a closing speed [m/s] within a room [m] with constant braking."""
     if closing <= 0.0:
@@ -226,7 +226,7 @@ def _braking_cost(situation: Situation, closing: float, room: float) -> float:
     return situation.p.braking_cost * needed * closing
 
 
-@kernel
+@kernel_in_place
 def _advance(
     situation: Situation, s: float, v: float, a: float, interval: int, count: int
 ) -> tuple[bool, float, float, float, float, float]:
@@ -263,7 +263,7 @@ def _advance(
     return True, s, v, cost, risk, inside
 
 
-@kernel
+@kernel_in_place
 def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
     """Contact cannot be ruled out: the acceleration with the latest contact, of equal ones the hardest braking."""
     best, latest = ACCELERATIONS[0], -1
@@ -274,7 +274,7 @@ def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
     return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False)
 
 
-@kernel
+@kernel_in_place
 def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
     """The first interval in which boxes touch on the path."""
     graph, gap = situation.graph, situation.p.bumper_gap

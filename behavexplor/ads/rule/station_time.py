@@ -15,7 +15,7 @@ from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
 from behavexplor.ads.rule.weaknesses import R1_8, note
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel, kernel_in_place
 from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
@@ -82,7 +82,7 @@ class View(NamedTuple):
     room: StationTime
 
 
-@kernel
+@kernel_in_place
 def project_obstacles(
     path: Path,
     profile: Profile,
@@ -124,7 +124,7 @@ def project_obstacles(
                 note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
-@kernel
+@kernel_in_place
 def _ignored(view: View, row: int, blind: float) -> bool:
     """Whether an NPC in the lane changed to is too far behind to be looked at (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
@@ -133,7 +133,7 @@ def _ignored(view: View, row: int, blind: float) -> bool:
     return bool(abs(aside - view.profile.last) < view.path.lane_width / 2 and at - view.station < blind)
 
 
-@kernel
+@kernel_in_place
 def _steps(motion: Motion, p: Numbers) -> int:
     """How many steps along its way an NPC can come within the horizon."""
     horizon = N_INTERVALS * INTERVAL
@@ -142,7 +142,7 @@ def _steps(motion: Motion, p: Numbers) -> int:
     return min(int(farthest / STEP) + 2, N_STEPS)
 
 
-@kernel
+@kernel_in_place
 def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
     """Add one NPC's motion along one way, if it is seen; one that follows the ego on its own path is left out.
 
@@ -185,7 +185,7 @@ def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
     return True
 
 
-@kernel
+@kernel_in_place
 def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
     """The stretch of the ego's path that an NPC's box takes up at each step of its way; the first and last that do."""
     graph, room = view.graph, view.room
@@ -216,7 +216,7 @@ def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
     return first, last
 
 
-@kernel
+@kernel_in_place
 def _stretch(occupied: Floats, first: int, last: int, near: float, far: float) -> tuple[float, float]:
     """The stretch of the ego's path taken up while an NPC is between two distances along its way."""
     low, high = math.inf, -math.inf
