@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.lanes import CURVATURE, LENGTH, lane_array, pose_on_lane, project_on_lane
+from behavexplor.ads.rule.lanes import CURVATURE, LENGTH, lane_array, offset_on_lane, pose_on_lane, project_on_lane
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.compiled import kernel_in_place
 from behavexplor.roadmap import Lane, RoadMap
@@ -153,17 +153,25 @@ def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     """The lane of the route that is nearest to a point; the point's station on the route, and its offset [m]."""
     last = len(path.lanes) - 1
     nearest, best, best_station, best_offset = math.inf, 0, 0.0, 0.0
-    for i in range(last + 1):
-        station, offset = project_on_lane(path.lanes, i, x, y)
-        outside = 0.0
-        if i > 0:
-            outside = max(outside, -station)
-        if i < last:
-            outside = max(outside, station - path.lanes[i, LENGTH])
-        gap = offset * offset + outside * outside
-        if gap < nearest:
-            nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
+    for curved in (False, True):  # curved lanes last: they take longer, and mostly another one is nearer
+        for i in range(last + 1):
+            if (path.lanes[i, CURVATURE] != 0.0) != curved:
+                continue
+            if curved and offset_on_lane(path.lanes, i, x, y) ** 2 > nearest:
+                continue
+            station, offset = project_on_lane(path.lanes, i, x, y)
+            gap = offset * offset + _outside(path, i, station) ** 2
+            if gap < nearest or (gap == nearest and i < best):
+                nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
     return best, best_station, best_offset
+
+
+@kernel_in_place
+def _outside(path: Path, lane: int, station: float) -> float:
+    """How far a station of one of the route's lanes lies beyond the lane's ends [m]; the outer ones are continued."""
+    if station < 0.0:
+        return -station if lane > 0 else 0.0
+    return max(station - path.lanes[lane, LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
 
 
 @kernel_in_place

@@ -17,6 +17,7 @@ from behavexplor.ads.rule.lanes import (
     X,
     Y,
     lane_array,
+    offset_on_lane,
     project_on_lane,
 )
 from behavexplor.ads.rule.parameters import Numbers
@@ -96,11 +97,7 @@ def find_tails(
     for tail in range(spare):
         if graph.tails[tail, 0] != lane:
             lane = graph.tails[tail, 0]
-            station, aside = project_on_lane(lanes, lane, x, y)
-            along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
-            turned = abs((heading - along + math.pi) % TWO_PI - math.pi)
-            beside = abs(aside) <= p.match_offset and 0.0 <= station <= lanes[lane, LENGTH]
-            fits = beside and turned <= p.match_heading
+            fits, station = _fits(lanes, lane, x, y, heading, p)
         if not fits or count + overlooked == len(tails):
             continue
         if p.branch_turn > 0.0 and _overlooked(graph, tail, heading, p):
@@ -116,6 +113,18 @@ def find_tails(
         lanes[-1, COS], lanes[-1, SIN] = math.cos(heading), math.sin(heading)
         tails[0], stations[0], count, overlooked = spare, 0.0, 1, 0
     return count + overlooked, overlooked
+
+
+@kernel_in_place
+def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
+    """Whether a vehicle may be driving on a lane, and its station there if it is not far aside [m]."""
+    if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
+        return False, 0.0
+    station, _ = project_on_lane(lanes, lane, x, y)
+    if not 0.0 <= station <= lanes[lane, LENGTH]:
+        return False, station
+    along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
+    return abs((heading - along + math.pi) % TWO_PI - math.pi) <= p.match_heading, station
 
 
 @kernel_in_place

@@ -133,7 +133,7 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
     s, v, risk, inside = station, speed, 0.0, 0.0
     for k in range(N_INTERVALS):
         a = free_acceleration(path, s, v, p)
-        ok, s, v, _, more_risk, more_inside = _advance(situation, s, v, a, k, 1)
+        ok, s, v, _, more_risk, more_inside, _ = _advance(situation, s, v, a, k, 1)
         if not ok:
             return SpeedPlan(first, k, s, v, risk, inside, True)
         risk += more_risk
@@ -177,12 +177,17 @@ def _expand(
     """Try every acceleration from every node of a stage; returns how many nodes the next stage has."""
     places[:] = -1
     found = 0
+    ok, s, v, cost, risk, inside = True, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
+        capped = False
         for option in range(HARDEST[stage], STRONGEST[stage] + 1):
             a = ACCELERATIONS[option]
             if now[i, V] == 0.0 and a < 0.0:
                 continue
-            ok, s, v, cost, risk, inside = _advance(situation, now[i, S], now[i, V], a, interval, STAGES[stage])
+            if not capped:  # or else it is the same motion again
+                ok, s, v, cost, risk, inside, capped = _advance(
+                    situation, now[i, S], now[i, V], a, interval, STAGES[stage]
+                )
             if not ok:
                 continue
             change = a - now[i, LAST]
@@ -229,23 +234,28 @@ def _braking_cost(situation: Situation, closing: float, room: float) -> float:
 @kernel_in_place
 def _advance(
     situation: Situation, s: float, v: float, a: float, interval: int, count: int
-) -> tuple[bool, float, float, float, float, float]:
-    """Drive on with one acceleration: whether without contact, then station, speed, cost, risk and time inside."""
+) -> tuple[bool, float, float, float, float, float, bool]:
+    """Drive on with one acceleration: whether without contact, then station, speed, cost, risk and time inside.
+
+    And whether the speed is at its limit all the time, so that no stronger acceleration makes a difference.
+    """
     path, graph, p = situation.path, situation.graph, situation.p
     spans = graph.spans
     inside_from, inside_until = path.junction_start - situation.half_length, path.junction_end + situation.half_length
-    cost, risk, inside = 0.0, 0.0, 0.0
+    cost, risk, inside, capped = 0.0, 0.0, 0.0, True
     for k in range(interval, interval + count):
         limit = limit_at(path, s)
+        cap = max(limit, v)
         after = max(v + a * INTERVAL, 0.0)
-        if a > 0.0:
-            after = min(after, max(limit, v))
+        capped = capped and after >= cap
+        after = min(after, cap)
         ahead = s + 0.5 * (v + after) * INTERVAL
         if ahead > situation.wall:
-            return False, s, v, cost, risk, inside
-        for i in range(graph.counts[k]):
+            return False, s, v, cost, risk, inside, capped
+        near = ahead > graph.reaches[k, 0] and s < graph.reaches[k, 1]
+        for i in range(graph.counts[k] if near else 0):
             if ahead > spans[k, i, HARD_LOW] and s < spans[k, i, HARD_HIGH]:
-                return False, s, v, cost, risk, inside
+                return False, s, v, cost, risk, inside, capped
             if ahead > spans[k, i, SOFT_LOW] and s < spans[k, i, SOFT_HIGH]:
                 cost += situation.caution * spans[k, i, COST] * INTERVAL
                 risk += spans[k, i, COST] * INTERVAL
@@ -260,7 +270,7 @@ def _advance(
         if halting and inside_from < s < inside_until:
             cost += p.keep_clear_cost * INTERVAL
             inside += INTERVAL
-    return True, s, v, cost, risk, inside
+    return True, s, v, cost, risk, inside, capped
 
 
 @kernel_in_place

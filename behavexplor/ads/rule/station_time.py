@@ -43,6 +43,7 @@ class StationTime(NamedTuple):
     Attributes:
         spans: shape (N_INTERVALS, most, 7), columns as above.
         counts: how many spans there are in each interval, shape (N_INTERVALS,).
+        reaches: stations before and behind which none of them is, shape (N_INTERVALS, 2) [m].
         occupied: room for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
         tails: room for one NPC's ways, shape (TAILS_PER_NPC,).
         stations: room for its stations along them, shape (TAILS_PER_NPC,) [m].
@@ -51,6 +52,7 @@ class StationTime(NamedTuple):
 
     spans: Floats
     counts: Ints
+    reaches: Floats
     occupied: Floats
     tails: Ints
     stations: Floats
@@ -63,6 +65,7 @@ def empty_station_time(n_npcs: int) -> StationTime:
     return StationTime(
         np.empty((N_INTERVALS, max(n_npcs, 1) * TAILS_PER_NPC, N_COLUMNS)),
         np.zeros(N_INTERVALS, np.int64),
+        np.empty((N_INTERVALS, 2)),
         np.empty((N_STEPS, 2)),
         np.empty(TAILS_PER_NPC, np.int64),
         np.empty(TAILS_PER_NPC),
@@ -106,6 +109,7 @@ def project_obstacles(
         room: filled; bits are added to.
     """
     room.counts[:] = 0
+    room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
     view = View(path, profile, graph, scene, station, p, room)
     for row in range(EGO + 1, len(scene)):
         if scene[row, PRESENT] == 0.0 or _ignored(view, row, blind):
@@ -182,6 +186,8 @@ def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
         spans[k, i, LEADS] = 1.0 if ahead else 0.0
         spans[k, i, LEAD_SPEED] = lead_speed
         room.counts[k] += 1
+        room.reaches[k, 0] = min(room.reaches[k, 0], spans[k, i, HARD_LOW], spans[k, i, SOFT_LOW])
+        room.reaches[k, 1] = max(room.reaches[k, 1], spans[k, i, HARD_HIGH], spans[k, i, SOFT_HIGH])
     return True
 
 
