@@ -60,7 +60,7 @@ def offset_on_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
     aside: float = dy * cos - dx * sin
     if lanes[lane, CURVATURE] == 0.0:
         return aside
-    radius = 1 / lanes[lane, CURVATURE]
+    radius: float = 1 / lanes[lane, CURVATURE]
     return radius - math.copysign(1.0, radius) * math.hypot(radius - aside, dx * cos + dy * sin)
 
 
