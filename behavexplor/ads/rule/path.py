@@ -114,28 +114,29 @@ def _speed_limits(roadmap: RoadMap, parameters: Parameters, stations: Floats) ->
 
 
 @kernel_in_place
-def _index(path: Path, station: float) -> int:
+def row_at(path: Path, station: float) -> int:
+    """The row of the tables of the path, such as `limits`, for a station [m]."""
     return min(max(int(station / SPACING), 0), len(path.limits) - 1)
 
 
 @kernel_in_place
 def limit_at(path: Path, station: float) -> float:
     """Greatest speed [m/s] at a station [m]."""
-    limit: float = path.limits[_index(path, station)]
+    limit: float = path.limits[row_at(path, station)]
     return limit
 
 
 @kernel_in_place
 def has_lane(path: Path, lane: int, station: float) -> bool:
     """Whether a lane (0 is the route's, 1 the next to the right) runs the ego's way at a station."""
-    i = _index(path, station)
+    i = row_at(path, station)
     return bool(-path.left[i] <= lane <= path.right[i])
 
 
 @kernel_in_place
 def oncoming_lane(path: Path, station: float) -> int:
     """The lane of the other direction that is next to the ego's, 0 where there is none."""
-    i = _index(path, station)
+    i = row_at(path, station)
     return -int(path.left[i]) - 1 if path.oncoming[i] else 0
 
 
