@@ -83,12 +83,13 @@ def _squash(values: Floats, count: int) -> None:
 @kernel_in_place
 def _add_up(network: Network, weight: int, bias: int, values: Floats, before: int, sums: Floats, width: int) -> None:
     """Fill in the sums of a layer whose numbers begin at `weight` and `bias`; the inner loop runs over its outputs."""
-    for j in range(width):
-        sums[j] = network.biases[bias + j]
+    sums, biases = sums[:width], network.biases[bias : bias + width]
+    for j in range(len(sums)):
+        sums[j] = biases[j]
     for i in range(before):
-        value, first = values[i], weight + i * width
-        for j in range(width):
-            sums[j] += network.weights[first + j] * value
+        value, weights = values[i], network.weights[weight + i * width : weight + (i + 1) * width]
+        for j in range(len(sums)):
+            sums[j] += weights[j] * value
 
 
 @kernel_in_place
