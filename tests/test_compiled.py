@@ -4,12 +4,18 @@ import ast
 import os
 import subprocess
 import sys
+from importlib import import_module
 from types import SimpleNamespace
+from typing import get_args, get_origin
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
 from behavexplor import compiled
+from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.station_time import StationTime
 
 SOURCES = {
     "constants.py": "LIMIT = 1\n",
@@ -107,6 +113,49 @@ def test_a_kernel_computes_what_its_python_source_says():
     values = np.random.default_rng(0).normal(size=50)
     assert mean_of_positive(values) == mean_of_positive.py_func(values)
     assert np.isnan(mean_of_positive(np.array([-1.0])))  # as numpy divides, where Python raises
+
+
+def test_a_kernel_in_place_counts_no_references_and_makes_no_array():
+    @compiled.kernel_in_place
+    def move(values, by):
+        for i in range(len(values)):
+            values[i] += by
+
+    @compiled.kernel_in_place
+    def moved(values, by):
+        return (values + by).sum()
+
+    values = np.arange(5.0)
+    before = sys.getrefcount(values)
+    move(values, 2.0)
+    assert values.tolist() == [2.0, 3.0, 4.0, 5.0, 6.0]
+    assert sys.getrefcount(values) == before
+    move.recompile()  # what comes from the cache cannot be inspected
+    (assembly,) = move.inspect_asm().values()
+    assert "NRT_incref" not in assembly
+    with pytest.raises(NumbaError, match="NRT required"):
+        moved(values, 2.0)
+
+
+def holds_arrays(annotation):
+    fields = getattr(annotation, "__annotations__", None) or dict(enumerate(get_args(annotation)))
+    return get_origin(annotation) is np.ndarray or any(map(holds_arrays, fields.values()))
+
+
+def test_no_kernel_in_place_returns_an_array_whose_reference_nobody_counts():
+    assert holds_arrays(tuple[float, StationTime])
+    assert not holds_arrays(tuple[int, Profile])
+    names = [
+        ".".join(path.relative_to(compiled._PACKAGE.parent).with_suffix("").parts)
+        for path in compiled._modules_with_kernels(compiled._PACKAGE)
+    ]
+    found = 0
+    for module in map(import_module, names):
+        for function in vars(module).values():
+            if isinstance(function, Dispatcher) and not function.targetoptions.get("_nrt", True):
+                found += 1
+                assert not holds_arrays(function.py_func.__annotations__["return"]), function
+    assert found > 50
 
 
 def compiling(module):

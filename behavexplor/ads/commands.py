@@ -1,4 +1,4 @@
-"""What a driver of this package observes and commands: scenes, and an acceleration and a steering angle."""
+"""What a driver of this package observes, remembers and commands: scenes, an acceleration and a steering angle."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -7,10 +7,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.errors import InputError
+from behavexplor.scene import N_COLUMNS
+
 Floats = NDArray[np.float64]
 
 ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad], positive to the right
+RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})  # see `behavexplor.scene`
 ACTION: Final[Mapping[str, Any]] = MappingProxyType(
@@ -20,6 +24,42 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
         "steering_range": list(STEERING_RANGE),
     }
 )
+
+
+def as_scenes(observation: NDArray[Any]) -> Floats:
+    """What is observed, to `RESOLUTION`.
+
+    Args:
+        observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
+
+    Raises:
+        InputError: if it has another shape.
+    """
+    scenes = np.asarray(observation, dtype=np.float64)
+    if scenes.ndim != 3 or scenes.shape[1] == 0 or scenes.shape[2] != N_COLUMNS:
+        raise InputError(f"observation: expected shape (B, 1 + n, {N_COLUMNS}), got {scenes.shape}")
+    return np.ascontiguousarray(np.rint(scenes / RESOLUTION) * RESOLUTION)
+
+
+def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:
+    """A new array of what is remembered, which may be changed: zeros at first, and where an episode begins.
+
+    Args:
+        state: what the last call of `predict` returned; None at first.
+        episode_start: whether a row begins an episode, shape (B,); None for no row.
+        shape: (B, numbers that are remembered of each ego).
+
+    Raises:
+        InputError: if an array has another shape.
+    """
+    memory = np.zeros(shape) if state is None else np.array(state, dtype=np.float64, order="C")
+    if memory.shape != shape:
+        raise InputError(f"state: expected shape {shape}, got {memory.shape}")
+    begins = np.zeros(len(memory), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
+    if begins.shape != shape[:1]:
+        raise InputError(f"episode_start: expected shape {shape[:1]}, got {begins.shape}")
+    memory[begins] = 0.0
+    return memory
 
 
 def as_actions(commands: Floats) -> Floats:

@@ -11,10 +11,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions
-from behavexplor.ads.learned.course import Course, make_course, pose_on_course, project_on_course
-from behavexplor.ads.learned.features import row_at
+from behavexplor.ads.commands import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
 from behavexplor.ads.learned.tracker import steer
+from behavexplor.ads.rule.parameters import Parameters
+from behavexplor.ads.rule.path import Path, ego_path, limit_at, pose_on_path, project_on_path
+from behavexplor.compiled import kernel_in_place
 from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
 from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
@@ -26,7 +27,6 @@ BRAKING: Final = 5.0  # b, comfortable [m/s2]
 JAM_GAP: Final = 5.0  # s0 [m]
 TIME_GAP: Final = 1.5  # T [s]
 EXPONENT: Final = 4.0  # delta
-RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
 PERIOD: Final = 0.1  # between decisions [s]
 
 
@@ -48,7 +48,7 @@ class IDMDriver:
     vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap) -> None:
-        self._course = make_course(roadmap)
+        self._path = ego_path(roadmap, Parameters())
 
     def predict(
         self,
@@ -64,11 +64,13 @@ class IDMDriver:
             state: handed back as it is; the model has no memory.
             episode_start: not looked at.
             deterministic: it always is.
+
+        Raises:
+            InputError: if the observation has a wrong shape.
         """
-        scenes = np.rint(np.asarray(observation, dtype=np.float64) / RESOLUTION) * RESOLUTION
+        scenes = as_scenes(observation)
         commands = np.zeros((len(scenes), 2))
-        for i in np.flatnonzero(scenes[:, EGO, PRESENT]):
-            commands[i] = _decide(self._course, scenes[i])
+        _decide_all(self._path, scenes, commands)
         return as_actions(commands), state
 
 
@@ -87,6 +89,7 @@ def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
     return IDMDriver(roadmap)
 
 
+@kernel_in_place
 def idm_acceleration(speed: float, limit: float, gap: float, leader_speed: float) -> float:
     """Acceleration [m/s2] after equations 1 and 2.
 
@@ -102,24 +105,34 @@ def idm_acceleration(speed: float, limit: float, gap: float, leader_speed: float
     return ACCELERATION * (1 - free - (desired / max(gap, 0.1)) ** 2)
 
 
-def _decide(course: Course, scene: Floats) -> tuple[float, float]:
-    speed = float(scene[EGO, SPEED])
-    station, _ = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])
-    gap, leader_speed = _leader(course, scene, station)
-    limit = float(course.limit[row_at(course, station)])
+@kernel_in_place
+def _decide_all(path: Path, scenes: Floats, commands: Floats) -> None:
+    for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] != 0.0:
+            commands[i, 0], commands[i, 1] = _decide(path, scenes[i])
+
+
+@kernel_in_place
+def _decide(path: Path, scene: Floats) -> tuple[float, float]:
+    speed = scene[EGO, SPEED]
+    station, _ = project_on_path(path, scene[EGO, X], scene[EGO, Y])
+    gap, leader_speed = _leader(path, scene, station)
+    limit = limit_at(path, station)
     acceleration = max(idm_acceleration(speed, limit, gap, leader_speed), -speed / PERIOD)
     low, high = ACCELERATION_RANGE
-    return min(max(acceleration, low), high), steer(course, scene, station, 0.0)
+    return min(max(acceleration, low), high), steer(path, scene, station, 0.0)
 
 
-def _leader(course: Course, scene: Floats, station: float) -> tuple[float, float]:
+@kernel_in_place
+def _leader(path: Path, scene: Floats, station: float) -> tuple[float, float]:
     """Gap [m] to the next vehicle that is on the ego's lane and drives its way, and its speed there [m/s]."""
     nearest, leader_speed = math.inf, 0.0
-    for other in scene[EGO + 1 :]:
-        there, aside = project_on_course(course.path, course.bounds, other[X], other[Y])
-        turned = other[HEADING] - pose_on_course(course.path, course.bounds, there)[2]
-        on_lane = abs(aside) < (course.width + other[WIDTH]) / 2 - 0.5 and math.cos(turned) > math.cos(math.pi / 4)
+    for i in range(EGO + 1, len(scene)):
+        other = scene[i]
+        there, aside = project_on_path(path, other[X], other[Y])
+        turned = other[HEADING] - pose_on_path(path, there)[2]
+        on_lane = abs(aside) < (path.lane_width + other[WIDTH]) / 2 - 0.5 and math.cos(turned) > math.cos(math.pi / 4)
         gap = there - station - (other[LENGTH] + scene[EGO, LENGTH]) / 2
-        if other[PRESENT] and on_lane and there > station and gap < nearest:
-            nearest, leader_speed = gap, float(other[SPEED] * math.cos(turned))
+        if other[PRESENT] != 0.0 and on_lane and there > station and gap < nearest:
+            nearest, leader_speed = gap, other[SPEED] * math.cos(turned)
     return nearest, leader_speed

@@ -8,9 +8,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions
+from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
 from behavexplor.ads.learned.course import Course, make_course
 from behavexplor.ads.learned.features import N_FEATURES, see
+from behavexplor.ads.learned.network import as_network, decide_batch
 from behavexplor.ads.learned.tracker import (
     N_ACTIONS,
     N_MEMORIES,
@@ -20,7 +21,7 @@ from behavexplor.ads.learned.tracker import (
     begin,
     track,
 )
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.errors import InputError
 from behavexplor.plain import read_arrays
 from behavexplor.roadmap import RoadMap
@@ -55,12 +56,12 @@ class LearnedDriver:
 
     def __init__(self, roadmap: RoadMap, layers: list[tuple[Floats, Floats]]) -> None:
         self._course = make_course(roadmap)
-        self._layers = layers
         widths = [N_FEATURES, *(len(bias) for _, bias in layers)]
         shapes = [(weights.shape, bias.shape) for weights, bias in layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
         if shapes != expected or widths[-1] != N_ACTIONS:
             raise InputError(f"A network of {N_FEATURES} inputs and {N_ACTIONS} outputs is needed, got {shapes}")
+        self._network = as_network(layers)
 
     def predict(
         self,
@@ -79,27 +80,18 @@ class LearnedDriver:
 
         Returns:
             Acceleration and steering, shape (B, 2), each in [-1, 1], and the state to hand in next time.
+
+        Raises:
+            InputError: if an array has a wrong shape.
         """
-        scenes = np.ascontiguousarray(observation, dtype=np.float64)
-        memory = np.zeros((len(scenes), N_MEMORIES)) if state is None else np.array(state, dtype=np.float64)
-        if episode_start is not None:
-            memory[np.asarray(episode_start, dtype=bool)] = 0.0
-        seen = see_batch(self._course, scenes, memory)
-        actions = np.zeros(len(scenes), dtype=np.int64)
-        for i in np.flatnonzero(scenes[:, EGO, PRESENT]):
-            actions[i] = self._decide(seen[i])
+        scenes = as_scenes(observation)
+        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
+        actions = decide_batch(self._network, see_batch(self._course, scenes, memory))
         return track_batch(self._course, scenes, actions, memory), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """The lane that the ego wants, as its offset from the route [m], shape (B,)."""
         return {"wanted_offset": state[:, WANTED]}
-
-    def _decide(self, values: Floats) -> int:
-        """One row at a time, so that no row's last bits depend on the batch."""
-        for weights, bias in self._layers[:-1]:
-            values = np.tanh(weights @ values + bias)
-        weights, bias = self._layers[-1]
-        return int(np.argmax(weights @ values + bias))
 
 
 def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
@@ -129,7 +121,7 @@ def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memo
     return as_actions(commands)
 
 
-@kernel
+@kernel_in_place
 def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> None:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] == 0.0:
@@ -139,7 +131,7 @@ def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> No
         see(course, scenes[i], memory[i, WANTED], seen[i])
 
 
-@kernel
+@kernel_in_place
 def _track_all(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats, commands: Floats) -> None:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:

@@ -10,17 +10,15 @@ from behavexplor.ads.learned.course import (
     END,
     IN,
     OUT,
-    SPACING,
     START,
     Course,
-    pose_on_course,
-    project_on_course,
 )
 from behavexplor.ads.rule.lanes import CURVATURE as LANE_CURVATURE
 from behavexplor.ads.rule.lanes import HEADING as LANE_HEADING
 from behavexplor.ads.rule.lanes import LENGTH as LANE_LENGTH
-from behavexplor.ads.rule.lanes import project_on_lane
-from behavexplor.compiled import kernel
+from behavexplor.ads.rule.lanes import offset_on_lane, project_on_lane
+from behavexplor.ads.rule.path import SPACING, pose_on_path, project_on_path, row_at
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
@@ -40,7 +38,7 @@ N_CONFLICT: Final = 7  # numbers for each conflict
 N_FEATURES: Final = N_EGO + 3 * N_LANE + N_CONFLICTS * N_CONFLICT
 
 
-@kernel
+@kernel_in_place
 def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     """Fill in what a policy sees of one scene, each number about 1 in size.
 
@@ -58,82 +56,79 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
         wanted: offset from the route of the lane that the ego wants [m], positive to the right.
         out: filled, shape (N_FEATURES,).
     """
-    station, offset = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])
+    station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     out[:] = 0.0
     _see_ego(course, scene, station, offset, wanted, out)
     _see_lanes(course, scene, station, offset, out[N_EGO : N_EGO + 3 * N_LANE])
     _see_conflicts(course, scene, station, out[N_EGO + 3 * N_LANE :])
 
 
-@kernel
-def row_at(course: Course, station: float) -> int:
-    """The row of the course's tables for a station."""
-    return min(max(int(station / SPACING), 0), len(course.limit) - 1)
-
-
-@kernel
+@kernel_in_place
 def lanes_beside(course: Course, row: int, offset: float) -> tuple[int, int]:
-    """How many lanes lie to the left and to the right of the one at an offset from the route."""
-    lane = round(offset / course.width)
-    return max(course.left[row] + lane, 0), max(course.right[row] - lane, 0)
+    """How many lanes lie to the left and right of the one at an offset from the route; inside a junction none."""
+    path = course.path
+    lane = round(offset / path.lane_width)
+    inside = path.junction_start <= row * SPACING < path.junction_end
+    left, right = (0, 0) if inside else (int(path.left[row]), int(path.right[row]))
+    return max(left + lane, 0), max(right - lane, 0)
 
 
-@kernel
+@kernel_in_place
 def _near(distance: float) -> float:
     return min(max(distance / RANGE, -1.0), 1.0)
 
 
-@kernel
+@kernel_in_place
 def _see_ego(course: Course, scene: Floats, station: float, offset: float, wanted: float, out: Floats) -> None:
-    row = row_at(course, station)
-    along = pose_on_course(course.path, course.bounds, station)[2]
+    row = row_at(course.path, station)
+    along = pose_on_path(course.path, station)[2]
     left, right = lanes_beside(course, row, offset)
-    out[0] = scene[EGO, SPEED] / course.speed_limit
-    out[1] = offset / course.width
-    out[2] = (offset - wanted) / course.width
+    out[0] = scene[EGO, SPEED] / course.path.speed_limit
+    out[1] = offset / course.path.lane_width
+    out[2] = (offset - wanted) / course.path.lane_width
     out[3] = (scene[EGO, HEADING] - along + math.pi) % (2 * math.pi) - math.pi
     out[4], out[5] = min(left, 1), min(right, 1)
-    out[6] = _near(course.destination - station)
-    out[7] = (course.destination - station) / 200.0
-    out[8] = _near(course.junction_start - station)
-    out[9] = _near(course.junction_end - station)
+    out[6] = _near(course.path.destination - station)
+    out[7] = (course.path.destination - station) / 200.0
+    out[8] = _near(course.path.junction_start - station)
+    out[9] = _near(course.path.junction_end - station)
     out[10] = _near(course.side_by_side[row])
-    out[11] = 1.0 if course.junction_start < station < course.junction_end else 0.0
+    out[11] = 1.0 if course.path.junction_start < station < course.path.junction_end else 0.0
     for i in range(2):
-        out[12 + i] = 10.0 * course.curvature[row_at(course, station + AHEAD[i])]
+        out[12 + i] = 10.0 * course.curvature[row_at(course.path, station + AHEAD[i])]
 
 
-@kernel
+@kernel_in_place
 def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out: Floats) -> None:
     """The vehicles ahead and behind on three lanes; without one, at the end of the range and at the speed limit."""
-    row = row_at(course, station)
+    row = row_at(course.path, station)
     left, right = lanes_beside(course, row, offset)
-    centre = course.width * round(offset / course.width)
+    centre = course.path.lane_width * round(offset / course.path.lane_width)
     for i in range(3):
         out[N_LANE * i] = 1.0 if (i == 0 and left > 0) or i == 1 or (i == 2 and right > 0) else 0.0
         out[N_LANE * i + 1] = out[N_LANE * i + 2] = out[N_LANE * i + 3] = 1.0
     for other in range(EGO + 1, len(scene)):
         if scene[other, PRESENT] == 0.0:
             continue
-        there, aside = project_on_course(course.path, course.bounds, scene[other, X], scene[other, Y])
-        turned = scene[other, HEADING] - pose_on_course(course.path, course.bounds, there)[2]
+        there, aside = project_on_path(course.path, scene[other, X], scene[other, Y])
+        turned = scene[other, HEADING] - pose_on_path(course.path, there)[2]
         cos, sin = math.cos(turned), abs(math.sin(turned))
         if cos < 0.5 or abs(there - station) > 2 * RANGE:
             continue
         half_width = (cos * scene[other, WIDTH] + sin * scene[other, LENGTH]) / 2
         gap = abs(there - station) - (scene[other, LENGTH] + scene[EGO, LENGTH]) / 2
         for i in range(3):
-            if abs(aside - centre - (i - 1) * course.width) > half_width + 0.3 * course.width:
+            if abs(aside - centre - (i - 1) * course.path.lane_width) > half_width + 0.3 * course.path.lane_width:
                 continue
             column = N_LANE * i + (1 if there >= station else 3)
             if gap / RANGE < out[column]:
                 out[column] = max(gap / RANGE, -0.2)
-                out[column + 1] = scene[other, SPEED] / course.speed_limit
+                out[column + 1] = scene[other, SPEED] / course.path.speed_limit
                 if there >= station:
                     out[N_LANE * i + 5] = scene[other, ACCELERATION] / STRONG
 
 
-@kernel
+@kernel_in_place
 def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -> None:
     """The next stays of others on the ego's path, sorted by when they begin."""
     for i in range(N_CONFLICTS):
@@ -143,17 +138,18 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
         if scene[other, PRESENT] == 0.0:
             continue
         for lane in range(len(course.lanes)):
-            there, aside = project_on_lane(course.lanes, lane, scene[other, X], scene[other, Y])
+            if course.own[lane] or abs(offset_on_lane(course.lanes, lane, scene[other, X], scene[other, Y])) > ON_LANE:
+                continue
+            there, _ = project_on_lane(course.lanes, lane, scene[other, X], scene[other, Y])
             along = course.lanes[lane, LANE_HEADING] + course.lanes[lane, LANE_CURVATURE] * there
             turned = abs((scene[other, HEADING] - along + math.pi) % (2 * math.pi) - math.pi)
-            on_it = abs(aside) <= ON_LANE and turned <= ALONG and 0.0 <= there <= course.lanes[lane, LANE_LENGTH]
-            if not on_it or course.own[lane]:
+            if turned > ALONG or not 0.0 <= there <= course.lanes[lane, LANE_LENGTH]:
                 continue
             for zone in range(course.tails[lane], course.tails[lane + 1]):
                 count = _add_conflict(course, scene, station, other, there, zone, out, count)
 
 
-@kernel
+@kernel_in_place
 def _add_conflict(
     course: Course, scene: Floats, station: float, other: int, there: float, zone: int, out: Floats, count: int
 ) -> int:
@@ -173,13 +169,14 @@ def _add_conflict(
     if place >= N_CONFLICTS:
         return count
     for i in range(min(count, N_CONFLICTS - 1), place, -1):
-        out[N_CONFLICT * i : N_CONFLICT * (i + 1)] = out[N_CONFLICT * (i - 1) : N_CONFLICT * i].copy()
+        for column in range(N_CONFLICT * i, N_CONFLICT * (i + 1)):
+            out[column] = out[column - N_CONFLICT]
     column = N_CONFLICT * place
     out[column] = begins / HORIZON
     out[column + 1] = ends / HORIZON
     out[column + 2] = _near(course.zones[zone, START] - station)
     out[column + 3] = _near(course.zones[zone, END] - station)
-    out[column + 4] = speed / course.speed_limit
+    out[column + 4] = speed / course.path.speed_limit
     out[column + 6] = scene[other, ACCELERATION] / STRONG
     until = max(course.zones[zone, START] - station - scene[EGO, LENGTH] / 2, 0.0)
     out[column + 5] = min(until / max(scene[EGO, SPEED], 1.0), HORIZON) / HORIZON

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.commands import ACCELERATION_RANGE, STEERING_RANGE
-from behavexplor.ads.learned.course import Course, pose_on_course, project_on_course
-from behavexplor.ads.learned.features import lanes_beside, row_at
-from behavexplor.compiled import kernel
+from behavexplor.ads.learned.course import Course
+from behavexplor.ads.learned.features import lanes_beside
+from behavexplor.ads.rule.path import Path, limit_at, pose_on_path, project_on_path, row_at
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 
 Floats = NDArray[np.float64]
@@ -31,15 +32,15 @@ STARTED: Final = 2  # 1 after the first decision of an episode
 N_MEMORIES: Final = 3
 
 
-@kernel
+@kernel_in_place
 def begin(course: Course, scene: Floats, memory: Floats) -> None:
     """At the start of an episode the ego wants the lane of its route, and drives from where it stands."""
     memory[WANTED] = 0.0
-    memory[DRIVEN] = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])[1]
+    memory[DRIVEN] = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])[1]
     memory[STARTED] = 1.0
 
 
-@kernel
+@kernel_in_place
 def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[float, float]:
     """Acceleration [m/s2] and steering [rad] for an action.
 
@@ -49,45 +50,45 @@ def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[f
         action: 0 to `N_ACTIONS` - 1.
         memory: shape (N_MEMORIES,), changed.
     """
-    station, offset = project_on_course(course.path, course.bounds, scene[EGO, X], scene[EGO, Y])
-    row = row_at(course, station)
+    station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
+    row = row_at(course.path, station)
     _choose_lane(course, row, offset, action // len(ACCELERATIONS), memory)
     change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
     memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
     acceleration = _accelerate(course, scene, station, ACCELERATIONS[action % len(ACCELERATIONS)])
-    return acceleration, steer(course, scene, station, memory[DRIVEN])
+    return acceleration, steer(course.path, scene, station, memory[DRIVEN])
 
 
-@kernel
+@kernel_in_place
 def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: Floats) -> None:
     """Take the lane beside if there is one; near a junction, only that of the route."""
     if course.side_by_side[row] < LAST_CHANGE:
-        if course.junction_start < math.inf:
+        if course.path.junction_start < math.inf:
             memory[WANTED] = 0.0
         return
     left, right = lanes_beside(course, row, offset)
-    centre = course.width * round(offset / course.width)
+    centre = course.path.lane_width * round(offset / course.path.lane_width)
     if choice == LEFT and left > 0:
-        memory[WANTED] = centre - course.width
+        memory[WANTED] = centre - course.path.lane_width
     elif choice == RIGHT and right > 0:
-        memory[WANTED] = centre + course.width
+        memory[WANTED] = centre + course.path.lane_width
     elif choice == HOME:
         memory[WANTED] = 0.0
 
 
-@kernel
+@kernel_in_place
 def _accelerate(course: Course, scene: Floats, station: float, wanted: float) -> float:
     """Within the speed limit, that of curves too, and never into reverse."""
     speed: float = scene[EGO, SPEED]
-    limit: float = course.limit[row_at(course, station + speed * PERIOD)]
+    limit: float = limit_at(course.path, station + speed * PERIOD)
     wanted = min(wanted, max((limit - speed) / PERIOD, -3.0))
     return max(wanted, -speed / PERIOD, ACCELERATION_RANGE[0])
 
 
-@kernel
-def steer(course: Course, scene: Floats, station: float, offset: float) -> float:
+@kernel_in_place
+def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
     """Pure pursuit of a point on the path; the circle through it is exact for highway-env's bicycle model."""
-    x, y, along = pose_on_course(course.path, course.bounds, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
+    x, y, along = pose_on_path(path, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
     dx = x - math.sin(along) * offset - scene[EGO, X]
     dy = y + math.cos(along) * offset - scene[EGO, Y]
     bearing = math.atan2(dy, dx) - scene[EGO, HEADING]

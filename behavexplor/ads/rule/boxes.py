@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 from behavexplor.ads.rule.lanes import COS, SIN
 from behavexplor.ads.rule.lateral import Profile, offset_at
 from behavexplor.ads.rule.path import Path, is_straight, locate_on_path, project_on_path
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 
 PARALLEL: Final = 1e-6  # sine of an angle to the route below which a box is along it
 SLACK: Final = 1.0  # by which a profile may overshoot its ends [m]
@@ -32,7 +32,7 @@ class Box(NamedTuple):
     width: float
 
 
-@kernel
+@kernel_in_place
 def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[float, float]:
     """The stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
 
@@ -74,7 +74,7 @@ def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[f
     return low, high
 
 
-@kernel
+@kernel_in_place
 def _on_path(path: Path, profile: Profile, x: float, y: float, straight: bool) -> tuple[float, float]:
     """Station, and offset from the profile, of a point [m], which is given in the route's coordinates if straight."""
     station, aside = (x, y) if straight else project_on_path(path, x, y)

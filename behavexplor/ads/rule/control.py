@@ -12,7 +12,7 @@ from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, 
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,7 @@ HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
 TURN_WAY, TURN = 15.0, 0.1  # the route has turned left on the last metres [m] by more than this [rad]
 
 
-@kernel
+@kernel_in_place
 def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers) -> float:
     """Steering angle [rad] by pure pursuit: the circle that leads through a point ahead on the path.
 
@@ -54,7 +54,7 @@ def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: F
     return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])
 
 
-@kernel
+@kernel_in_place
 def _worsened(
     profile: Profile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
 ) -> float:
@@ -79,7 +79,7 @@ def _worsened(
     return held
 
 
-@kernel
+@kernel_in_place
 def accelerate(wanted: float, last: float, speed: float, at_once: bool, p: Numbers) -> float:
     """Acceleration [m/s2] within the limits of its change and of the vehicle; never into reverse."""
     change = (p.emergency_jerk if at_once else p.jerk) * PERIOD

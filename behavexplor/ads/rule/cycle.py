@@ -61,7 +61,7 @@ from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import EGO, HEADING, SPEED, WIDTH, X, Y
 from behavexplor.scene import LENGTH as EGO_LENGTH
 
@@ -76,7 +76,7 @@ STUCK: Final = 1.0  # who stands so long during a lane change decides anew [s]
 CREEP_ACCELERATION: Final = 1.2  # [m/s2]
 
 
-@kernel
+@kernel_in_place
 def plan_once(world: World, memory: Floats) -> None:
     """One decision; the commands are left in the memory."""
     path, scene, bits = world.path, world.scene, world.room.bits
@@ -94,7 +94,7 @@ def plan_once(world: World, memory: Floats) -> None:
     memory[REACHED], memory[TRIGGERED] = bits[0], bits[1]
 
 
-@kernel
+@kernel_in_place
 def _remember(path: Path, ego: Ego, memory: Floats) -> None:
     """Bring the memory up to date with what the ego has done since."""
     if memory[STARTED] == 0.0:
@@ -116,7 +116,7 @@ def _remember(path: Path, ego: Ego, memory: Floats) -> None:
     memory[RESTARTED] = max(memory[RESTARTED] - PERIOD, 0.0)
 
 
-@kernel
+@kernel_in_place
 def _present_profile(path: Path, memory: Floats) -> Profile:
     last = memory[LANE] * path.lane_width
     if memory[LENGTH] == 0.0:
@@ -124,12 +124,12 @@ def _present_profile(path: Path, memory: Floats) -> Profile:
     return Profile(memory[START], memory[LENGTH], memory[FROM], memory[SLOPE], last)
 
 
-@kernel
+@kernel_in_place
 def _is_safe(option: Option) -> bool:
     return option.plan.survived == N_INTERVALS and option.plan.risk == 0.0
 
 
-@kernel
+@kernel_in_place
 def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -> Option:
     """Begin a lane change if another lane is better and its gap is accepted."""
     path, others, p, bits = world.path, world.others, world.p, world.room.bits
@@ -146,7 +146,7 @@ def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -
     return option
 
 
-@kernel
+@kernel_in_place
 def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Floats) -> tuple[Option, bool]:
     """The change to a lane if it is safe, else what is done at present; and whether the change is begun."""
     path, p, bits = world.path, world.p, world.room.bits
@@ -174,7 +174,7 @@ def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Fl
     return option, True
 
 
-@kernel
+@kernel_in_place
 def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) -> Option:
     """Return to the lane left if somebody comes close in the other, that helps, and the ego is hardly out of it."""
     path, p, bits = world.path, world.p, world.room.bits
@@ -200,21 +200,21 @@ def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) ->
     return option
 
 
-@kernel
+@kernel_in_place
 def _slope(world: World, ego: Ego) -> float:
     """Slope of the ego's own motion across its route."""
     _, _, along = pose_on_path(world.path, ego.station)
     return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
 
 
-@kernel
+@kernel_in_place
 def _adopt(profile: Profile, lane: int, memory: Floats) -> None:
     memory[LANE] = lane
     memory[START], memory[LENGTH] = profile.start, profile.length
     memory[FROM], memory[SLOPE] = profile.first, profile.slope
 
 
-@kernel
+@kernel_in_place
 def _settle(world: World, ego: Ego, option: Option, memory: Floats) -> None:
     """Leave the decision and its commands in the memory."""
     path, p, bits, plan = world.path, world.p, world.room.bits, option.plan

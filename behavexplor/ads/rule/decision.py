@@ -15,12 +15,13 @@ from behavexplor.ads.rule.station_time import (
     INTERVAL,
     LEAD_SPEED,
     LEADS,
+    N_COLUMNS,
     N_INTERVALS,
     SOFT_LOW,
     StationTime,
 )
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -43,27 +44,27 @@ RESTART_OUTLOOK: Final = 1.0  # of a hasty planner (R1-3) [s]
 RESTART_WAIT: Final = 0.5  # after which a hasty planner decides anew (R1-3) [s]
 
 
-@kernel
+@kernel_in_place
 def can_wait(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> bool:
     """Whether firm braking stops the ego before the junction, or little enough behind the stop line."""
     line = path.junction_start - half_length
     return station + speed * speed / (2 * p.firm_braking) <= line + p.line_overrun
 
 
-@kernel
+@kernel_in_place
 def passed(path: Path, station: float, half_length: float) -> bool:
     """Whether the ego has left the junction behind, or there is none."""
     return station >= path.junction_end + half_length
 
 
-@kernel
+@kernel_in_place
 def waiting_station(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> float:
     """Where to wait: with a gap to the stop line if firm braking still does, else closer [m]."""
     line = path.junction_start - half_length
     return min(line + p.line_overrun, max(line - p.stop_line_gap, station + speed * speed / (2 * p.firm_braking)))
 
 
-@kernel
+@kernel_in_place
 def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length: float) -> bool:
     """Whether a plan stays before the junction, or crosses it without stopping or coming too close to others.
 
@@ -78,7 +79,7 @@ def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length:
     return plan.risk == 0.0 and plan.inside == 0.0
 
 
-@kernel
+@kernel_in_place
 def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: float, yields: bool) -> int:
     """What the plan amounts to, for the log."""
     if plan.survived * INTERVAL < ALARM:
@@ -92,7 +93,7 @@ def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: floa
     return STOP if plan.speed < STANDING else FOLLOW
 
 
-@kernel
+@kernel_in_place
 def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> bool:
     """Whether the ego, having stood and yielded, hardly looks ahead now (weakness R1-3)."""
     if p.restart == 0.0 or memory[WAITED] < RESTART_WAIT:
@@ -103,7 +104,7 @@ def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> b
     return not crosses
 
 
-@kernel
+@kernel_in_place
 def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -> bool:
     """Whether a standing ego waits for somebody who hardly moves across its way (weakness R3-4)."""
     if p.deadlock == 0.0 or memory[WAITED] == 0.0 or _slowest(graph) >= p.deadlock:
@@ -112,7 +113,7 @@ def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -
     return True
 
 
-@kernel
+@kernel_in_place
 def _slowest(graph: StationTime) -> float:
     """Least speed of those who cross or lead, infinite for nobody [m/s]."""
     slowest = np.inf
@@ -122,7 +123,7 @@ def _slowest(graph: StationTime) -> float:
     return slowest
 
 
-@kernel
+@kernel_in_place
 def shorten(graph: StationTime, outlook: float) -> None:
     """Forget what crosses or merges later than an outlook [s]."""
     for k in range(N_INTERVALS):
@@ -131,12 +132,13 @@ def shorten(graph: StationTime, outlook: float) -> None:
         kept = 0
         for i in range(graph.counts[k]):
             if graph.spans[k, i, LEADS] == 1.0:
-                graph.spans[k, kept] = graph.spans[k, i]
+                for column in range(N_COLUMNS):
+                    graph.spans[k, kept, column] = graph.spans[k, i, column]
                 kept += 1
         graph.counts[k] = kept
 
 
-@kernel
+@kernel_in_place
 def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, bits: Ints, p: Numbers) -> bool:
     """Whether an ego that has stood for long may move on a little: nobody is or comes close ahead of it."""
     if memory[STOOD] < p.creep_after or station + CREEP_ROOM / 2 > limit:
@@ -152,7 +154,7 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, 
     return True
 
 
-@kernel
+@kernel_in_place
 def creep(graph: StationTime, station: float, limit: float, memory: Floats, bits: Ints, p: Numbers) -> bool:
     """Whether the ego creeps now; it goes on for `CREEP_TIME` once it has begun."""
     if memory[CREEPS] <= 0.0 and may_creep(graph, station, limit, memory, bits, p):

@@ -11,7 +11,7 @@ from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, has_lane, lane_end, oncoming_lane
 from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbours, neighbours
 from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -48,13 +48,13 @@ class Ego(NamedTuple):
     half_width: float
 
 
-@kernel
+@kernel_in_place
 def change_length(speed: float, p: Numbers) -> float:
     """Length of a change to the next lane, along the route [m]."""
     return max(p.change_length, p.change_time * speed)
 
 
-@kernel
+@kernel_in_place
 def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbours:
     """Who is next to the ego in a lane; those who stand beyond the destination are in nobody's way."""
     found = neighbours(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
@@ -65,7 +65,7 @@ def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbours:
     return found
 
 
-@kernel
+@kernel_in_place
 def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
     """The lane that the ego should be in: its own, or one that is next to it."""
     lane = int(memory[LANE])
@@ -91,7 +91,7 @@ def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints
     return best
 
 
-@kernel
+@kernel_in_place
 def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
     """Whether a lane runs beside the ego for as long as a change to it takes, and no junction is in between."""
     until = ego.station + change_length(ego.speed, p) + ego.half_length
@@ -100,7 +100,7 @@ def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
     return has_lane(path, lane, ego.station) and has_lane(path, lane, until)
 
 
-@kernel
+@kernel_in_place
 def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
     """How far the ego gets in a lane within the outlook, less what it costs to be beside the route [m]."""
     found = beside_lane(path, others, ego, lane)
@@ -110,14 +110,14 @@ def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float
     return free - abs(lane) * p.lane_cost
 
 
-@kernel
+@kernel_in_place
 def _must_return(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
     """Whether the room left is needed to come back to the route."""
     room = lane_end(path, lane, ego.station) - ego.station
     return room < abs(lane) * (change_length(ego.speed, p) + 2 * ego.speed + p.change_length)
 
 
-@kernel
+@kernel_in_place
 def _delays(path: Path, ego: Ego, lane: int, leader: Neighbours, bits: Ints, p: Numbers) -> bool:
     """Whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
     if p.late_change == 0.0 or leader.ahead < 0 or leader.gap_ahead > CLOSE_UP or leader.speed_ahead > SLOW:
@@ -128,7 +128,7 @@ def _delays(path: Path, ego: Ego, lane: int, leader: Neighbours, bits: Ints, p: 
     return late
 
 
-@kernel
+@kernel_in_place
 def _may_overtake(
     path: Path, others: Floats, ego: Ego, other: int, leader: Neighbours, memory: Floats, bits: Ints, p: Numbers
 ) -> bool:
@@ -149,7 +149,7 @@ def _may_overtake(
     return fits
 
 
-@kernel
+@kernel_in_place
 def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, p: Numbers) -> float:
     """How far the ego drives until it is back before its leader, at the speed that needs least room [m]."""
     least = math.inf
@@ -163,7 +163,7 @@ def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, p
     return least
 
 
-@kernel
+@kernel_in_place
 def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
     """The lane of the other direction, if a slow leader is to be overtaken there (weakness R2-3), or else the own."""
     lane = int(memory[LANE])
@@ -183,7 +183,7 @@ def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints,
     return other if fits else lane
 
 
-@kernel
+@kernel_in_place
 def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
     """The gaps in a lane as a share of what is needed by distance and closing speed, the scarcer one."""
     found = neighbours(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
@@ -192,7 +192,7 @@ def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> fl
     return min(found.gap_ahead / ahead, found.gap_behind / behind)
 
 
-@kernel
+@kernel_in_place
 def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: Numbers) -> bool:
     """Whether the gaps in a lane are wide enough to begin a change to it."""
     share = gap_share(path, others, ego, lane, p)
@@ -202,7 +202,7 @@ def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: 
     return share >= 1.0
 
 
-@kernel
+@kernel_in_place
 def lane_wall(path: Path, ego: Ego, lane: int, p: Numbers) -> float:
     """The station that the ego must not pass beside its route's lane, so that it can still come back [m]."""
     if lane == 0:

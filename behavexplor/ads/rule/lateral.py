@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 
 
 class Profile(NamedTuple):
@@ -24,7 +24,7 @@ class Profile(NamedTuple):
     last: float
 
 
-@kernel
+@kernel_in_place
 def offset_at(profile: Profile, station: float) -> float:
     """Offset at a station [m]: between start and end a quintic without curvature at its ends."""
     if station >= profile.start + profile.length:
@@ -37,13 +37,13 @@ def offset_at(profile: Profile, station: float) -> float:
     return profile.first + u * (slope + u * u * (cubic + u * (quartic + u * quintic)))
 
 
-@kernel
+@kernel_in_place
 def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> Profile:
     """The change from where the ego is to another offset."""
     return Profile(station, length, offset, min(max(slope, -0.5), 0.5), target)
 
 
-@kernel
+@kernel_in_place
 def keep_profile(offset: float) -> Profile:
     """An offset that is kept."""
     return Profile(-math.inf, 0.0, offset, 0.0, offset)

@@ -9,7 +9,7 @@ from behavexplor.ads.rule.occlusion import hidden_share
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import ACCELERATION, LENGTH, SPEED, WIDTH
 
 Floats = NDArray[np.float64]
@@ -44,7 +44,7 @@ class Motion(NamedTuple):
     turning_width: float
 
 
-@kernel
+@kernel_in_place
 def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
     """An NPC's motion as a careful planner predicts it."""
     speed = max(scene[row, SPEED], 0.0)
@@ -53,7 +53,7 @@ def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
     return Motion(speed, scene[row, ACCELERATION], p.acceleration_memory, limit, length, width, length, width)
 
 
-@kernel
+@kernel_in_place
 def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> int:
     """Bits of the weaknesses of prediction whose gates an NPC opens: R1-1, R1-2, R1-4 and R1-7."""
     bits = 0
@@ -69,7 +69,7 @@ def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> i
     return bits
 
 
-@kernel
+@kernel_in_place
 def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
     """An NPC's motion as a planner with weaknesses predicts it, given the bits of those whose gates it opens."""
     if weak == 0:

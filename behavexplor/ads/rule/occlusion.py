@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 TWO_PI = 2 * math.pi
 
 
-@kernel
+@kernel_in_place
 def hidden_share(scene: Floats, row: int) -> float:
     """Share of a vehicle's angular width, seen from the ego's centre, that the nearer vehicle before it covers most."""
     bearing, low, high = bearings(scene, row)
@@ -31,7 +31,7 @@ def hidden_share(scene: Floats, row: int) -> float:
     return most
 
 
-@kernel
+@kernel_in_place
 def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
     """Bearing of a vehicle's centre from the ego's, and the least and greatest of its corners relative to that [rad].
 

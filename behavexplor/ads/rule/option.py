@@ -37,7 +37,7 @@ from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed import Nodes, Situation, SpeedPlan, plan_speed
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
 from behavexplor.ads.rule.weaknesses import R1_5, note
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ class Option(NamedTuple):
     limit: float
 
 
-@kernel
+@kernel_in_place
 def plan_option(world: World, ego: Ego, profile: Profile, lane: int, memory: Floats) -> Option:
     """The speed along a profile, with a wait before the junction where that cannot be crossed."""
     path, room, p = world.path, world.room, world.p

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.lanes import CURVATURE, LENGTH, lane_array, pose_on_lane, project_on_lane
+from behavexplor.ads.rule.lanes import CURVATURE, LENGTH, lane_array, offset_on_lane, pose_on_lane, project_on_lane
 from behavexplor.ads.rule.parameters import Parameters
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.roadmap import Lane, RoadMap
 
 Floats = NDArray[np.float64]
@@ -113,33 +113,34 @@ def _speed_limits(roadmap: RoadMap, parameters: Parameters, stations: Floats) ->
     return limits
 
 
-@kernel
-def _index(path: Path, station: float) -> int:
+@kernel_in_place
+def row_at(path: Path, station: float) -> int:
+    """The row of the tables of the path, such as `limits`, for a station [m]."""
     return min(max(int(station / SPACING), 0), len(path.limits) - 1)
 
 
-@kernel
+@kernel_in_place
 def limit_at(path: Path, station: float) -> float:
     """Greatest speed [m/s] at a station [m]."""
-    limit: float = path.limits[_index(path, station)]
+    limit: float = path.limits[row_at(path, station)]
     return limit
 
 
-@kernel
+@kernel_in_place
 def has_lane(path: Path, lane: int, station: float) -> bool:
     """Whether a lane (0 is the route's, 1 the next to the right) runs the ego's way at a station."""
-    i = _index(path, station)
+    i = row_at(path, station)
     return bool(-path.left[i] <= lane <= path.right[i])
 
 
-@kernel
+@kernel_in_place
 def oncoming_lane(path: Path, station: float) -> int:
     """The lane of the other direction that is next to the ego's, 0 where there is none."""
-    i = _index(path, station)
+    i = row_at(path, station)
     return -int(path.left[i]) - 1 if path.oncoming[i] else 0
 
 
-@kernel
+@kernel_in_place
 def lane_end(path: Path, lane: int, station: float) -> float:
     """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
     end = station
@@ -148,32 +149,40 @@ def lane_end(path: Path, lane: int, station: float) -> float:
     return min(end, path.destination)
 
 
-@kernel
+@kernel_in_place
 def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     """The lane of the route that is nearest to a point; the point's station on the route, and its offset [m]."""
     last = len(path.lanes) - 1
     nearest, best, best_station, best_offset = math.inf, 0, 0.0, 0.0
-    for i in range(last + 1):
-        station, offset = project_on_lane(path.lanes, i, x, y)
-        outside = 0.0
-        if i > 0:
-            outside = max(outside, -station)
-        if i < last:
-            outside = max(outside, station - path.lanes[i, LENGTH])
-        gap = offset * offset + outside * outside
-        if gap < nearest:
-            nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
+    for curved in (False, True):  # curved lanes last: they take longer, and mostly another one is nearer
+        for i in range(last + 1):
+            if (path.lanes[i, CURVATURE] != 0.0) != curved:
+                continue
+            if curved and offset_on_lane(path.lanes, i, x, y) ** 2 > nearest:
+                continue
+            station, offset = project_on_lane(path.lanes, i, x, y)
+            gap = offset * offset + _outside(path, i, station) ** 2
+            if gap < nearest or (gap == nearest and i < best):
+                nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
     return best, best_station, best_offset
 
 
-@kernel
+@kernel_in_place
+def _outside(path: Path, lane: int, station: float) -> float:
+    """How far a station of one of the route's lanes lies beyond the lane's ends [m]; the outer ones are continued."""
+    if station < 0.0:
+        return -station if lane > 0 else 0.0
+    return max(station - path.lanes[lane, LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
+
+
+@kernel_in_place
 def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
     """Station and offset (positive to the right) of a point [m]; the outer lanes are continued."""
     _, station, offset = locate_on_path(path, x, y)
     return station, offset
 
 
-@kernel
+@kernel_in_place
 def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     """Whether the route is straight between two stations about one of its lanes; its ends are continued."""
     if path.lanes[lane, CURVATURE] != 0.0:
@@ -182,7 +191,7 @@ def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     return bool(starts and (lane == len(path.lanes) - 1 or high <= path.bounds[lane + 1]))
 
 
-@kernel
+@kernel_in_place
 def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     """Position and heading at a station; the outer lanes are continued."""
     i = 0
@@ -191,7 +200,7 @@ def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     return pose_on_lane(path.lanes, i, station - path.bounds[i])
 
 
-@kernel
+@kernel_in_place
 def point_beside(path: Path, station: float, offset: float) -> tuple[float, float]:
     """The point at a station and offset."""
     x, y, heading = pose_on_path(path, station)

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions
+from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
 from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.cycle import plan_once
 from behavexplor.ads.rule.memory import (
@@ -29,14 +29,10 @@ from behavexplor.ads.rule.speed import empty_nodes
 from behavexplor.ads.rule.station_time import empty_station_time
 from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
 from behavexplor.compiled import kernel
-from behavexplor.errors import InputError
 from behavexplor.roadmap import RoadMap
-from behavexplor.scene import EGO, N_COLUMNS, PRESENT
+from behavexplor.scene import EGO, PRESENT
 
 Floats = NDArray[np.float64]
-
-RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
-
 
 _LOG: Final = MappingProxyType(
     {
@@ -92,15 +88,8 @@ class RulePlanner:
         Raises:
             InputError: if an array has a wrong shape.
         """
-        scenes = np.asarray(observation, dtype=np.float64)
-        if scenes.ndim != 3 or scenes.shape[1] == 0 or scenes.shape[2] != N_COLUMNS:
-            raise InputError(f"observation: expected shape (B, 1 + n, {N_COLUMNS}), got {scenes.shape}")
-        scenes = np.ascontiguousarray(np.rint(scenes / RESOLUTION) * RESOLUTION)
-        memory = np.zeros((len(scenes), N_MEMORIES)) if state is None else np.array(state, dtype=np.float64, order="C")
-        if memory.shape != (len(scenes), N_MEMORIES):
-            raise InputError(f"state: expected shape {(len(scenes), N_MEMORIES)}, got {memory.shape}")
-        if episode_start is not None:
-            memory[np.asarray(episode_start, dtype=bool)] = 0.0
+        scenes = as_scenes(observation)
+        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
         _plan_batch(self._path, self._graph, scenes, memory, self._numbers)
         commands = memory[:, [LAST_ACCELERATION, LAST_STEERING]]
         return as_actions(commands), memory

@@ -17,10 +17,11 @@ from behavexplor.ads.rule.lanes import (
     X,
     Y,
     lane_array,
+    offset_on_lane,
     project_on_lane,
 )
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.roadmap import Lane, Route
 
 Floats = NDArray[np.float64]
@@ -72,7 +73,7 @@ def _distance(lane: Lane, way: Floats) -> float:
     return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
 
 
-@kernel
+@kernel_in_place
 def find_tails(
     graph: LaneGraph, x: float, y: float, heading: float, p: Numbers, tails: Ints, stations: Floats
 ) -> tuple[int, int]:
@@ -96,11 +97,7 @@ def find_tails(
     for tail in range(spare):
         if graph.tails[tail, 0] != lane:
             lane = graph.tails[tail, 0]
-            station, aside = project_on_lane(lanes, lane, x, y)
-            along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
-            turned = abs((heading - along + math.pi) % TWO_PI - math.pi)
-            beside = abs(aside) <= p.match_offset and 0.0 <= station <= lanes[lane, LENGTH]
-            fits = beside and turned <= p.match_heading
+            fits, station = _fits(lanes, lane, x, y, heading, p)
         if not fits or count + overlooked == len(tails):
             continue
         if p.branch_turn > 0.0 and _overlooked(graph, tail, heading, p):
@@ -118,7 +115,19 @@ def find_tails(
     return count + overlooked, overlooked
 
 
-@kernel
+@kernel_in_place
+def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
+    """Whether a vehicle may be driving on a lane, and its station there if it is not far aside [m]."""
+    if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
+        return False, 0.0
+    station, _ = project_on_lane(lanes, lane, x, y)
+    if not 0.0 <= station <= lanes[lane, LENGTH]:
+        return False, station
+    along = lanes[lane, HEADING] + lanes[lane, CURVATURE] * station
+    return abs((heading - along + math.pi) % TWO_PI - math.pi) <= p.match_heading, station
+
+
+@kernel_in_place
 def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
     """Whether a way on turns off, but the vehicle has not yet clearly done so (weakness R1-8)."""
     lanes, lane, following = graph.lanes, graph.tails[tail, 0], graph.tails[tail, 1]
@@ -128,7 +137,7 @@ def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool
     return bool(turned < p.branch_turn)
 
 
-@kernel
+@kernel_in_place
 def travelled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
     """Distance [m] driven in a time if the acceleration goes on for a duration, between standstill and the limit."""
     if acceleration > 0.0:
@@ -140,7 +149,7 @@ def travelled(speed: float, acceleration: float, duration: float, limit: float, 
     return speed * first + 0.5 * acceleration * first * first + after * (time - first)
 
 
-@kernel
+@kernel_in_place
 def reach(
     speed: float, acceleration: float, duration: float, limit: float, since: float, until: float
 ) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel, kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -99,7 +99,7 @@ def empty_nodes() -> Nodes:
     return Nodes(np.empty((2, most, 7)), np.empty((N_STATION_BINS, N_SPEED_BINS), np.int64))
 
 
-@kernel
+@kernel_in_place
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """The best speed along the path, from the free one to an emergency.
 
@@ -119,21 +119,21 @@ def plan_speed(situation: Situation, station: float, speed: float, acceleration:
     return _escape(situation, station, speed)
 
 
-@kernel
+@kernel_in_place
 def free_acceleration(path: Path, station: float, speed: float, p: Numbers) -> float:
     """Towards the limit, here and after the time of response, comfortably."""
     limit = min(limit_at(path, station), limit_at(path, station + RESPONSE * speed))
     return min(max((limit - speed) / RESPONSE, -p.firm_braking), p.comfortable_acceleration)
 
 
-@kernel
+@kernel_in_place
 def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPlan:
     path, p = situation.path, situation.p
     first = free_acceleration(path, station, speed, p)
     s, v, risk, inside = station, speed, 0.0, 0.0
     for k in range(N_INTERVALS):
         a = free_acceleration(path, s, v, p)
-        ok, s, v, _, more_risk, more_inside = _advance(situation, s, v, a, k, 1)
+        ok, s, v, _, more_risk, more_inside, _ = _advance(situation, s, v, a, k, 1)
         if not ok:
             return SpeedPlan(first, k, s, v, risk, inside, True)
         risk += more_risk
@@ -141,7 +141,7 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
     return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True)
 
 
-@kernel
+@kernel_in_place
 def _search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Stage by stage the cheapest way to each (station, speed); at the end the cheapest of the latest stage."""
     now, following, count = nodes.stages[0], nodes.stages[1], 1
@@ -163,7 +163,7 @@ def _search(situation: Situation, station: float, speed: float, acceleration: fl
     return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False)
 
 
-@kernel
+@kernel_in_place
 def _expand(
     situation: Situation,
     station: float,
@@ -177,12 +177,17 @@ def _expand(
     """Try every acceleration from every node of a stage; returns how many nodes the next stage has."""
     places[:] = -1
     found = 0
+    ok, s, v, cost, risk, inside = True, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(count):
+        capped = False
         for option in range(HARDEST[stage], STRONGEST[stage] + 1):
             a = ACCELERATIONS[option]
             if now[i, V] == 0.0 and a < 0.0:
                 continue
-            ok, s, v, cost, risk, inside = _advance(situation, now[i, S], now[i, V], a, interval, STAGES[stage])
+            if not capped:  # or else it is the same motion again
+                ok, s, v, cost, risk, inside, capped = _advance(
+                    situation, now[i, S], now[i, V], a, interval, STAGES[stage]
+                )
             if not ok:
                 continue
             change = a - now[i, LAST]
@@ -203,7 +208,7 @@ def _expand(
     return found
 
 
-@kernel
+@kernel_in_place
 def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     """Cost of the braking that a plan leaves for later; without it every plan would brake too late."""
     if survived < N_INTERVALS:
@@ -217,7 +222,7 @@ def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     return debt
 
 
-@kernel
+@kernel_in_place
 def _braking_cost(situation: Situation, closing: float, room: float) -> float:
     """Cost of losing a closing speed [m/s] within a room [m] with constant braking."""
     if closing <= 0.0:
@@ -226,26 +231,31 @@ def _braking_cost(situation: Situation, closing: float, room: float) -> float:
     return situation.p.braking_cost * needed * closing
 
 
-@kernel
+@kernel_in_place
 def _advance(
     situation: Situation, s: float, v: float, a: float, interval: int, count: int
-) -> tuple[bool, float, float, float, float, float]:
-    """Drive on with one acceleration: whether without contact, then station, speed, cost, risk and time inside."""
+) -> tuple[bool, float, float, float, float, float, bool]:
+    """Drive on with one acceleration: whether without contact, then station, speed, cost, risk and time inside.
+
+    And whether the speed is at its limit all the time, so that no stronger acceleration makes a difference.
+    """
     path, graph, p = situation.path, situation.graph, situation.p
     spans = graph.spans
     inside_from, inside_until = path.junction_start - situation.half_length, path.junction_end + situation.half_length
-    cost, risk, inside = 0.0, 0.0, 0.0
+    cost, risk, inside, capped = 0.0, 0.0, 0.0, True
     for k in range(interval, interval + count):
         limit = limit_at(path, s)
+        cap = max(limit, v)
         after = max(v + a * INTERVAL, 0.0)
-        if a > 0.0:
-            after = min(after, max(limit, v))
+        capped = capped and after >= cap
+        after = min(after, cap)
         ahead = s + 0.5 * (v + after) * INTERVAL
         if ahead > situation.wall:
-            return False, s, v, cost, risk, inside
-        for i in range(graph.counts[k]):
+            return False, s, v, cost, risk, inside, capped
+        near = ahead > graph.reaches[k, 0] and s < graph.reaches[k, 1]
+        for i in range(graph.counts[k] if near else 0):
             if ahead > spans[k, i, HARD_LOW] and s < spans[k, i, HARD_HIGH]:
-                return False, s, v, cost, risk, inside
+                return False, s, v, cost, risk, inside, capped
             if ahead > spans[k, i, SOFT_LOW] and s < spans[k, i, SOFT_HIGH]:
                 cost += situation.caution * spans[k, i, COST] * INTERVAL
                 risk += spans[k, i, COST] * INTERVAL
@@ -260,10 +270,10 @@ def _advance(
         if halting and inside_from < s < inside_until:
             cost += p.keep_clear_cost * INTERVAL
             inside += INTERVAL
-    return True, s, v, cost, risk, inside
+    return True, s, v, cost, risk, inside, capped
 
 
-@kernel
+@kernel_in_place
 def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
     """Contact cannot be ruled out: the acceleration with the latest contact, of equal ones the hardest braking."""
     best, latest = ACCELERATIONS[0], -1
@@ -274,7 +284,7 @@ def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
     return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False)
 
 
-@kernel
+@kernel_in_place
 def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
     """The first interval in which boxes touch on the path."""
     graph, gap = situation.graph, situation.p.bumper_gap

@@ -15,7 +15,7 @@ from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
 from behavexplor.ads.rule.weaknesses import R1_8, note
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel, kernel_in_place
 from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
@@ -43,6 +43,7 @@ class StationTime(NamedTuple):
     Attributes:
         spans: shape (N_INTERVALS, most, 7), columns as above.
         counts: how many spans there are in each interval, shape (N_INTERVALS,).
+        reaches: stations before and behind which none of them is, shape (N_INTERVALS, 2) [m].
         occupied: room for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
         tails: room for one NPC's ways, shape (TAILS_PER_NPC,).
         stations: room for its stations along them, shape (TAILS_PER_NPC,) [m].
@@ -51,6 +52,7 @@ class StationTime(NamedTuple):
 
     spans: Floats
     counts: Ints
+    reaches: Floats
     occupied: Floats
     tails: Ints
     stations: Floats
@@ -63,6 +65,7 @@ def empty_station_time(n_npcs: int) -> StationTime:
     return StationTime(
         np.empty((N_INTERVALS, max(n_npcs, 1) * TAILS_PER_NPC, N_COLUMNS)),
         np.zeros(N_INTERVALS, np.int64),
+        np.empty((N_INTERVALS, 2)),
         np.empty((N_STEPS, 2)),
         np.empty(TAILS_PER_NPC, np.int64),
         np.empty(TAILS_PER_NPC),
@@ -82,7 +85,7 @@ class View(NamedTuple):
     room: StationTime
 
 
-@kernel
+@kernel_in_place
 def project_obstacles(
     path: Path,
     profile: Profile,
@@ -106,6 +109,7 @@ def project_obstacles(
         room: filled; bits are added to.
     """
     room.counts[:] = 0
+    room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
     view = View(path, profile, graph, scene, station, p, room)
     for row in range(EGO + 1, len(scene)):
         if scene[row, PRESENT] == 0.0 or _ignored(view, row, blind):
@@ -124,7 +128,7 @@ def project_obstacles(
                 note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
-@kernel
+@kernel_in_place
 def _ignored(view: View, row: int, blind: float) -> bool:
     """Whether an NPC in the lane changed to is too far behind to be looked at (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
@@ -133,7 +137,7 @@ def _ignored(view: View, row: int, blind: float) -> bool:
     return bool(abs(aside - view.profile.last) < view.path.lane_width / 2 and at - view.station < blind)
 
 
-@kernel
+@kernel_in_place
 def _steps(motion: Motion, p: Numbers) -> int:
     """How many steps along its way an NPC can come within the horizon."""
     horizon = N_INTERVALS * INTERVAL
@@ -142,7 +146,7 @@ def _steps(motion: Motion, p: Numbers) -> int:
     return min(int(farthest / STEP) + 2, N_STEPS)
 
 
-@kernel
+@kernel_in_place
 def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
     """Add one NPC's motion along one way, if it is seen; one that follows the ego on its own path is left out.
 
@@ -182,10 +186,12 @@ def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
         spans[k, i, LEADS] = 1.0 if ahead else 0.0
         spans[k, i, LEAD_SPEED] = lead_speed
         room.counts[k] += 1
+        room.reaches[k, 0] = min(room.reaches[k, 0], spans[k, i, HARD_LOW], spans[k, i, SOFT_LOW])
+        room.reaches[k, 1] = max(room.reaches[k, 1], spans[k, i, HARD_HIGH], spans[k, i, SOFT_HIGH])
     return True
 
 
-@kernel
+@kernel_in_place
 def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
     """The stretch of the ego's path that an NPC's box takes up at each step of its way; the first and last that do."""
     graph, room = view.graph, view.room
@@ -216,7 +222,7 @@ def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
     return first, last
 
 
-@kernel
+@kernel_in_place
 def _stretch(occupied: Floats, first: int, last: int, near: float, far: float) -> tuple[float, float]:
     """The stretch of the ego's path taken up while an NPC is between two distances along its way."""
     low, high = math.inf, -math.inf

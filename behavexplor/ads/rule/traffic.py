@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Neighbours(NamedTuple):
     speed_behind: float
 
 
-@kernel
+@kernel_in_place
 def locate(path: Path, scene: Floats, others: Floats) -> None:
     """Fill the table of others, shape (n, 6): station, offset [m], turned [rad], half extents [m] and speed [m/s].
 
@@ -62,7 +62,7 @@ def locate(path: Path, scene: Floats, others: Floats) -> None:
         other[ALONG_SPEED] = scene[row, SPEED] * math.cos(turned)
 
 
-@kernel
+@kernel_in_place
 def in_lane(other: Floats, offset: float, half_width: float) -> bool:
     """Whether a vehicle drives along the lane with a centre at an offset, or reaches into an ego's way there."""
     if other[STATION] == math.inf or abs(other[TURNED]) > SAME_WAY:
@@ -70,7 +70,7 @@ def in_lane(other: Floats, offset: float, half_width: float) -> bool:
     return bool(abs(other[OFFSET] - offset) < other[HALF_ACROSS] + half_width + TOUCHING)
 
 
-@kernel
+@kernel_in_place
 def neighbours(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbours:
     """Who is next ahead and behind in the lane at an offset."""
     ahead, behind = NOBODY, NOBODY

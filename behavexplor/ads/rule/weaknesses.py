@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
+from behavexplor.compiled import kernel_in_place
 
 Ints = NDArray[np.int64]
 
@@ -176,7 +176,7 @@ def names(bits: int) -> tuple[str, ...]:
     return tuple(name for name, bit in _BITS.items() if int(bits) & bit)
 
 
-@kernel
+@kernel_in_place
 def note(bits: Ints, weakness: int, triggered: bool) -> None:
     """Note that a weakness is reached, and whether it is triggered, in bits of shape (2,)."""
     bits[REACHED] |= weakness

@@ -4,17 +4,9 @@ import numpy as np
 import pytest
 from shapely import LineString, Polygon
 
-from behavexplor.ads.learned.course import (
-    CAR,
-    END,
-    IN,
-    OUT,
-    SIDE_GAP,
-    SPACING,
-    START,
-    pose_on_course,
-    project_on_course,
-)
+from behavexplor.ads.learned.course import CAR, END, IN, OUT, SIDE_GAP, START
+from behavexplor.ads.learned.features import lanes_beside
+from behavexplor.ads.rule.path import SPACING, row_at
 from behavexplor.geometry import box_corners
 from behavexplor.logical import EGO_SIZE
 from tests.ads.learned.scenes import COURSES, LOGICALS
@@ -23,18 +15,8 @@ EVERYWHERE = pytest.mark.parametrize("name", COURSES)
 
 
 @EVERYWHERE
-def test_poses_and_projections_are_those_of_the_route(name):
-    course, route = COURSES[name], LOGICALS[name].roadmap.ego_route
-    for station in np.linspace(-5.0, route.length + 5.0, 57):
-        pose = pose_on_course(course.path, course.bounds, station)
-        np.testing.assert_allclose(pose, route.pose(station), atol=1e-9)
-        x, y = pose[0] - 1.2 * np.sin(pose[2]), pose[1] + 1.2 * np.cos(pose[2])
-        np.testing.assert_allclose(project_on_course(course.path, course.bounds, x, y), (station, 1.2), atol=1e-9)
-
-
-@EVERYWHERE
 def test_speed_limits_can_be_kept_by_gentle_braking(name):
-    limit = COURSES[name].limit
+    limit = COURSES[name].path.limits
     assert (limit <= LOGICALS[name].roadmap.speed_limit).all()
     assert (limit[:-1] ** 2 - limit[1:] ** 2 <= 2 * 2.0 * SPACING + 1e-9).all()
     curved = COURSES[name].curvature != 0
@@ -47,20 +29,29 @@ def test_speed_limits_can_be_kept_by_gentle_braking(name):
         ("lane-follow", 50.0, 2, 1),
         ("lane-change", 50.0, 3, 0),
         ("intersection-straight", 50.0, 0, 1),
-        ("intersection-straight", 105.0, 0, 0),
+        ("intersection-straight", 89.9, 0, 1),
+        ("intersection-straight", 90.0, 0, 0),
+        ("intersection-straight", 119.9, 0, 0),
+        ("intersection-straight", 120.0, 0, 1),
         ("intersection-left", 150.0, 0, 1),
     ],
 )
 def test_lanes_beside_the_route_are_counted(name, station, left, right):
-    row = int(station / SPACING)
-    assert (COURSES[name].left[row], COURSES[name].right[row]) == (left, right)
+    row = row_at(COURSES[name].path, station)
+    assert lanes_beside(COURSES[name], row, 0.0) == (left, right)
+
+
+def test_seen_from_another_lane_other_lanes_lie_beside():
+    course = COURSES["lane-follow"]
+    found = [lanes_beside(course, 50, lane * course.path.lane_width) for lane in (-2, -1, 1)]
+    assert found == [(0, 3), (1, 2), (3, 0)]
 
 
 def test_lanes_beside_end_at_the_junction():
     course = COURSES["intersection-straight"]
-    assert course.side_by_side[60] == pytest.approx(course.junction_start - 60.0)
-    after = int(course.junction_end) + 5
-    assert course.side_by_side[after] == pytest.approx(course.bounds[-1] - after)
+    assert course.side_by_side[60] == pytest.approx(course.path.junction_start - 60.0)
+    after = int(course.path.junction_end) + 5
+    assert course.side_by_side[after] == pytest.approx(course.path.bounds[-1] - after)
 
 
 def tails(name):

@@ -90,7 +90,8 @@ def test_there_is_a_way_home_from_every_lane(offset):
 
 def test_near_the_junction_it_takes_the_lane_of_its_route():
     course = COURSES["intersection-straight"]
-    scene, memory = started("intersection-straight", ego("intersection-straight", course.junction_start - 10, 3.5, 5.0))
+    before = course.path.junction_start - 10
+    scene, memory = started("intersection-straight", ego("intersection-straight", before, 3.5, 5.0))
     memory[WANTED] = 3.5
     track(course, scene, RIGHT + COAST, memory)
     assert memory[WANTED] == 0.0

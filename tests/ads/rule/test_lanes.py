@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.rule.lanes import lane_array, pose_on_lane, project_on_lane
+from behavexplor.ads.rule.lanes import lane_array, offset_on_lane, pose_on_lane, project_on_lane
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 
 LOGICAL = IntersectionStraightEnv.logical
@@ -23,3 +23,9 @@ def test_projection_is_the_inverse_of_the_pose_with_an_offset_to_the_right(index
         for offset in (-2.5, 0.0, 1.2):
             point = x - offset * np.sin(heading), y + offset * np.cos(heading)
             assert project_on_lane(ARRAY, index, *point) == pytest.approx((station, offset), abs=1e-9)
+
+
+@pytest.mark.parametrize("index", range(len(LANES)))
+def test_the_offset_alone_is_that_of_the_projection_to_the_last_bit(index):
+    for x, y in np.random.default_rng(index).uniform(-60, 60, size=(50, 2)):
+        assert offset_on_lane(ARRAY, index, x, y) == project_on_lane(ARRAY, index, x, y)[1]

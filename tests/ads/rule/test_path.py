@@ -1,11 +1,13 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.rule.lanes import LENGTH, project_on_lane
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.ads.rule.path import (
     ego_path,
     has_lane,
     lane_end,
+    locate_on_path,
     oncoming_lane,
     point_beside,
     pose_on_path,
@@ -32,6 +34,29 @@ def test_points_beside_the_path_are_projected_back(name):
             assert project_on_path(way, *point_beside(way, station, offset)) == pytest.approx(
                 (station, offset), abs=1e-6
             )
+
+
+def nearest_lane(way, x, y):
+    """By looking at all lanes of the route in their order."""
+    found = []
+    for i in range(len(way.lanes)):
+        station, offset = project_on_lane(way.lanes, i, x, y)
+        before = -station if i > 0 else 0.0
+        behind = station - way.lanes[i, LENGTH] if i < len(way.lanes) - 1 else 0.0
+        found.append((offset**2 + max(before, behind, 0.0) ** 2, i, way.bounds[i] + station, offset))
+    return min(found)[1:]
+
+
+@pytest.mark.parametrize("name", ["S1", "S2"])
+def test_a_point_is_on_the_lane_of_the_route_that_is_nearest(name):
+    way = path(ALL[name])
+    joints = [pose_on_path(way, bound)[:2] for bound in way.bounds]
+    anywhere = np.random.default_rng(5).uniform(-70, 70, size=(400, 2))
+    lanes = set()
+    for x, y in [*joints, *anywhere]:
+        assert locate_on_path(way, x, y) == nearest_lane(way, x, y)
+        lanes.add(locate_on_path(way, x, y)[0])
+    assert lanes == set(range(len(way.lanes)))
 
 
 @pytest.mark.parametrize("index", range(4))

@@ -11,6 +11,8 @@ from behavexplor.ads.rule.station_time import (
     HARD_LOW,
     INTERVAL,
     LEADS,
+    SOFT_HIGH,
+    SOFT_LOW,
     empty_station_time,
     project_obstacles,
 )
@@ -145,3 +147,13 @@ def test_an_absent_npc_takes_up_nothing():
     observation[1, 0] = 0.0
     project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.max() == 0
+
+
+def test_what_is_said_of_all_spans_of_an_interval_holds_for_each():
+    npcs = [(*STRAIGHT.routes[name].pose(station), 6.0, 0.0) for name in STRAIGHT.routes for station in (40.0, 70.0)]
+    room = graph_of(STRAIGHT, npcs)
+    assert room.counts.max() > 2
+    for count, spans, (least, greatest) in zip(room.counts, room.spans, room.reaches, strict=True):
+        now = spans[:count]
+        assert least == now[:, [HARD_LOW, SOFT_LOW]].min(initial=np.inf)
+        assert greatest == now[:, [HARD_HIGH, SOFT_HIGH]].max(initial=-np.inf)
