@@ -140,6 +140,7 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     if progress.failed:
         number = min(numbers[0] for numbers in failures.values() if numbers)
         lines.append(f"Look at the first failure: {program} replay {shlex.quote(str(store.folder))} {number}")
+    lines.append(f"Write a page on all of it: {program} report {shlex.quote(str(store.folder))}")
     return "\n".join(lines)
 
 

@@ -27,7 +27,8 @@ class State:
     Attributes:
         letter: its name.
         share: of all windows.
-        speed: mean of the ego [m/s].
+        speed: mean of the ego's [m/s].
+        deviation: of the speed [m/s].
         acceleration: mean [m/s2].
         yaw_rate: mean [rad/s].
     """
@@ -35,6 +36,7 @@ class State:
     letter: str
     share: float
     speed: float
+    deviation: float
     acceleration: float
     yaw_rate: float
 
@@ -86,19 +88,32 @@ def behaviours(traces: Mapping[int, Trace]) -> Behaviours:
 def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
     """The new index of each cluster, by speed, and what is in it; clusters without any window come last."""
     columns = [ATTRIBUTES.index(name) * len(STATISTICS) + STATISTICS.index("mean") for name in _SHOWN]
-    means = np.full((len(LETTERS), len(columns)), np.inf)
+    means, deviations = np.full((len(LETTERS), len(columns)), np.inf), np.zeros(len(LETTERS))
     counts = np.bincount(labels, minlength=len(LETTERS))
     for label in np.flatnonzero(counts):
-        means[label] = merged[labels == label][:, columns].mean(0)
+        here = merged[labels == label][:, columns]
+        means[label], deviations[label] = here.mean(0), here[:, 0].std()
     slowest = np.argsort(means[:, 0], kind="stable")
     order = np.empty(len(LETTERS), dtype=np.uint8)
     order[slowest] = np.arange(len(LETTERS))
     states = tuple(
-        State(LETTERS[order[label]], float(counts[label] / len(labels)), *(float(mean) for mean in means[label]))
+        State(
+            letter=LETTERS[order[label]],
+            share=float(counts[label] / len(labels)),
+            speed=float(means[label, 0]),
+            deviation=float(deviations[label]),
+            acceleration=_plain(means[label, 1]),
+            yaw_rate=_plain(means[label, 2]),
+        )
         for label in slowest
         if counts[label]
     )
     return order, states
+
+
+def _plain(value: float) -> float:
+    """Rounded as it is shown; never a negative zero."""
+    return round(float(value), 2) + 0.0
 
 
 def scaled(distances: Floats) -> Floats:

@@ -85,7 +85,7 @@ def _kept(trace: Trace, frame: int) -> NDArray[np.int64]:
 
 
 def _deflated(rows: list[Floats]) -> str:
-    steps = np.diff(np.stack(rows).astype(np.int64), axis=1, prepend=0)
+    steps: Steps = np.diff(np.stack(rows), axis=1, prepend=0).astype(np.int64)
     words = (steps & 0xFFFF).astype("<u2").ravel()
     planes = words.view(np.uint8).reshape(-1, 2).T  # high bytes are mostly equal: apart, they deflate better
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")

@@ -37,7 +37,7 @@
       for (let i = 0, value = 0; i < n; i++) out[i] = (value = add(value, steps[i])) * unit;
       return out;
     };
-    const wrapped = (value, step) => ((value + step) << 16) >> 16; // places lie within an int16
+    const wrapped = (value, step) => ((value + step) << 16) >> 16; // places and speeds lie within an int16
     const turned = (value, step) => value + step; // headings go on turning
     const later = (value, step) => value + (step & 0xffff);
     const cars = [];
@@ -46,7 +46,7 @@
       const y = summed(3 + 3 * i, replay.unit, wrapped).map((v) => v + replay.middle[1]);
       cars.push({ x, y, heading: summed(4 + 3 * i, (2 * Math.PI) / 65536, turned) });
     }
-    return { time: summed(0, 0.01, later), speed: summed(1, 0.01, later), cars };
+    return { time: summed(0, 0.01, later), speed: summed(1, 0.01, wrapped), cars };
   }
 
   class Player {
@@ -255,7 +255,8 @@
           continue;
         }
         const [[ax, ay], [bx, by]] = ends, length = Math.hypot(bx - ax, by - ay) || 1;
-        for (const side of [0.14, -0.14]) {
+        const apart = Math.max(0.14, 1.3 * this.pixel); // so that two lines are seen
+        for (const side of [apart, -apart]) {
           const dx = (-(by - ay) / length) * side, dy = ((bx - ax) / length) * side;
           this.line(pen, [[ax + dx, ay + dy], [bx + dx, by + dy]], colors.yellow, 0.14);
         }
@@ -389,12 +390,11 @@
   };
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   const theme = document.getElementById("theme");
-  const THEMES = { "": ["Auto", "as the system has them"], light: ["Light", "light"], dark: ["Dark", "dark"] };
+  const THEMES = { "": "auto", light: "light", dark: "dark" };
   theme.addEventListener("click", () => {
     const names = Object.keys(THEMES), next = names[(names.indexOf(root.dataset.theme || "") + 1) % names.length];
     if (next) root.dataset.theme = next; else delete root.dataset.theme;
-    theme.textContent = THEMES[next][0];
-    theme.setAttribute("aria-label", `Colours: ${THEMES[next][1]}`);
+    theme.textContent = `Colours: ${THEMES[next]}`;
     redraw();
   });
 })();

@@ -8,7 +8,6 @@ from importlib.resources import files
 from typing import Any, Final
 
 from jinja2 import BaseLoader, Environment, StrictUndefined
-from markupsafe import Markup
 
 import behavexplor
 from behavexplor.report.gallery import PASSED
@@ -56,8 +55,8 @@ def page(runs: Sequence[Run], replays: int) -> str:
         overlaid=curves(runs) if several else (),
         class_rows=class_rows(runs) if several else (),
         values={"runs": [part.values for part in sections]},
-        style=Markup(style),  # noqa: S704 - of this package
-        script=Markup(script),  # noqa: S704 - of this package
+        style=style,
+        script=script,
         policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:; "
         "base-uri 'none'; form-action 'none'",
         versions={"behavexplor": behavexplor.__version__, **{name: version(name) for name in _LIBRARIES}},

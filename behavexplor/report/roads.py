@@ -82,6 +82,7 @@ def _dashes(roadmap: RoadMap) -> list[Floats]:
     for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
         if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):
             continue
-        for start in np.arange(0.0, lane.length, _GAP):
-            dashes.append(_beside(lane, np.array([start, min(start + _DASH, lane.length)]), lane.width / 2))
+        starts = np.arange(0.0, lane.length, _GAP)
+        ends = np.stack([starts, np.minimum(starts + _DASH, lane.length)], axis=1)
+        dashes += [_beside(lane, stations, lane.width / 2) for stations in ends]
     return dashes

@@ -161,7 +161,8 @@ def _looked_at(
     run: Run, wanted: Collection[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Mapping[str, Any]]]:
     """The traces of some executions, and the records of those that are replayed, by their numbers."""
-    traces, records = {}, {}
+    traces: dict[int, Trace] = {}
+    records: dict[int, Mapping[str, Any]] = {}
     for execution in stored(run.folder):
         if execution.id in wanted:
             traces[execution.id] = execution.load_trace()
