@@ -141,8 +141,10 @@ def _mark(trace: Trace, moment: Moment) -> tuple[float, float]:
         along = end - start
         place = start + np.clip((ego - start) @ along / max(along @ along, 1e-12), 0.0, 1.0) * along
     elif moment.spec == R1:
-        other = trace.position[moment.frame, moment.partner]
-        place = (_into_box(other, trace, moment.frame, 0) + _into_box(ego, trace, moment.frame, moment.partner)) / 2
+        place = ego
+        for _ in range(20):  # alternating projections lead into what two boxes share
+            place = _into_box(place, trace, moment.frame, moment.partner)
+            place = _into_box(place, trace, moment.frame, 0)
     else:
         place = trace.destination
     return float(place[0]), float(place[1])

@@ -15,7 +15,7 @@ EVIL = "</script><script>document.title='broken'</script><img src=x onerror=aler
 def run(tmp_path_factory):
     """A run of a driver that sees nothing, with failures; nobody has triaged it."""
     folder = tmp_path_factory.mktemp("report") / "cruiser-run"
-    arguments = ["--ads", "tests.drivers:cruiser", "--method", "random", "--budget", "14", "--seed", "5"]
+    arguments = ["--ads", "tests.drivers:cruiser", "--method", "behavexplor", "--budget", "24", "--seed", "5"]
     assert main(["fuzz", *arguments, "--workers", "0", "--quiet", "--out", str(folder)]) == OK
     return folder
 
