@@ -34,12 +34,14 @@ class Ribbon:
         class_id: of its card, `PASSED` if it violates nothing.
         strip: begin and length of each stretch of one abstract state, in percent of the longest, and the state.
         text: the same in words.
+        linked: whether its replay is in the page.
     """
 
     id: int
     class_id: str
     strip: tuple[tuple[float, float, int], ...]
     text: str
+    linked: bool
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def section(number: int, run: Run, limit: int) -> Section:
         cards=gallery,
         charts=curves([run]) + clouds(run),
         found=found,
-        ribbons=tuple(_ribbon(found, name, class_id, longest) for name, class_id in strips),
+        ribbons=tuple(_ribbon(found, name, class_id, longest, name in replayed) for name, class_id in strips),
         longest=longest * TIME_STEP,
         places=_places(run, found, replayed),
         has_road=roadmap is not None,
@@ -180,12 +182,12 @@ def _replays(
         raise damaged(run.folder, error) from None
 
 
-def _ribbon(found: Behaviours, number: int, class_id: str, longest: int) -> Ribbon:
+def _ribbon(found: Behaviours, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:
     strip, begin = [], 0
     for letter, count in found.stretches(number):
         strip.append((round(100 * begin / longest, 2), round(100 * count / longest, 2), LETTERS.index(letter)))
         begin += count
-    return Ribbon(number, class_id, tuple(strip), found.text(number))
+    return Ribbon(number, class_id, tuple(strip), found.text(number), linked)
 
 
 def _places(run: Run, found: Behaviours, replayed: Collection[int]) -> tuple[Place, ...]:

@@ -7,6 +7,7 @@ import sqlite3
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 
@@ -177,6 +178,22 @@ def test_the_number_of_replays_is_limited_and_the_page_says_so(run):
     assert "2 of 24 executions have their replay in this page (at most 2)" in plain(text)
     assert "Its replay is not in this page" in plain(text)
     assert data_of(page([read_run(run)], 0))["runs"][0]["replays"] == {}
+
+
+@pytest.mark.parametrize("limit", [2, 100])
+def test_every_link_within_the_page_leads_somewhere(run, harmless_run, limit):
+    """To a section, or to a card and to a replay that it has."""
+    outline = Outline(page([read_run(run), read_run(harmless_run)], limit))
+    ids = {attributes.get("id") for _, attributes in outline.tags}
+    classes, replays, last = set(), set(), None
+    for _, attributes in outline.tags:
+        if "data-class" in attributes:
+            last = f"{attributes['data-run']}/{attributes['data-class']}"
+            classes.add(last)
+        replays |= {f"{last}/{number}" for number in attributes.get("data-replays", "").split()}
+    links = {unquote(a["href"][1:]) for tag, a in outline.tags if tag == "a"}
+    assert links <= ids | classes | replays
+    assert replays <= links or limit == 2
 
 
 def test_several_runs_stand_side_by_side(run, harmless_run, tmp_path, monkeypatch, capsys):
