@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
+from behavexplor.report.packing import pack
 from behavexplor.report.page import page
 from behavexplor.report.reading import read_run
 from behavexplor.store import Store
+from tests.report.test_packing import wandering
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 DRIVER = shutil.which("chromedriver")
@@ -141,6 +144,24 @@ def test_the_scrub_shows_the_recorded_time_and_speed(browser, run):
         assert card.speed == pytest.approx(speed[np.searchsorted(trace.time, frame * 0.1 - 1e-9)], abs=0.051)
         assert before is None or not np.array_equal(card.pixels(), before)
         before = card.pixels()
+
+
+@pytest.mark.parametrize(("frames", "span"), [(1, 300.0), (400, 300.0), (90, 9000.0)])
+def test_the_script_unpacks_what_was_packed(browser, frames, span):
+    """Wandering vehicles, whose differences need all 16 bits, and headings that turn round and round."""
+    given = wandering(frames, span=span)
+    packed = pack(given, 0)
+    source = (files("behavexplor.report") / "page.js").read_text()
+    function = re.search(r"  async function unpack.*?\n  }\n", source, re.DOTALL)[0]
+    plain = "({time: [...m.time], speed: [...m.speed], cars: m.cars.map((c) => [[...c.x], [...c.y], [...c.heading]])})"
+    script = f"{function} unpack(arguments[0]).then((m) => arguments[1]({plain}));"
+    motion = browser.execute_async_script(script, packed.values())
+    x, y, heading = np.array(motion["cars"]).transpose(1, 2, 0)
+    assert np.abs(np.stack([x, y], -1) - given.position[packed.kept]).max() <= 0.501 * packed.unit
+    assert np.abs(np.array(motion["time"]) - given.time[packed.kept]).max() <= 0.0051
+    assert np.abs(np.array(motion["speed"]) - np.hypot(*given.velocity[packed.kept, 0].T)).max() <= 0.0051
+    turned = (heading - given.heading[packed.kept]) / (2 * np.pi)
+    assert np.abs(turned - np.rint(turned)).max() <= 1e-5
 
 
 def test_the_keyboard_drives_the_replay(browser):
