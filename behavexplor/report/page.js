@@ -6,13 +6,13 @@
   const VIEW = 70; // width of the world where the ego is followed [m]
   const BEFORE = 5; // [s]
   const TYPES = ["sedan", "suv", "jeep", "hatchback", "school-bus"]; // the colours v0 to v4; v5 is for others
-  const STATES = ["#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58", "#b5de2b", "#fde725"];
 
   // Colours: those of the style sheet, as the canvas needs them.
   const probe = document.createElement("i");
   probe.hidden = true;
   document.body.append(probe);
-  const NAMES = ["ground", "road", "dash", "curb", "yellow", "ego", "edge", "hit", "accent", "ink", "paper", "v0", "v1", "v2", "v3", "v4", "v5"];
+  const NAMES = ["ground", "road", "dash", "curb", "yellow", "ego", "edge", "hit", "accent", "ink", "paper", "v0", "v1", "v2", "v3", "v4", "v5",
+    "a0", "a1", "a2", "a3", "a4", "a5", "a6", "a7", "a8", "a9"];
   let colors = {};
   const readColors = () => {
     for (const name of NAMES) {
@@ -335,7 +335,7 @@
       const pen = strip.getContext("2d"), whole = Math.max(this.end, 1e-6);
       let begin = 0;
       for (const [letter, count] of this.replay.states) {
-        pen.fillStyle = STATES[letter.charCodeAt(0) - 65];
+        pen.fillStyle = colors[`a${letter.charCodeAt(0) - 65}`];
         pen.fillRect((begin * 0.1 * width) / whole, 0, (count * 0.1 * width) / whole + 1, height);
         begin += count;
       }
