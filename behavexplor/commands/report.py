@@ -16,7 +16,9 @@ MOST_REPLAYS = 2000
 
 
 def report(
-    runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN..."), tyro.conf.Positional],
+    runs: Annotated[
+        tuple[Path, ...], tyro.conf.arg(metavar="RUN...", help_behavior_hint="(at least one)"), tyro.conf.Positional
+    ],
     *,
     out: Annotated[
         Path | None,
