@@ -21,15 +21,14 @@ def run(tmp_path_factory):
 
 
 def copied(run, folder, config=None, change=lambda record: record):
-    """Another run with the same executions, or changed ones."""
+    """Another run with the same executions, or changed ones, or some of them, numbered anew."""
     store = Store.read(run)
     executions = list(store.executions())
     store.close()
     copy = Store.create(folder, (config or CampaignConfig(ads="tests.drivers:cruiser", seed=5)).to_yaml())
-    for execution in executions:
-        record = change(execution.record)
-        if record is not None:
-            copy.add(Execution(record, execution.trace, execution.elapsed))
+    kept = [(change(execution.record), execution) for execution in executions]
+    for number, (record, execution) in enumerate((r, e) for r, e in kept if r is not None):
+        copy.add(Execution({**record, "id": number}, execution.trace, execution.elapsed))
     copy.commit()
     copy.close()
     return folder
