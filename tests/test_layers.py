@@ -20,9 +20,10 @@ ALLOWED = {
     **dict.fromkeys(EXECUTION, GROUND | EXECUTION | {"ads"}),
     **dict.fromkeys(CAMPAIGN, GROUND | EXECUTION | CAMPAIGN | {"fuzz"}),
     "triage": GROUND | EXECUTION | {"ads", "fuzz", "config", "store", "triage"},
+    "report": GROUND | {"config", "fuzz", "store", "triage", "report"},
     "training": GROUND | EXECUTION | {"ads", "envs"},
     "bench": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "triage", "bench"},
-    "commands": GROUND | EXECUTION | CAMPAIGN | {"ads", "fuzz", "training", "triage", "bench", "commands"},
+    "commands": GROUND | EXECUTION | CAMPAIGN | {"ads", "fuzz", "training", "triage", "bench", "report", "commands"},
     "__main__": {"commands"},
     "fuzz.__main__": {"commands"},
     "envs.sb3": GROUND | {"envs"},
@@ -43,6 +44,7 @@ HEAVY = {  # where the heavy libraries may be imported
     "tyro": {"commands"},
     "PIL": {"drawing"},
     "matplotlib": {"bench"},
+    "jinja2": {"report"},
 }
 
 

@@ -38,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from behavexplor.commands.fuzz import fuzz  # noqa: PLC0415
     from behavexplor.commands.records import records  # noqa: PLC0415
     from behavexplor.commands.replay import replay  # noqa: PLC0415
+    from behavexplor.commands.report import report  # noqa: PLC0415
     from behavexplor.commands.train import train  # noqa: PLC0415
     from behavexplor.commands.triage import triage  # noqa: PLC0415
 
@@ -46,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "replay": replay,
         "records": records,
         "triage": triage,
+        "report": report,
         "evaluate": evaluate,
         "bench": bench,
         "train": train,

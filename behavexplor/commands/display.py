@@ -138,7 +138,10 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     lines += _listed_classes(failures)
     lines += [f"Everything is kept in {store.folder}, the failures in its folder failures"]
     folder = shlex.quote(str(store.folder))
-    lines += [f"Look at the first failure: {program} replay {folder} {failures[0].number}"]
+    lines += [
+        f"Look at the first failure: {program} replay {folder} {failures[0].number}",
+        f"Write a page on all of it: {program} report {folder}",
+    ]
     return "\n".join(line for line in lines if line)
 
 

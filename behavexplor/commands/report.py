@@ -1,0 +1,49 @@
+"""`behavexplor report`: what was found, as a page to read and to hand on."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from behavexplor.commands import OK
+from behavexplor.errors import InputError
+from behavexplor.report.page import page
+from behavexplor.report.reading import read_run
+from behavexplor.store import write_durably
+
+PAGE = "report.html"
+MOST_REPLAYS = 2000
+
+
+def report(
+    runs: Annotated[
+        tuple[Path, ...], tyro.conf.arg(metavar="RUN...", help_behavior_hint="(at least one)"), tyro.conf.Positional
+    ],
+    *,
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: report.html in RUN; of several, in this folder)"),
+    ] = None,
+    replays: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+) -> int:
+    """Write what a run found as one HTML file: violations with replays, curves, behaviours. It loads nothing.
+
+    Whose fault the failures were is in it if `triage` has been called before.
+
+    Args:
+        runs: Run folders; several are compared.
+        out: The file.
+        replays: Most replays of each run in the page; each takes about 2 kB.
+    """
+    if not runs:
+        raise InputError("report takes a run folder at least: behavexplor report RUN")
+    if not 0 <= replays <= MOST_REPLAYS:
+        raise InputError(f"--replays {replays} must lie between 0 and {MOST_REPLAYS}")
+    path = out or (runs[0] / PAGE if len(runs) == 1 else Path(PAGE))
+    text = page([read_run(run) for run in runs], replays)
+    try:
+        write_durably(path, text)
+    except OSError as error:
+        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
+    print(f"Report: {path}")
+    return OK

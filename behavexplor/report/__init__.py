@@ -1,0 +1,1 @@
+"""The report: one HTML page, made from run folders alone, that loads nothing."""

@@ -1,0 +1,143 @@
+"""The behaviours of a run: abstract states over time, and a map on which like behaviours lie near each other."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from behavexplor.fuzz.distance import Labels
+from behavexplor.fuzz.features import ATTRIBUTES, STATISTICS, TIME_STEP
+from behavexplor.fuzz.miner import BehaviorMiner, MinerOptions
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+
+LETTERS: Final = "ABCDEFGHIJ"  # of the abstract states, the slowest first
+_SHOWN: Final = ("speed", "speed-change", "yaw-rate")  # attributes whose means describe a state
+
+
+@dataclass(frozen=True)
+class State:
+    """One abstract state.
+
+    Attributes:
+        letter: its name.
+        share: of all windows.
+        speed: mean of the ego's [m/s].
+        deviation: of the speed [m/s].
+        acceleration: mean [m/s2].
+        yaw_rate: mean [rad/s].
+    """
+
+    letter: str
+    share: float
+    speed: float
+    deviation: float
+    acceleration: float
+    yaw_rate: float
+
+
+@dataclass(frozen=True)
+class Behaviours:
+    """What the ego did in some executions.
+
+    Attributes:
+        states: the abstract states, the slowest first.
+        labels: abstract trace of each execution by its number, indices of `states`, one for each `TIME_STEP`.
+        places: on the map, by number of the execution; distances on it are about those between behaviours.
+    """
+
+    states: tuple[State, ...]
+    labels: Mapping[int, Labels]
+    places: Mapping[int, tuple[float, float]]
+
+    def stretches(self, number: int) -> list[tuple[str, int]]:
+        """The abstract trace of an execution as letters, and how many windows each lasts."""
+        return [(LETTERS[label], sum(1 for _ in same)) for label, same in groupby(self.labels[number].tolist())]
+
+    def text(self, number: int) -> str:
+        """The same in a line, such as "A 3.2 s, B 0.4 s"."""
+        return ", ".join(f"{letter} {count * TIME_STEP:.1f} s" for letter, count in self.stretches(number))
+
+
+def behaviours(traces: Mapping[int, Trace]) -> Behaviours:
+    """Abstract all traces with clusters that are fitted to them once.
+
+    Args:
+        traces: by the numbers of their executions, at least one.
+    """
+    miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
+    merged = []
+    for trace in traces.values():
+        behavior = miner.describe(trace)
+        miner.add(behavior)
+        merged.append(behavior.merged)
+    miner.fit()
+    found = [miner.abstract(rows) for rows in merged]
+    distances = np.stack([miner.distances(labels) for labels in found])
+    order, states = _states(np.concatenate(merged), np.concatenate(found))
+    labels = {number: order[old] for number, old in zip(traces, found, strict=True)}
+    places = {number: (float(x), float(y)) for number, (x, y) in zip(traces, scaled(distances), strict=True)}
+    return Behaviours(states, labels, places)
+
+
+def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
+    """The new index of each cluster, by speed, and what is in it; clusters without any window come last."""
+    columns = [ATTRIBUTES.index(name) * len(STATISTICS) + STATISTICS.index("mean") for name in _SHOWN]
+    means, deviations = np.full((len(LETTERS), len(columns)), np.inf), np.zeros(len(LETTERS))
+    counts = np.bincount(labels, minlength=len(LETTERS))
+    for label in np.flatnonzero(counts):
+        here = merged[labels == label][:, columns]
+        means[label], deviations[label] = here.mean(0), here[:, 0].std()
+    slowest = np.argsort(means[:, 0], kind="stable")
+    order = np.empty(len(LETTERS), dtype=np.uint8)
+    order[slowest] = np.arange(len(LETTERS))
+    states = tuple(
+        State(
+            letter=LETTERS[order[label]],
+            share=float(counts[label] / len(labels)),
+            speed=float(means[label, 0]),
+            deviation=float(deviations[label]),
+            acceleration=_plain(means[label, 1]),
+            yaw_rate=_plain(means[label, 2]),
+        )
+        for label in slowest
+        if counts[label]
+    )
+    return order, states
+
+
+def _plain(value: float) -> float:
+    """Rounded as it is shown; never a negative zero."""
+    return round(float(value), 2) + 0.0
+
+
+def scaled(distances: Floats) -> Floats:
+    """Points in the plane whose distances are about those given: classical multidimensional scaling.
+
+    Args:
+        distances: shape (n, n), symmetric.
+
+    Returns:
+        Shape (n, 2); of the mirror images the one in which the farthest point of each axis is on its positive side.
+    """
+    squared = distances**2
+    centred = squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean()
+    with threadpool_limits(limits=1):  # last bits must not depend on the machine's cores
+        values, vectors = np.linalg.eigh(-centred / 2)
+    points = np.zeros((len(distances), 2))
+    for axis, index in enumerate(range(len(values) - 1, max(len(values) - 3, -1), -1)):
+        column = vectors[:, index] * np.sqrt(max(values[index], 0.0))
+        points[:, axis] = column * (1.0 if column[np.abs(column).argmax()] >= 0 else -1.0)
+    return points
+
+
+def evenly(numbers: Sequence[int], count: int) -> list[int]:
+    """At most `count` of the numbers, evenly spread over them."""
+    if len(numbers) <= count:
+        return list(numbers)
+    return [numbers[i] for i in np.linspace(0, len(numbers) - 1, count).astype(int)]

@@ -1,0 +1,152 @@
+"""Charts as shapes: where lines, dots, ticks and labels go. The page's template draws them as SVG."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+WIDTH, HEIGHT = 360.0, 190.0  # of a chart, in the units of its view box
+LEFT, RIGHT, TOP, BOTTOM = 38.0, 8.0, 8.0, 22.0  # margins
+_TABLE_ROWS: Final = 12  # of the table under a chart
+_MOST_POINTS: Final = 400  # of a line or cloud
+
+
+@dataclass(frozen=True)
+class Series:
+    """Values over the executions of a run.
+
+    Attributes:
+        name: for the legend and the table.
+        x: numbers of executions.
+        y: of the same shape; NaN where there is none.
+        dots: drawn as dots, not as a line.
+        style: which of the page's styles it has.
+    """
+
+    name: str
+    x: Floats
+    y: Floats
+    dots: bool = False
+    style: int = 0
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A series as shapes.
+
+    Attributes:
+        name: of the series.
+        style: of the series.
+        path: of its line as SVG, empty for dots.
+        dots: their places.
+    """
+
+    name: str
+    style: int
+    path: str
+    dots: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart with its axes.
+
+    Attributes:
+        title: what it shows.
+        series: as shapes.
+        x_ticks: places and labels.
+        y_ticks: places and labels.
+        rows: the table under it: an execution, then a value of each series.
+    """
+
+    title: str
+    series: tuple[Drawn, ...]
+    x_ticks: tuple[tuple[float, str], ...]
+    y_ticks: tuple[tuple[float, str], ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def chart(title: str, series: Sequence[Series]) -> Chart | None:
+    """Lay a chart out.
+
+    Returns:
+        None if there is nothing to draw.
+    """
+    given = [line for line in series if np.isfinite(line.y).any()]
+    if not given:
+        return None
+    x_end = max(1.0, *(float(line.x.max()) for line in given))
+    y_end = max(float(np.nanmax(line.y)) for line in given)
+    y_start = min(0.0, *(float(np.nanmin(line.y)) for line in given))
+    y_marks = ticks(y_start, y_end)
+    y_start, y_end = min(y_start, y_marks[0]), max(y_end, y_marks[-1])
+    across = Scale(0.0, x_end, LEFT, WIDTH - RIGHT)
+    up = Scale(y_start, y_end, HEIGHT - BOTTOM, TOP)
+    return Chart(
+        title,
+        tuple(_drawn(line, across, up) for line in given),
+        tuple((across(mark), _label(mark)) for mark in ticks(0.0, x_end) if mark <= x_end),
+        tuple((up(mark), _label(mark)) for mark in y_marks),
+        _rows(given),
+    )
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Values to places on a chart, rounded as they are written."""
+
+    start: float
+    end: float
+    first: float
+    last: float
+
+    def __call__(self, value: float) -> float:
+        """The place of a value."""
+        share = (value - self.start) / ((self.end - self.start) or 1.0)
+        return round(self.first + share * (self.last - self.first), 1)
+
+
+def ticks(start: float, end: float, most: int = 5) -> list[float]:
+    """Round numbers that span from one value to another: 1, 2 or 5 times a power of ten apart."""
+    span = (end - start) or 1.0
+    power = 10.0 ** math.floor(math.log10(span / most))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power * most >= span * (1 - 1e-9))
+    first, last = math.floor(start / step + 1e-9), math.ceil(end / step - 1e-9)
+    return [round(i * step, 12) for i in range(first, max(last, first + 1) + 1)]
+
+
+def _label(value: float) -> str:
+    return f"{value:g}"
+
+
+def _drawn(line: Series, across: Scale, up: Scale) -> Drawn:
+    known = np.flatnonzero(np.isfinite(line.y))
+    if len(known) > _MOST_POINTS:
+        known = known[np.linspace(0, len(known) - 1, _MOST_POINTS).astype(int)]
+    points = tuple((across(float(line.x[i])), up(float(line.y[i]))) for i in known)
+    if line.dots:
+        return Drawn(line.name, line.style, "", points)
+    path = f"M{points[0][0]:g} {points[0][1]:g}"
+    before = points[0]
+    for point in points[1:]:
+        if point[1] != before[1] or point is points[-1]:  # the line of a count runs level, then rises
+            path += f"H{point[0]:g}" + (f"V{point[1]:g}" if point[1] != before[1] else "")
+            before = point
+    return Drawn(line.name, line.style, path, ())
+
+
+def _rows(series: Sequence[Series]) -> tuple[tuple[str, ...], ...]:
+    """Some of the values, with the first and the last."""
+    numbers = sorted({int(x) for line in series for x in line.x})
+    shown = [numbers[i] for i in sorted(set(np.linspace(0, len(numbers) - 1, _TABLE_ROWS).astype(int).tolist()))]
+    values = [{int(x): float(y) for x, y in zip(line.x, line.y, strict=True)} for line in series]
+    return tuple((str(number), *(_cell(at.get(number, math.nan)) for at in values)) for number in shown)
+
+
+def _cell(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.4g}"

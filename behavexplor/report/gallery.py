@@ -1,0 +1,161 @@
+"""The gallery: a card for each class of violations, and the replays on the cards."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.fuzz.moments import R1, R2, Moment, violation_moment
+from behavexplor.geometry import box_corners
+from behavexplor.report.behaviours import Behaviours
+from behavexplor.report.packing import pack
+from behavexplor.report.reading import Run
+from behavexplor.trace import Trace
+from behavexplor.triage.findings import Finding
+
+Floats = NDArray[np.float64]
+
+PASSED: Final = "passed"  # in place of a class
+_NEAREST: Final = 3  # passed executions that came nearest to a violation
+
+
+@dataclass(frozen=True)
+class Card:
+    """What is shown of a class.
+
+    Attributes:
+        class_id: of the class, or `PASSED`.
+        spec: that is violated.
+        words: the class in a line.
+        count: of executions.
+        first: the first of them.
+        look_at: the first that happened again exactly, where that is known, else the first.
+        facts: what else is known, as names and values.
+        replays: executions whose replays are in the page.
+    """
+
+    class_id: str
+    spec: str
+    words: str
+    count: int
+    first: int
+    look_at: int
+    facts: tuple[tuple[str, str], ...] = ()
+    replays: tuple[int, ...] = ()
+
+
+def cards(run: Run, limit: int) -> tuple[Card, ...]:
+    """The cards of a run: its classes, the largest first, then what passed most narrowly.
+
+    Args:
+        run: the run.
+        limit: most replays; each class has one before any has two.
+    """
+    classes = run.classes
+    found = [_card(class_id, findings, run.examined) for class_id, findings in classes.items()]
+    queues = [
+        [card.look_at, *(f.id for f in findings if f.id != card.look_at)]
+        for card, findings in zip(found, classes.values(), strict=True)
+    ]
+    nearest = _nearest(run)
+    if nearest is not None:
+        found.append(nearest)
+        queues.append(list(nearest.replays))
+    turns = sorted((turn, i) for i, queue in enumerate(queues) for turn in range(len(queue)))
+    chosen: list[list[int]] = [[] for _ in found]
+    for turn, i in turns[:limit]:
+        chosen[i].append(queues[i][turn])
+    return tuple(replace(card, replays=tuple(numbers)) for card, numbers in zip(found, chosen, strict=True))
+
+
+def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> Card:
+    first = findings[0]
+    known = [finding for finding in findings if finding.id in examined]
+    shown = next((finding for finding in known if finding.same_trace), first)
+    facts = {
+        "fault": _counted(finding.fault for finding in known),
+        "cause": _counted(finding.cause for finding in known),
+        "signature": _counted(finding.signature for finding in known),
+        "avoidable by": _counted(finding.avoidance for finding in known),
+        "flaky": str(sum(not finding.same_verdict for finding in known) or ""),
+    }
+    listed = tuple((name, text) for name, text in facts.items() if text)
+    return Card(class_id, first.spec, shown.words, len(findings), first.id, shown.id, listed)
+
+
+def _counted(names: Iterable[str | None]) -> str:
+    """The names, the most frequent first, with their counts where there are several."""
+    counts = Counter(name for name in names if name is not None).most_common()
+    if len(counts) == 1:
+        return counts[0][0].replace("_", " ")
+    return ", ".join(f"{name} {count}" for name, count in counts).replace("_", " ")
+
+
+def _nearest(run: Run) -> Card | None:
+    passed = [entry for entry in run.entries if not entry.violated]
+    if not passed:
+        return None
+    order = sorted(passed, key=lambda entry: (np.isnan(entry.degree), entry.degree, entry.id))
+    numbers = tuple(entry.id for entry in order[:_NEAREST])
+    words = "No spec violated; shown are those that came nearest to it"
+    return Card(PASSED, PASSED, words, len(passed), passed[0].id, numbers[0], replays=numbers)
+
+
+def replay_values(trace: Trace, record: Mapping[str, Any], found: Behaviours) -> dict[str, Any]:
+    """A replay as JSON values.
+
+    Args:
+        trace: of the execution.
+        record: of it.
+        found: the behaviours, with the execution's among them.
+
+    Raises:
+        KeyError: if the record lacks something.
+    """
+    moment = violation_moment(trace, tuple(record["violated"]))
+    packed = pack(trace, moment.frame if moment else len(trace.time) - 1)
+    npcs = record["scenario"]["npcs"]
+    mark = None if moment is None else _mark(trace, moment)
+    return {
+        **packed.values(),
+        "size": [[round(float(value), 2) for value in size] for size in trace.size],
+        "types": [str(npc["type"]) for npc in npcs],
+        "routes": [str(npc["route"]) for npc in npcs],
+        "end": trace.end,
+        "violated": [str(name) for name in record["violated"]],
+        "mark": mark and [round(value, 2) for value in mark],
+        "moment": packed.frames - 1 if moment is None else int(np.searchsorted(packed.kept, moment.frame)),
+        "partner": moment.partner if moment and moment.spec == R1 else 0,
+        "states": found.stretches(int(record["id"])),
+    }
+
+
+def _mark(trace: Trace, moment: Moment) -> tuple[float, float]:
+    """Where a violation happened [m]."""
+    ego = trace.position[moment.frame, 0]
+    if moment.spec == R2:
+        start, end = trace.illegal_lines[moment.partner]
+        along = end - start
+        place = start + np.clip((ego - start) @ along / max(along @ along, 1e-12), 0.0, 1.0) * along
+    elif moment.spec == R1:
+        place = ego
+        for _ in range(20):  # alternating projections lead into what two boxes share
+            place = _into_box(place, trace, moment.frame, moment.partner)
+            place = _into_box(place, trace, moment.frame, 0)
+    else:
+        place = trace.destination
+    return float(place[0]), float(place[1])
+
+
+def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
+    """The point of a vehicle's box that is nearest to a point."""
+    front_right, front_left, _, back_right = box_corners(
+        trace.position[frame, vehicle], trace.heading[frame, vehicle], trace.size[vehicle]
+    )
+    place = front_right.copy()
+    for edge in (front_left - front_right, back_right - front_right):
+        place += np.clip((point - front_right) @ edge / (edge @ edge), 0.0, 1.0) * edge
+    return np.asarray(place)

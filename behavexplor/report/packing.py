@@ -1,0 +1,91 @@
+"""Replays as a page carries them: int16 differences, deflated, in base64."""
+
+import base64
+import zlib
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+Steps = NDArray[np.int64]
+
+FRAME_TIME: Final = 0.1  # between two frames of a replay [s]
+MAX_FRAMES: Final = 900  # of a replay; a longer one has frames farther apart
+LENGTH_UNIT: Final = 0.01  # of positions [m]; larger where a replay spans more than 650 m
+TURN: Final = 2 * np.pi / 65536  # unit of headings [rad]
+SPEED_UNIT: Final = 0.01  # [m/s]
+TIME_UNIT: Final = 0.01  # [s]
+_SPAN: Final = 65_000  # of an int16, with some room
+
+
+@dataclass(frozen=True)
+class Packed:
+    """The motion of all vehicles, as the page's script unpacks it.
+
+    Rows of a matrix of int16: the time, the ego's speed, then x, y and heading of each vehicle; in each row the
+    first value and then the differences, modulo 2^16. Low bytes come before high bytes.
+
+    Attributes:
+        frames: how many; they are `kept` of the trace.
+        kept: indices of the trace's frames.
+        vehicles: how many, the ego first.
+        middle: of all positions [m]; x and y are distances from it.
+        unit: of x and y [m].
+        data: base64 of the deflated matrix.
+    """
+
+    frames: int
+    kept: NDArray[np.int64]
+    vehicles: int
+    middle: tuple[float, float]
+    unit: float
+    data: str
+
+    def values(self) -> dict[str, Any]:
+        """What the page's script needs, as JSON values."""
+        return {
+            "frames": self.frames,
+            "vehicles": self.vehicles,
+            "middle": list(self.middle),
+            "unit": self.unit,
+            "data": self.data,
+        }
+
+
+def pack(trace: Trace, frame: int) -> Packed:
+    """Pack a trace.
+
+    Args:
+        trace: what happened.
+        frame: one that must be among those kept.
+    """
+    kept = _kept(trace, frame)
+    position = trace.position[kept]
+    low, high = position.min((0, 1)), position.max((0, 1))
+    middle = np.rint((low + high) / 2)
+    unit = max(LENGTH_UNIT, float(np.ceil((high - low).max() / _SPAN * 1000) / 1000))
+    places = np.rint((position - middle) / unit)
+    headings = np.rint(np.unwrap(trace.heading[kept], axis=0) / TURN)
+    speed = np.rint(np.hypot(*trace.velocity[kept, 0].T) / SPEED_UNIT)
+    motion = np.stack([places[..., 0], places[..., 1], headings], axis=-1)  # (frames, vehicles, 3)
+    rows = [np.rint(trace.time[kept] / TIME_UNIT), speed, *motion.reshape(len(kept), -1).T]
+    return Packed(len(kept), kept, len(trace.size), (float(middle[0]), float(middle[1])), unit, _deflated(rows))
+
+
+def _kept(trace: Trace, frame: int) -> NDArray[np.int64]:
+    """Frames about `FRAME_TIME` apart, the last one and a certain one."""
+    count = min(MAX_FRAMES, int(trace.duration / FRAME_TIME + 1e-6) + 1)
+    times = np.linspace(0, (count - 1) * FRAME_TIME if count < MAX_FRAMES else trace.duration, count)
+    even = np.searchsorted(trace.time, times - 1e-9)
+    return np.unique(np.concatenate([even, [frame, len(trace.time) - 1]])).astype(np.int64)
+
+
+def _deflated(rows: list[Floats]) -> str:
+    steps: Steps = np.diff(np.stack(rows), axis=1, prepend=0).astype(np.int64)
+    words = (steps & 0xFFFF).astype("<u2").ravel()
+    planes = words.view(np.uint8).reshape(-1, 2).T  # high bytes are mostly equal: apart, they deflate better
+    return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")

@@ -1,0 +1,94 @@
+"""The page: what is known of some runs, as one HTML file that loads nothing."""
+
+import base64
+import hashlib
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Any, Final
+
+from jinja2 import BaseLoader, Environment, StrictUndefined
+
+import behavexplor
+from behavexplor.report.gallery import PASSED
+from behavexplor.report.reading import Run
+from behavexplor.report.sections import curves, section
+
+_LIBRARIES: Final = ("gymnasium", "highway-env", "numpy", "scikit-learn")
+_NOT_EXAMINED: Final = "not examined"
+
+_FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # of the comparison
+    "environment": lambda run: run.config.env,
+    "driving system": lambda run: run.config.ads,
+    "method": lambda run: run.config.method,
+    "seed": lambda run: str(run.config.seed),
+    "executions": lambda run: str(len(run.entries)),
+    "failed": lambda run: f"{len(run.findings)} ({len(run.findings) / len(run.entries):.1%})",
+    "collision, lines, destination": lambda run: ", ".join(map(str, run.specs().values())),
+    "classes": lambda run: str(len(run.classes)),
+    "first failure": lambda run: str(run.findings[0].id) if run.findings else "none",
+    "collisions at fault": lambda run: str(run.faults()[0]) if run.examined else _NOT_EXAMINED,
+    "did not happen again": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
+    "new behaviour": lambda run: f"{run.novel / len(run.entries):.1%}",
+}
+
+
+def page(runs: Sequence[Run], replays: int) -> str:
+    """The report on some runs; equal run folders give equal pages. It is pure ASCII.
+
+    Args:
+        runs: at least one.
+        replays: most replays of each run.
+
+    Raises:
+        InputError: if a run is damaged.
+    """
+    sections = [section(number, run, replays) for number, run in enumerate(runs, 1)]
+    style, script = _source("page.css"), _source("page.js")
+    template = Environment(
+        loader=_Sources(), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    ).get_template("page.html.jinja")
+    several = len(runs) > 1
+    text = template.render(
+        sections=sections,
+        comparison=comparison(runs) if several else (),
+        overlaid=curves(runs) if several else (),
+        class_rows=class_rows(runs) if several else (),
+        values={"runs": [part.values for part in sections]},
+        style=style,
+        script=script,
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:; "
+        "base-uri 'none'; form-action 'none'",
+        versions={"behavexplor": behavexplor.__version__, **{name: version(name) for name in _LIBRARIES}},
+        PASSED=PASSED,
+    )
+    return text.encode("ascii", "xmlcharrefreplace").decode("ascii")
+
+
+class _Sources(BaseLoader):
+    """Templates beside this module, also in a zipped package."""
+
+    def get_source(self, environment: Environment, template: str) -> tuple[str, str | None, Any]:  # noqa: ARG002
+        return _source(template), None, None
+
+
+def _source(name: str) -> str:
+    return files("behavexplor.report").joinpath(name).read_text("utf-8")
+
+
+def _hash(text: str) -> str:
+    """As a content security policy names a script or a style sheet."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def comparison(runs: Sequence[Run]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Figures of several runs side by side: a name, then a value of each run."""
+    return tuple((name, tuple(figure(run) for run in runs)) for name, figure in _FIGURES.items())
+
+
+def class_rows(runs: Sequence[Run]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+    """Which classes were seen in which runs, and how often; those of the most runs first."""
+    counts = [{name: len(findings) for name, findings in run.classes.items()} for run in runs]
+    names = {name for count in counts for name in count}
+    rows = [(name, tuple(count.get(name, 0) for count in counts)) for name in names]
+    return tuple(sorted(rows, key=lambda row: (-sum(n > 0 for n in row[1]), -sum(row[1]), row[0])))

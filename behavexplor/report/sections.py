@@ -1,0 +1,247 @@
+"""What the page shows of one run: its gallery, its curves, its behaviours."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.fuzz.features import TIME_STEP
+from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
+from behavexplor.logical import VEHICLE_SIZES
+from behavexplor.report.behaviours import LETTERS, Behaviours, behaviours, evenly
+from behavexplor.report.charts import Chart, Series, chart
+from behavexplor.report.gallery import PASSED, Card, cards, replay_values
+from behavexplor.report.reading import Run, damaged, stored
+from behavexplor.report.roads import known_road, road_values
+from behavexplor.trace import Trace
+
+Floats = NDArray[np.float64]
+
+MOST_COMPARED: Final = 750  # executions whose behaviours are compared
+_PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
+_TYPES: Final = tuple(VEHICLE_SIZES)  # vehicle types with a colour of their own
+_SYMBOLS: Final = {"R1": "collision", "R2": "line touched", "R3": "not at the destination", PASSED: "none violated"}
+
+
+@dataclass(frozen=True)
+class Ribbon:
+    """The behaviour of one execution as a strip.
+
+    Attributes:
+        id: of the execution.
+        class_id: of its card, `PASSED` if it violates nothing.
+        strip: begin and length of each stretch of one abstract state, in percent of the longest, and the state.
+        text: the same in words.
+        linked: whether its replay is in the page.
+    """
+
+    id: int
+    class_id: str
+    strip: tuple[tuple[float, float, int], ...]
+    text: str
+    linked: bool
+
+
+@dataclass(frozen=True)
+class Place:
+    """One execution on the map of behaviours.
+
+    Attributes:
+        id: of the execution.
+        x: in [0, 100].
+        y: in [0, 100].
+        spec: that it violates, or `PASSED`.
+        class_id: of its class, or `PASSED`.
+        linked: whether its replay is in the page.
+    """
+
+    id: int
+    x: float
+    y: float
+    spec: str
+    class_id: str
+    linked: bool
+
+
+@dataclass(frozen=True)
+class Section:
+    """All that the page shows of one run.
+
+    Attributes:
+        number: counted from 1.
+        run: what was read.
+        limit: most replays.
+        cards: the gallery.
+        charts: curves over the executions.
+        found: the behaviours.
+        ribbons: of some executions.
+        longest: of these [s].
+        places: the map of behaviours.
+        has_road: whether the road of its environment is known.
+        values: what the page's script needs.
+    """
+
+    number: int
+    run: Run
+    limit: int
+    cards: tuple[Card, ...]
+    charts: tuple[Chart, ...]
+    found: Behaviours
+    ribbons: tuple[Ribbon, ...]
+    longest: float
+    places: tuple[Place, ...]
+    has_road: bool
+    values: Mapping[str, Any]
+
+    @property
+    def embedded(self) -> int:
+        """How many replays the page carries."""
+        return len(self.values["replays"])
+
+    @property
+    def types(self) -> list[tuple[str, int]]:
+        """The vehicle types in the replays, and the numbers of their colours."""
+        names = {name for replay in self.values["replays"].values() for name in replay["types"]}
+        known = [(name, index) for index, name in enumerate(_TYPES) if name in names]
+        return known + ([("other", len(_TYPES))] if names - set(_TYPES) else [])
+
+    @property
+    def symbols(self) -> list[tuple[str, str]]:
+        """The specs on the map, and what they are called."""
+        present = {place.spec for place in self.places}
+        known = [(spec, name) for spec, name in _SYMBOLS.items() if spec in present]
+        return known + ([("other", "other failure")] if present - _SYMBOLS.keys() else [])
+
+    @property
+    def parameters(self) -> list[tuple[str, str]]:
+        """The campaign's configuration."""
+        return [(name, str(value)) for name, value in asdict(self.run.config).items()]
+
+
+def section(number: int, run: Run, limit: int) -> Section:
+    """All that is shown of a run.
+
+    Args:
+        number: of the run in the page, counted from 1.
+        run: what was read.
+        limit: most replays.
+
+    Raises:
+        InputError: if the run is damaged.
+    """
+    gallery = cards(run, limit)
+    replayed = {name for card in gallery for name in card.replays}
+    strips = [(card.look_at, card.class_id) for card in gallery if card.class_id != PASSED][:_CLASS_RIBBONS]
+    new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
+    strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
+    compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
+    traces, records = _looked_at(run, replayed.union(compared, (name for name, _ in strips)), replayed)
+    found = behaviours(traces)
+    roadmap = known_road(run.config.env)
+    longest = max((len(found.labels[name]) for name, _ in strips), default=0) or 1
+    return Section(
+        number=number,
+        run=run,
+        limit=limit,
+        cards=gallery,
+        charts=curves([run]) + clouds(run),
+        found=found,
+        ribbons=tuple(_ribbon(found, name, class_id, longest, name in replayed) for name, class_id in strips),
+        longest=longest * TIME_STEP,
+        places=_places(run, found, replayed),
+        has_road=roadmap is not None,
+        values={
+            "road": road_values(roadmap, next(iter(traces.values()))),
+            "replays": _replays(run, traces, records, found),
+        },
+    )
+
+
+def _looked_at(
+    run: Run, wanted: Collection[int], replayed: Collection[int]
+) -> tuple[dict[int, Trace], dict[int, Mapping[str, Any]]]:
+    """The traces of some executions, and the records of those that are replayed, by their numbers."""
+    traces: dict[int, Trace] = {}
+    records: dict[int, Mapping[str, Any]] = {}
+    for execution in stored(run.folder):
+        if execution.id in wanted:
+            traces[execution.id] = execution.load_trace()
+        if execution.id in replayed:
+            records[execution.id] = execution.record
+    return traces, records
+
+
+def _replays(
+    run: Run, traces: Mapping[int, Trace], records: Mapping[int, Mapping[str, Any]], found: Behaviours
+) -> dict[str, Any]:
+    try:
+        return {str(name): replay_values(traces[name], record, found) for name, record in records.items()}
+    except (KeyError, TypeError) as error:
+        raise damaged(run.folder, error) from None
+
+
+def _ribbon(found: Behaviours, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:
+    strip, begin = [], 0
+    for letter, count in found.stretches(number):
+        strip.append((round(100 * begin / longest, 2), round(100 * count / longest, 2), LETTERS.index(letter)))
+        begin += count
+    return Ribbon(number, class_id, tuple(strip), found.text(number), linked)
+
+
+def _places(run: Run, found: Behaviours, replayed: Collection[int]) -> tuple[Place, ...]:
+    """The map, scaled into a square; failures come last, on top of the others."""
+    kinds = {finding.id: (finding.spec, finding.class_id) for finding in run.findings}
+    points = np.array(list(found.places.values()))
+    extent = np.ptp(points, axis=0)
+    scaled = (points - points.min(0) - extent / 2) / max(float(extent.max()), 1e-9) * 100 + 50
+    places = []
+    for number, (x, y) in zip(found.places, scaled, strict=True):
+        spec, class_id = kinds.get(number, (PASSED, PASSED))
+        places.append(Place(number, round(float(x), 1), round(float(y), 1), spec, class_id, number in replayed))
+    return tuple(sorted(places, key=lambda place: (place.spec != PASSED, place.id)))
+
+
+def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
+    """Failures, classes and new behaviours over the executions: of one run, or of several over each other."""
+    counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviours": []}
+    for index, run in enumerate(runs):
+        numbers = np.array([entry.id + 1.0 for entry in run.entries])
+        for title, steps in zip(counts, _steps(run), strict=True):
+            name = title.lower() if len(runs) == 1 else f"{index + 1} {run.name}"
+            counts[title].append(Series(name, numbers, np.cumsum(steps), style=index))
+    charts = (chart(title, series) for title, series in counts.items())
+    return tuple(drawn for drawn in charts if drawn is not None)
+
+
+def _steps(run: Run) -> tuple[Floats, Floats, Floats]:
+    """For each execution 1 or 0: whether it failed, in a new class, and with a new behaviour."""
+    firsts = {findings[0].id for findings in run.classes.values()}
+    return (
+        np.array([float(bool(entry.violated)) for entry in run.entries]),
+        np.array([float(entry.id in firsts) for entry in run.entries]),
+        np.array([float(entry.novel) for entry in run.entries]),
+    )
+
+
+def clouds(run: Run) -> tuple[Chart, ...]:
+    """Novelty and energy of each execution, where the records have them."""
+    limit = np.full(len(run.entries), NOVELTY_THRESHOLD)
+    novelty = np.array([entry.novelty for entry in run.entries])
+    energy = np.array([entry.energy for entry in run.entries])
+    numbers = np.array([entry.id + 1.0 for entry in run.entries])
+    threshold = [Series("new behaviour lies above", numbers, limit, style=2)] if np.isfinite(novelty).any() else []
+    charts = (
+        chart("Novelty", _cloud(run, numbers, novelty) + threshold),
+        chart("Energy of the parent", _cloud(run, numbers, energy)),
+    )
+    return tuple(drawn for drawn in charts if drawn is not None)
+
+
+def _cloud(run: Run, numbers: Floats, values: Floats) -> list[Series]:
+    failed = np.array([bool(entry.violated) for entry in run.entries])
+    return [
+        Series("none violated", numbers, np.where(failed, np.nan, values), dots=True, style=0),
+        Series("failed", numbers, np.where(failed, values, np.nan), dots=True, style=1),
+    ]
