@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-import time
 
 import numpy as np
 from threadpoolctl import threadpool_info
@@ -60,15 +59,6 @@ class Timid(Cruiser):
         return super().predict(observation, state)
 
 
-class Dying(Cruiser):
-    """The same, but it takes its whole process down."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        if (observation[:, 0, 2] < 20).any():
-            os._exit(11)
-        return super().predict(observation, state)
-
-
 class Leaver(Cruiser):
     """Calls it a day."""
 
@@ -81,20 +71,6 @@ class Crashing(Cruiser):
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         os.kill(os.getpid(), signal.SIGKILL)
-
-
-class Sleeper(Cruiser):
-    """Thinks for ever."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        time.sleep(1000)
-
-
-class Greedy(Cruiser):
-    """Wants all the memory that there is."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.ones((1000, 1000, 1000)), state
 
 
 class Lost(Cruiser):

@@ -6,6 +6,8 @@ from behavexplor.logical import LogicalScenario
 from behavexplor.scenario import NPC, Scenario, Waypoint
 from behavexplor.simulation import Simulation
 from tests.drivers import Cruiser
+from tests.triage.crossing import NAME as CROSSING
+from tests.triage.crossing import register
 
 
 class Stopper(Cruiser):
@@ -62,6 +64,14 @@ def boxed_in():
         ("sedan", "south-inner-straight", 4.0, 4.0),
         ("sedan", "south-outer-straight", 4.5, 4.0),
     )
+
+
+def cut_off(kind: str, start: float):
+    """The ego sets out, and a vehicle that comes from the left as fast as it may crosses its way at once."""
+    register()
+    simulation = Simulation(CROSSING, "constant:2,0")
+    scenario = Scenario("crossing", (steady(simulation.logical, kind, "across", start, 11.0),))
+    return simulation, scenario, simulation.run(scenario)
 
 
 def way_blocked(ads: str):

@@ -21,7 +21,7 @@ from behavexplor.triage.witness import (
     drive,
     replay_witness,
 )
-from tests.triage.scenes import boxed_in, rear_ended, slow_leader, struck_standing
+from tests.triage.scenes import boxed_in, cut_off, rear_ended, slow_leader, struck_standing
 
 
 def verdict(made, seed=0):
@@ -40,6 +40,17 @@ def test_an_ego_that_could_have_braked_is_at_fault_and_the_witness_is_replayed()
     assert 0 < before < len(trace.time)
     assert again.position[:before] == pytest.approx(trace.position[:before], abs=1e-6)
     assert np.diff(np.hypot(*again.velocity[:, 0].T)).min() * found.witness.frequency > -7.7
+
+
+def test_who_is_cut_off_with_no_time_is_not_at_fault():
+    found = verdict(cut_off("school-bus", 20.0))
+    assert (found.kind, found.at_fault, found.witness) == ("unpreventable", False, None)
+    assert found.tried > SAMPLES
+
+
+def test_with_a_little_more_time_and_room_it_is_at_fault():
+    found = verdict(cut_off("sedan", 15.0))
+    assert (found.kind, found.at_fault) == ("preventable", True)
 
 
 def test_a_witness_that_does_nothing_collides():
