@@ -29,7 +29,7 @@ _MAX_JOBS = 1024
 
 
 def bench(
-    experiment: Annotated[str, tyro.conf.Positional],
+    experiment: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")],
     *,
     out: Annotated[
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ and its name)")

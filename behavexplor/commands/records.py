@@ -12,13 +12,13 @@ from behavexplor.losses import Losses
 from behavexplor.store import Store
 
 
-def records(run: Annotated[Path, tyro.conf.Positional]) -> int:
+def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:
     """Print one JSON object per execution, in order; equal campaigns print equal lines.
 
     Of a damaged run those that can be read are printed; what is lost is said, and the exit code is 2.
 
     Args:
-        run: the run folder.
+        run: The run folder.
     """
     store, losses = Store.read(run), Losses()
     for record in store.records(losses):

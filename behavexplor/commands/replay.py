@@ -18,7 +18,7 @@ from behavexplor.store import Execution, Store
 
 
 def replay(
-    run: Annotated[Path, tyro.conf.Positional],
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
     number: Annotated[int, tyro.conf.arg(name="id", metavar="ID"), tyro.conf.Positional],
     *,
     out: Annotated[

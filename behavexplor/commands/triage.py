@@ -35,7 +35,7 @@ TIME_LIMIT = 10.0  # of one failure, in those of one execution
 
 
 def triage(
-    run: Annotated[Path, tyro.conf.Positional],
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
     *,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     afresh: bool = False,
