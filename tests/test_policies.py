@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
@@ -115,3 +116,18 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
 def test_trust_in_something_that_is_no_digest_is_refused(capsys):
     assert main(["fuzz", "--trust", "yes"]) == BAD_INPUT
     assert "must be sha256: and 64 hexadecimal digits" in capsys.readouterr().err
+
+
+def test_a_policy_drives_alike_to_the_last_bit_in_any_company(tmp_path):
+    env = gymnasium.make(ENV, disable_env_checker=True)
+    model = PPO("MlpPolicy", env, device="cpu", seed=3, policy_kwargs={"net_arch": [10, 10]})
+    with torch.no_grad():
+        model.policy.action_net.bias[0] = 0.6  # it sets out
+    model.save(tmp_path / "model.zip")
+    simulation = Simulation("lane-follow", str(tmp_path / "model.zip"))
+    generator = np.random.default_rng(6)
+    scenarios = [simulation.logical.sample(generator) for _ in range(5)]
+    alone = [simulation.run(scenario).to_bytes() for scenario in scenarios]
+    for number, trace in simulation.run_all(scenarios, 3):
+        assert trace.to_bytes() == alone[number]
+    simulation.close()

@@ -167,7 +167,7 @@ def _listed_classes(failures: list[_Failure]) -> list[str]:
         return []
     first = {failure.kind: failure.number for failure in reversed(failures)}
     shown = counts.most_common(_LISTED_CLASSES)
-    title = "Its classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
+    title = "The classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
     width = max(len(str(kind)) for kind, _ in shown)
     return [title, *(f"  {kind:{width}} {count:5}   first {first[kind]}" for kind, count in shown)]
 
