@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from scipy.stats import binomtest
 
 from behavexplor.fuzz.fault import contact_fault
 from behavexplor.fuzz.specs import SPECS, judge
@@ -43,8 +44,6 @@ class Evaluation:
 
     def interval(self, outcome: str) -> tuple[float, float]:
         """The 95 % interval of a rate, after Wilson."""
-        from scipy.stats import binomtest  # noqa: PLC0415 - takes a second, which no other command should wait for
-
         found = binomtest(self.counts.get(outcome, 0), self.n).proportion_ci(0.95, "wilson")
         return float(found.low), float(found.high)
 

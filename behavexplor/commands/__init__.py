@@ -8,6 +8,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from behavexplor.errors import InputError
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
+COMMANDS = ("fuzz", "replay", "records", "triage", "report", "evaluate", "bench", "train")  # each a module of its name
+
+_DESCRIPTION = "Find out how a driving policy fails."
 _LONGEST = 900  # characters of a sentence that is shown
 
 
@@ -28,34 +32,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    if list(sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given == ["--version"]:
         print(f"behavexplor {version('behavexplor')}")
         return OK
     import tyro  # noqa: PLC0415 - a library user of this package never needs it
 
-    from behavexplor.commands.bench import bench  # noqa: PLC0415
-    from behavexplor.commands.evaluate import evaluate  # noqa: PLC0415
-    from behavexplor.commands.fuzz import fuzz  # noqa: PLC0415
-    from behavexplor.commands.records import records  # noqa: PLC0415
-    from behavexplor.commands.replay import replay  # noqa: PLC0415
-    from behavexplor.commands.report import report  # noqa: PLC0415
-    from behavexplor.commands.train import train  # noqa: PLC0415
-    from behavexplor.commands.triage import triage  # noqa: PLC0415
-
-    commands: dict[str, Callable[..., Any]] = {
-        "fuzz": fuzz,
-        "replay": replay,
-        "records": records,
-        "triage": triage,
-        "report": report,
-        "evaluate": evaluate,
-        "bench": bench,
-        "train": train,
-    }
     try:
-        code: int = tyro.extras.subcommand_cli_from_dict(
-            commands, prog=program(), args=arguments, description="Find out how a driving policy fails."
-        )
+        if given and given[0] in COMMANDS:  # the others need not be imported, some of them take their time
+            code: int = tyro.cli(_command(given[0]), prog=f"{program()} {given[0]}", args=given[1:])
+        else:
+            commands = {name: _command(name) for name in COMMANDS}
+            code = tyro.extras.subcommand_cli_from_dict(commands, prog=program(), args=given, description=_DESCRIPTION)
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
@@ -64,6 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _failed(error)
     return code
+
+
+def _command(name: str) -> Callable[..., Any]:
+    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), name)
+    return command
 
 
 def _failed(error: Exception) -> int:
