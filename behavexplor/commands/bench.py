@@ -1,9 +1,8 @@
 """`behavexplor bench`: an experiment, from its file to its tables."""
 
-import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +19,7 @@ from behavexplor.campaign import search_method
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import clock
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.signals import stopped_by_signals
 from behavexplor.commands.tables import text
 from behavexplor.errors import InputError
 from behavexplor.executor import available_cores
@@ -118,7 +118,7 @@ def _run(experiment: Experiment, root: Path, jobs: int, *, quiet: bool) -> int:
     """Run what is left; the exit code."""
     running = Cells(experiment.cells(), root, jobs, experiment.workers)
     total = len(experiment.cells()) * experiment.budget
-    with _stopped_by_signals(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
+    with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
         ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
     for warning in ended.warnings:
         print(f"Beware: {warning}", file=sys.stderr)
@@ -159,21 +159,13 @@ def _files(table: Table) -> dict[str, str]:
     return {"csv": table_csv(table), "tex": table_latex(table)}
 
 
-@contextmanager
-def _stopped_by_signals(cells: Cells) -> Iterator[None]:
-    """The first Ctrl-C (or SIGTERM) ends the running campaigns cleanly, the second at once."""
-
-    def stop(number: int, _frame: object) -> None:
+def _stoppable(cells: Cells) -> AbstractContextManager[None]:
+    def stop() -> None:
         cells.stop()
         print("Stopping after the executions that are running; once more to stop at once.", file=sys.stderr)
-        signal.signal(number, _at_once)
 
-    def _at_once(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
+    return stopped_by_signals(stop, _interrupt)
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+
+def _interrupt(_number: int, _frame: object) -> None:
+    raise KeyboardInterrupt

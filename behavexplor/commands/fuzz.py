@@ -3,8 +3,7 @@
 import signal
 import sqlite3
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +13,7 @@ import tyro
 from behavexplor.campaign import Campaign, ExecutionError, run_folder
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
+from behavexplor.commands.signals import stopped_by_signals
 from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
 from behavexplor.errors import InputError
 from behavexplor.executor import available_cores, warm_up
@@ -81,10 +81,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     folder = resume or out or run_folder(chosen, Path("runs"))
-    with (
-        opened(chosen, folder, workers, resume=resume is not None) as ready,
-        _stopped_by_signals(ready.campaign, display),
-    ):
+    with opened(chosen, folder, workers, resume=resume is not None) as ready, _stoppable(ready.campaign, display):
         if ready.store.repaired:
             display.say(ready.store.repaired)
         with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
@@ -138,18 +135,9 @@ def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     return replace(stored, budget=given.get("budget", stored.budget))
 
 
-@contextmanager
-def _stopped_by_signals(campaign: Campaign, display: Display) -> Iterator[None]:
-    """The first Ctrl-C (or SIGTERM) ends the campaign cleanly, the second at once."""
-
-    def stop(number: int, _frame: object) -> None:
+def _stoppable(campaign: Campaign, display: Display) -> AbstractContextManager[None]:
+    def stop() -> None:
         campaign.stop()
         display.say("Stopping after the execution that is running; once more to stop at once.")
-        signal.signal(number, signal.SIG_DFL)
 
-    previous = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+    return stopped_by_signals(stop, signal.SIG_DFL)
