@@ -34,7 +34,7 @@ def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
             continue
         place = (cell.env, cell.ads)
         if (*place, cell.method) not in measured and place not in measured:
-            measured[place] = trial(*place, experiment.trust)
+            measured[place] = trial(*place, experiment.batch, experiment.trust)
         seconds += (experiment.budget - found.executions) * measured.get((*place, cell.method), measured.get(place, 0))
     return seconds / jobs
 
@@ -50,8 +50,8 @@ def _measured(cells: Sequence[Cell], root: Path) -> dict[tuple[str, ...], float]
     return {key: float(np.mean(values)) for key, values in found.items()}
 
 
-def trial(env: str, ads: str, trust: Sequence[str]) -> float:
-    """Seconds that an execution takes, from a few.
+def trial(env: str, ads: str, batch: int, trust: Sequence[str]) -> float:
+    """Seconds that an execution takes, from a few; as many of them at a time as a campaign has candidates in flight.
 
     Raises:
         InputError: if the ADS or the environment cannot be used.
@@ -59,11 +59,11 @@ def trial(env: str, ads: str, trust: Sequence[str]) -> float:
     simulation = Simulation(env, ads, trust)
     generator = np.random.default_rng(0)
     scenarios = [simulation.logical.sample(generator) for _ in range(_WARMING + TRIAL)]
-    for scenario in scenarios[:_WARMING]:
-        simulation.run(scenario)
+    for _ in simulation.run_all(scenarios[:_WARMING], batch):
+        pass
     start = time.monotonic()
-    for scenario in scenarios[_WARMING:]:
-        simulation.run(scenario)
+    for _ in simulation.run_all(scenarios[_WARMING:], batch):
+        pass
     seconds = (time.monotonic() - start) / TRIAL
     simulation.close()
     return seconds

@@ -14,12 +14,12 @@ from scipy.stats import pearsonr
 from behavexplor.bench.experiment import Cell
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign import ERROR
+from behavexplor.fuzz.fault import NPC_CAUSED
 from behavexplor.fuzz.specs import SPECS
 from behavexplor.store import Store
 
 COLLISION, LINES, DESTINATION = (spec.name for spec in SPECS)
 LABELS: Final = {COLLISION: "R1", LINES: "R2", DESTINATION: "R3", ERROR: "error"}  # what tables call them
-NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})  # verdicts of `contact_fault`
 _LEAST_PAIRS: Final = 3  # of a correlation
 
 

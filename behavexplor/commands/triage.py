@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -26,7 +25,7 @@ from behavexplor.store import Execution, Store, write_durably
 from behavexplor.triage.agreement import agreement
 from behavexplor.triage.coverage import weakness_records
 from behavexplor.triage.examination import begin, begin_worker, error_finding, examination, examine, seen
-from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Triage, witness_path
+from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Triage, counted, witness_path
 from behavexplor.workers import WorkerPool
 
 WRITTEN_AFTER = 10  # findings, so that an interruption costs no more than that
@@ -152,17 +151,9 @@ def _class_table(found: Triage) -> Table:
     table = _grid("class", "count", "first", "look at", "fault", *(["cause"] if found.weaknesses else []))
     for class_id, findings in found.classes.items():
         shown = next((finding.id for finding in findings if finding.same_trace), findings[0].id)
-        cells = [class_id, str(len(findings)), str(findings[0].id), str(shown), _most(f.fault for f in findings)]
-        table.add_row(*cells, *([_most(f.cause for f in findings)] if found.weaknesses else []))
+        cells = [class_id, str(len(findings)), str(findings[0].id), str(shown), counted(f.fault for f in findings)]
+        table.add_row(*cells, *([counted(f.cause for f in findings)] if found.weaknesses else []))
     return table
-
-
-def _most(names: Iterable[str | None]) -> str:
-    """The most frequent names, with their counts where there are several."""
-    counts = Counter(name for name in names if name is not None).most_common()
-    if len(counts) == 1:
-        return counts[0][0].replace("_", " ")
-    return ", ".join(f"{name} {count}" for name, count in counts).replace("_", " ")
 
 
 def _weakness_table(found: Triage) -> Table:

@@ -16,6 +16,7 @@ from behavexplor.trace import Trace
 Floats = NDArray[np.float64]
 
 Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "other"]
+NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})
 
 STATIONARY_SPEED: Final = 0.3  # an ego slower than this stands [m/s]
 ALIGNED: Final = 0.8  # greatest difference of the headings in a rear-end contact [rad]

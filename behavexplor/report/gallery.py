@@ -1,7 +1,6 @@
 """The gallery: a card for each class of violations, and the replays on the cards."""
 
-from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -14,7 +13,7 @@ from behavexplor.report.behaviours import Behaviours
 from behavexplor.report.packing import pack
 from behavexplor.report.reading import Run
 from behavexplor.trace import Trace
-from behavexplor.triage.findings import Finding
+from behavexplor.triage.findings import Finding, counted
 
 Floats = NDArray[np.float64]
 
@@ -76,22 +75,14 @@ def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> C
     known = [finding for finding in findings if finding.id in examined]
     shown = next((finding for finding in known if finding.same_trace), first)
     facts = {
-        "fault": _counted(finding.fault for finding in known),
-        "cause": _counted(finding.cause for finding in known),
-        "signature": _counted(finding.signature for finding in known),
-        "avoidable by": _counted(finding.avoidance for finding in known),
+        "fault": counted(finding.fault for finding in known),
+        "cause": counted(finding.cause for finding in known),
+        "signature": counted(finding.signature for finding in known),
+        "avoidable by": counted(finding.avoidance for finding in known),
         "flaky": str(sum(not finding.same_verdict for finding in known) or ""),
     }
     listed = tuple((name, text) for name, text in facts.items() if text)
     return Card(class_id, first.spec, shown.words, len(findings), first.id, shown.id, listed)
-
-
-def _counted(names: Iterable[str | None]) -> str:
-    """The names, the most frequent first, with their counts where there are several."""
-    counts = Counter(name for name in names if name is not None).most_common()
-    if len(counts) == 1:
-        return counts[0][0].replace("_", " ")
-    return ", ".join(f"{name} {count}" for name, count in counts).replace("_", " ")
 
 
 def _nearest(run: Run) -> Card | None:

@@ -11,11 +11,9 @@ from typing import Any, Self
 from behavexplor.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.errors import InputError
 from behavexplor.store import Execution, Store
+from behavexplor.triage.blame import AT_FAULT, NOT_AT_FAULT
 from behavexplor.triage.examination import error_finding, seen
 from behavexplor.triage.findings import TRIAGE, Finding, Triage, WeaknessRecord
-
-AT_FAULT = ("ego_cut_in", "preventable")  # see `behavexplor.triage.blame.Blame`
-NOT_AT_FAULT = ("npc_rear_end", "struck_stationary", "unpreventable")
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """Whose fault a collision was: what the trace alone tells, and for the rest whether it could have been avoided."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
-from behavexplor.fuzz.fault import contact_fault
+from behavexplor.fuzz.fault import NPC_CAUSED, contact_fault
 from behavexplor.fuzz.moments import R1, violation_moment
 from behavexplor.roadmap import RoadMap
 from behavexplor.scenario import Scenario
@@ -14,6 +14,10 @@ from behavexplor.trace import Trace
 from behavexplor.triage.witness import Witness, find_witness
 
 Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "preventable", "unpreventable", "other"]
+
+
+AT_FAULT: Final = frozenset({"ego_cut_in", "preventable"})  # kinds for which the ego answers,
+NOT_AT_FAULT: Final = NPC_CAUSED | {"unpreventable"}  # and those for which it does not
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Blame:
     @property
     def at_fault(self) -> bool:
         """Whether the ego answers for it."""
-        return self.kind in ("ego_cut_in", "preventable")
+        return self.kind in AT_FAULT
 
 
 def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.random.Generator) -> Blame | None:

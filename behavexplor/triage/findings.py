@@ -1,7 +1,8 @@
 """What triage found out about the failures of a run, as plain data: `triage.json` and `witnesses/` in a run folder."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -138,6 +139,14 @@ class Triage:
         for finding in self.findings:
             groups.setdefault(finding.class_id, []).append(finding)
         return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
+
+
+def counted(names: Iterable[str | None]) -> str:
+    """Names in words, the most frequent first, with their counts where there are several."""
+    counts = Counter(name for name in names if name is not None).most_common()
+    if len(counts) == 1:
+        return counts[0][0].replace("_", " ")
+    return ", ".join(f"{name} {count}" for name, count in counts).replace("_", " ")
 
 
 def witness_path(folder: Path, number: int) -> Path:

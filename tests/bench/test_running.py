@@ -16,12 +16,12 @@ import yaml
 from behavexplor.bench.cells import Cells, State, _campaign, _Stop, state
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.bench.forecast import forecast
-from behavexplor.bench.summaries import NPC_CAUSED, summarise
+from behavexplor.bench.summaries import summarise
 from behavexplor.bench.timing import Stopwatch, Timing, read_timing
 from behavexplor.campaign import Progress
 from behavexplor.commands import main
 from behavexplor.errors import InputError
-from behavexplor.fuzz.fault import contact_fault
+from behavexplor.fuzz.fault import NPC_CAUSED, contact_fault
 from behavexplor.store import Store
 
 ROOT = Path(__file__).parents[2]
