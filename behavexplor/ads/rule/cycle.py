@@ -24,6 +24,7 @@ from behavexplor.ads.rule.lane_choice import (
     accepts_gap,
     change_length,
     choose_lane,
+    cuts_in,
     gap_share,
     wrong_side,
 )
@@ -69,7 +70,6 @@ Floats = NDArray[np.float64]
 
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
 SUDDEN_TIME: Final = 3.0  # for which another's sudden change weakens the braking (R1-4) [s]
-SHORT_SPEED: Final = 6.0  # below which lane changes are too short (R2-2) [m/s]
 STRONGER: Final = 2.0  # and how much more they are accelerated for all of the severity [m/s2]
 SHARP_WAY: Final = 20.0  # from their beginning until steering and acceleration are as usual again [m]
 STUCK: Final = 1.0  # who stands so long during a lane change decides anew [s]
@@ -154,14 +154,14 @@ def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Fl
     if not accepts_gap(path, world.others, ego, wanted, bits, p):
         return present, False
     length = change_length(ego.speed, p)
-    sharp = p.short_change > 0.0 and ego.speed < SHORT_SPEED
+    sharp = p.short_change > 0.0 and ego.speed < p.short_change_below
     if sharp:
         note(bits, R2_2, True)
         length *= 1.0 - p.short_change
     profile = change_profile(ego.station, ego.offset, _slope(world, ego), wanted * path.lane_width, length)
     option = plan_option(world, ego, profile, wanted, memory)
     if not _is_safe(option):
-        if p.cut_in == 0.0 or option.plan.survived < N_INTERVALS // 2:
+        if not cuts_in(ego, p) or option.plan.survived < N_INTERVALS // 2:
             return plan_option(world, ego, present.profile, lane, memory), False
         note(bits, R1_5, True)
     memory[MANOEUVRE], memory[ORIGIN] = CHANGE, lane

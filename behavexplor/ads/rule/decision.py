@@ -107,10 +107,16 @@ def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> b
 @kernel_in_place
 def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -> bool:
     """Whether a standing ego waits for somebody who hardly moves across its way (weakness R3-4)."""
-    if p.deadlock == 0.0 or memory[WAITED] == 0.0 or _slowest(graph) >= p.deadlock:
+    if memory[WAITED] == 0.0 or not _deadlocked(graph, memory, p):
         return False
     note(bits, R3_4, True)
     return True
+
+
+@kernel_in_place
+def _deadlocked(graph: StationTime, memory: Floats, p: Numbers) -> bool:
+    """Whether the gate of weakness R3-4 is open."""
+    return bool(p.deadlock > 0.0 and memory[STOOD] >= p.deadlock_after and _slowest(graph) < p.deadlock)
 
 
 @kernel_in_place
@@ -148,7 +154,7 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, 
             low, high = graph.spans[k, i, HARD_LOW], graph.spans[k, i, HARD_HIGH]
             if low < station + CREEP_ROOM and high > station:
                 return False
-    if p.deadlock > 0.0 and _slowest(graph) < p.deadlock:
+    if _deadlocked(graph, memory, p):
         note(bits, R3_4, True)
         return False
     return True

@@ -143,7 +143,7 @@ def _may_overtake(
     room = lane_end(path, other, ego.station) - ego.station
     needed = room_to_overtake(path, others, ego, leader, p) + (abs(other) - 1) * p.change_length
     fits = needed <= room
-    if p.no_room > 0.0 and not fits and math.isfinite(leader.gap_ahead):
+    if p.no_room > 0.0 and ego.speed < p.no_room_below and not fits and math.isfinite(leader.gap_ahead):
         fits = (1.0 - p.no_room) * min(needed, 1e3) <= room
         note(bits, R3_2, fits)
     return fits
@@ -193,10 +193,16 @@ def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> fl
 
 
 @kernel_in_place
+def cuts_in(ego: Ego, p: Numbers) -> bool:
+    """Whether the ego would take a gap that is too small (weakness R1-5)."""
+    return p.cut_in > 0.0 and ego.speed < p.cut_in_below
+
+
+@kernel_in_place
 def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: Numbers) -> bool:
     """Whether the gaps in a lane are wide enough to begin a change to it."""
     share = gap_share(path, others, ego, lane, p)
-    if share < 1.0 and p.cut_in > 0.0:
+    if share < 1.0 and cuts_in(ego, p):
         note(bits, R1_5, share >= 1.0 - p.cut_in)
         return share >= 1.0 - p.cut_in
     return share >= 1.0

@@ -1,5 +1,6 @@
 """Motion: what an NPC is predicted to do along its ways, and what a planner with weaknesses makes of it."""
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7
 from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import ACCELERATION, LENGTH, SPEED, WIDTH
+from behavexplor.scene import ACCELERATION, EGO, LENGTH, SPEED, WIDTH, X, Y
 
 Floats = NDArray[np.float64]
 
@@ -54,11 +55,19 @@ def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
 
 
 @kernel_in_place
+def _is_hidden(scene: Floats, row: int, p: Numbers) -> bool:
+    """Whether a vehicle counts as hidden (weakness R1-1)."""
+    if math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]) < p.occlusion_beyond:
+        return False
+    return bool(hidden_share(scene, row) > 1.0 - p.occlusion)
+
+
+@kernel_in_place
 def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> int:
     """Bits of the weaknesses of prediction whose gates an NPC opens: R1-1, R1-2, R1-4 and R1-7."""
     bits = 0
     if true.speed > MOVES:
-        if p.occlusion > 0.0 and hidden_share(scene, row) > 1.0 - p.occlusion:
+        if p.occlusion > 0.0 and _is_hidden(scene, row, p):
             bits |= R1_1
         if true.speed < p.static_speed:
             bits |= R1_2

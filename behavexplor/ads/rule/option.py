@@ -20,6 +20,7 @@ from behavexplor.ads.rule.decision import (
 )
 from behavexplor.ads.rule.lane_choice import (
     Ego,
+    cuts_in,
     lane_wall,
 )
 from behavexplor.ads.rule.lateral import Profile
@@ -87,7 +88,7 @@ def plan_option(world: World, ego: Ego, profile: Profile, lane: int, memory: Flo
     """The speed along a profile, with a wait before the junction where that cannot be crossed."""
     path, room, p = world.path, world.room, world.p
     blind = -math.inf
-    if p.cut_in > 0.0 and profile.length > 0.0:
+    if cuts_in(ego, p) and profile.length > 0.0:
         blind = p.cut_in * 2 * ego.half_length
         note(room.bits, R1_5, False)
     elif memory[IGNORES] == 1.0:

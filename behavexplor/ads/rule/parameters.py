@@ -12,7 +12,8 @@ from behavexplor.errors import InputError
 class Parameters:
     """The planner's numbers, all >= 0.
 
-    The first sixteen are the severities of the weaknesses, see `behavexplor.ads.rule.weaknesses`; 0 is without.
+    The first sixteen are the severities of the weaknesses, see `behavexplor.ads.rule.weaknesses`; 0 is without. The
+    six after them make the gate of one narrower.
 
     Attributes:
         occlusion: R1-1, share of a vehicle that may be in sight although it counts as hidden.
@@ -31,6 +32,12 @@ class Parameters:
         no_room: R3-2, share of the room for coming back from an overtaking that is not asked for.
         late_change: R3-3, share of the way to the destination on which a needed lane change is not begun.
         deadlock: R3-4, for NPCs in its way slower than this the ego waits for ever [m/s].
+        occlusion_beyond: R1-1, only vehicles farther away than this count as hidden [m].
+        branch_speed: R1-8, only vehicles faster than this are expected to go straight on [m/s].
+        cut_in_below: R1-5, only an ego slower than this takes gaps that are too small [m/s].
+        short_change_below: R2-2, only lane changes begun below this speed are too short [m/s].
+        no_room_below: R3-2, only an ego slower than this overtakes without room to come back [m/s].
+        deadlock_after: R3-4, only an ego that has stood for so long waits for ever [s].
         match_offset: an NPC may be on a lane if its centre is this close to the centre line [m]
         match_heading: and its heading this close to the lane's [rad].
         acceleration_memory: how long an NPC's present acceleration may go on [s].
@@ -97,6 +104,12 @@ class Parameters:
     no_room: float = 0.0
     late_change: float = 0.0
     deadlock: float = 0.0
+    occlusion_beyond: float = 0.0
+    branch_speed: float = 0.0
+    cut_in_below: float = 100.0
+    short_change_below: float = 6.0
+    no_room_below: float = 100.0
+    deadlock_after: float = 0.0
     match_offset: float = 1.0
     match_heading: float = 0.35
     acceleration_memory: float = 2.0

@@ -75,7 +75,7 @@ def _distance(lane: Lane, way: Floats) -> float:
 
 @kernel_in_place
 def find_tails(
-    graph: LaneGraph, x: float, y: float, heading: float, p: Numbers, tails: Ints, stations: Floats
+    graph: LaneGraph, x: float, y: float, heading: float, speed: float, p: Numbers, tails: Ints, stations: Floats
 ) -> tuple[int, int]:
     """Every way on that a vehicle has, at a junction all branches; on no lane, straight on.
 
@@ -84,6 +84,7 @@ def find_tails(
         x: the vehicle's centre [m].
         y: the vehicle's centre [m].
         heading: [rad].
+        speed: [m/s].
         p: the parameters.
         tails: filled with indices of tails, shape (most,).
         stations: filled with the vehicle's stations along them [m], shape (most,).
@@ -100,7 +101,7 @@ def find_tails(
             fits, station = _fits(lanes, lane, x, y, heading, p)
         if not fits or count + overlooked == len(tails):
             continue
-        if p.branch_turn > 0.0 and _overlooked(graph, tail, heading, p):
+        if p.branch_turn > 0.0 and speed > p.branch_speed and _overlooked(graph, tail, heading, p):
             overlooked += 1
             tails[-overlooked], stations[-overlooked] = tail, station
             continue

@@ -7,6 +7,8 @@ stay comparable. `apollo-held-back` is the same with every severity
 severely that failures are met at once; it is the default.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
@@ -18,22 +20,34 @@ from behavexplor.roadmap import RoadMap
 
 APOLLO_LIKE = MappingProxyType(
     {
-        "R1-1": 0.3,
+        "R1-1": 0.02,
         "R1-2": 1.0,
-        "R1-3": 2.5,
+        "R1-3": 1.5,
         "R1-4": 4.0,
-        "R1-5": 0.6,
-        "R1-6": 0.8,
+        "R1-5": 0.1,
+        "R1-6": 0.9,
         "R1-7": 0.8,
         "R1-8": 0.08,
-        "R2-1": 0.25,
+        "R2-1": 0.2,
         "R2-2": 0.2,
-        "R2-3": 1.0,
-        "R2-4": 0.8,
+        "R2-3": 0.8,
+        "R2-4": 1.2,
         "R3-1": 1.0,
-        "R3-2": 0.2,
+        "R3-2": 0.02,
         "R3-3": 0.6,
-        "R3-4": 0.5,
+        "R3-4": 0.15,
+    }
+)
+_NONE: Final[Mapping[str, float]] = MappingProxyType({})
+# Severities alone do not make these six rare: their gates are narrower here.
+_RARE_GATES = MappingProxyType(
+    {
+        "occlusion_beyond": 40.0,
+        "branch_speed": 9.0,
+        "cut_in_below": 3.0,
+        "short_change_below": 1.6,
+        "no_room_below": 1.5,
+        "deadlock_after": 15.0,
     }
 )
 APOLLO_EASY = MappingProxyType(
@@ -74,12 +88,27 @@ _HELD_BACK = MappingProxyType(
         for i, (name, severity) in enumerate(APOLLO_LIKE.items())
     }
 )
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A set of weaknesses.
+
+    Attributes:
+        severities: of those that it has, by their names.
+        gates: the parameters, beside the severities, in which it differs from the careful planner.
+    """
+
+    severities: Mapping[str, float]
+    gates: Mapping[str, float]
+
+
 PROFILES = MappingProxyType(
     {
-        "hardened": MappingProxyType({}),
-        "apollo-like": APOLLO_LIKE,
-        "apollo-held-back": _HELD_BACK,
-        "apollo-easy": APOLLO_EASY,
+        "hardened": Profile(_NONE, _NONE),
+        "apollo-like": Profile(APOLLO_LIKE, _RARE_GATES),
+        "apollo-held-back": Profile(_HELD_BACK, _RARE_GATES),
+        "apollo-easy": Profile(APOLLO_EASY, _NONE),
     }
 )
 DEFAULT: Final = "apollo-easy"
@@ -100,7 +129,7 @@ def rule_planner(roadmap: RoadMap, variant: str = "") -> RulePlanner:
 
 
 def variant_parameters(variant: str) -> dict[str, float]:
-    """The severities of a variant, by the fields of `Parameters`; see `rule_planner`.
+    """The numbers of a variant that are not the careful planner's, by the fields of `Parameters`; see `rule_planner`.
 
     Raises:
         InputError: if there is no such profile or weakness.
@@ -108,7 +137,8 @@ def variant_parameters(variant: str) -> dict[str, float]:
     profile, *changes = variant.replace("+", "\0+").replace("~", "\0~").split("\0")
     if (profile or DEFAULT) not in PROFILES:
         raise unknown_name("profile of the rule planner", profile, PROFILES)
-    severities: dict[str, float] = dict(PROFILES[profile or DEFAULT])
+    base = PROFILES[profile or DEFAULT]
+    severities = dict(base.severities)
     for change in changes:
         sign, name = change[0], change[1:]
         if name not in WEAKNESSES:
@@ -119,4 +149,4 @@ def variant_parameters(variant: str) -> dict[str, float]:
             severities[name] = APOLLO_EASY[name]
         else:
             del severities[name]
-    return {WEAKNESSES[name].parameter: severity for name, severity in severities.items()}
+    return {WEAKNESSES[name].parameter: severity for name, severity in severities.items()} | dict(base.gates)

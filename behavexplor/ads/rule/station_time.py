@@ -118,7 +118,7 @@ def project_obstacles(
         weak = weaknesses_of_motion(scene, row, true, p)
         motion = false_motion(true, weak, p)
         x, y, heading = scene[row, X], scene[row, Y], scene[row, HEADING]
-        found, overlooked = find_tails(graph, x, y, heading, p, room.tails, room.stations)
+        found, overlooked = find_tails(graph, x, y, heading, true.speed, p, room.tails, room.stations)
         for way in range(found):
             seen = way < found - overlooked
             touched = _project(view, way, motion, seen)

@@ -14,10 +14,10 @@ CAREFUL = Parameters()
 NAMES = list({lane.name: 0 for route in ROADMAP.npc_routes for lane in route.lanes})
 
 
-def ways(x, y, heading, parameters=CAREFUL):
+def ways(x, y, heading, parameters=CAREFUL, speed=5.0):
     """The names of the lanes of each way found, and the stations along them."""
     tails, stations = np.empty(8, np.int64), np.empty(8)
-    found, overlooked = find_tails(GRAPH, x, y, heading, numbers(parameters), tails, stations)
+    found, overlooked = find_tails(GRAPH, x, y, heading, speed, numbers(parameters), tails, stations)
     found -= overlooked
     names = [tuple(NAMES[lane] for lane in GRAPH.tails[tail] if 0 <= lane < len(NAMES)) for tail in tails[:found]]
     return dict(zip(names, stations[:found], strict=True))

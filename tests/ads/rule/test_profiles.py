@@ -19,7 +19,7 @@ from behavexplor.scenario import Scenario
 from behavexplor.simulation import Simulation
 
 ROADMAP = IntersectionStraightEnv.logical.roadmap
-FROZEN = "64008b8b0fdd21e2"
+FROZEN = "e29898fd4b605dab"
 SCENARIOS = Path(__file__).parent.parent / "scenarios"
 
 
@@ -37,19 +37,30 @@ def test_the_violation_occurs_with_the_weakness_and_not_without(name):
 
 def test_the_default_profile_has_every_weakness_so_far():
     assert rule_planner(ROADMAP).parameters == rule_planner(ROADMAP, DEFAULT).parameters
-    assert list(PROFILES[DEFAULT]) == list(WEAKNESSES)
+    assert list(PROFILES[DEFAULT].severities) == list(WEAKNESSES)
 
 
 def test_the_frozen_profile_has_not_changed():
-    text = json.dumps(dict(PROFILES["apollo-like"]), sort_keys=True)
+    profile = PROFILES["apollo-like"]
+    text = json.dumps([dict(profile.severities), dict(profile.gates)], sort_keys=True)
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == FROZEN
 
 
 def test_the_profile_held_back_differs_in_every_severity_by_at_most_30_percent():
-    like, held_back = PROFILES["apollo-like"], PROFILES["apollo-held-back"]
+    like, held_back = PROFILES["apollo-like"].severities, PROFILES["apollo-held-back"].severities
+    assert PROFILES["apollo-like"].gates == PROFILES["apollo-held-back"].gates
     assert list(like) == list(held_back) == list(WEAKNESSES)
     shares = {name: held_back[name] / like[name] for name in like}
     assert all(0.7 - 1e-9 <= share <= 1.3 + 1e-9 and share != 1 for share in shares.values())
+
+
+def test_narrower_gates_are_parameters_of_their_own():
+    gates = PROFILES["apollo-like"].gates
+    careful = Parameters()
+    assert all(getattr(careful, name) != value for name, value in gates.items())
+    assert not set(gates) & {weakness.parameter for weakness in WEAKNESSES.values()}
+    assert rule_planner(ROADMAP, "apollo-like").parameters.branch_speed == gates["branch_speed"]
+    assert rule_planner(ROADMAP, "apollo-easy").parameters.branch_speed == careful.branch_speed
 
 
 def test_every_weakness_is_a_parameter_of_its_own_that_is_off_in_the_careful_planner():
@@ -68,7 +79,7 @@ def test_weaknesses_are_added_and_taken():
     careful = rule_planner(ROADMAP, "hardened").parameters
     assert careful == Parameters()
     one = rule_planner(ROADMAP, "hardened+R1-2").parameters
-    assert one == Parameters(static_speed=PROFILES["apollo-easy"]["R1-2"])
+    assert one == Parameters(static_speed=PROFILES["apollo-easy"].severities["R1-2"])
     all_but_one = rule_planner(ROADMAP, "apollo-like~R1-8").parameters
     assert all_but_one == replace(rule_planner(ROADMAP, "apollo-like").parameters, branch_turn=0.0)
     assert rule_planner(ROADMAP, "hardened+R1-2~R1-2").parameters == careful
