@@ -4,13 +4,14 @@ import hashlib
 import json
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
 
 import numba
-from numba.core import event
+from numba.core import caching, event
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -60,6 +61,21 @@ class _Notice(event.Listener):
 
 
 event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
+
+
+def keep_no_code() -> None:
+    """Go on without the right to write: code that was kept is used, what is compiled from now on is not kept.
+
+    Numba would refuse to work with a folder that it cannot write to.
+    """
+
+    @contextmanager
+    def unkept(_: object) -> Iterator[None]:
+        with suppress(OSError):
+            yield
+
+    caching._CacheLocator.ensure_cache_path = lambda _: None  # type: ignore[method-assign] # noqa: SLF001
+    caching.Cache._guard_against_spurious_io_errors = unkept  # type: ignore[assignment] # noqa: SLF001
 
 
 def drop_stale_code(package: Path = _PACKAGE) -> None:

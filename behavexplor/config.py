@@ -63,6 +63,8 @@ class CampaignConfig:
             paper's sequential loop.
         time_limit: of one execution [s]; an ADS that takes longer is in a hang.
         memory_limit: of one worker process [GiB], where the system can set it.
+        unconfined: whether an ADS that is not shipped with this package may write files and use the network. Else
+            its worker processes may not, where the system can prevent it.
         trust: digests ("sha256:...") of policies' files that may run code of their own while they are loaded.
         options: of the search method; see its `Options`.
 
@@ -80,6 +82,7 @@ class CampaignConfig:
     batch: int = 8
     time_limit: float = 300.0
     memory_limit: float = 8.0
+    unconfined: bool = False
     trust: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
 

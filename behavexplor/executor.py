@@ -9,14 +9,17 @@ import os
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Executor, Future
-from contextlib import suppress
 from itertools import count
 from typing import Final, ParamSpec, TypeVar, cast
 
+from behavexplor.ads.loading import is_shipped
+from behavexplor.compiled import keep_no_code
+from behavexplor.confinement import confine
+from behavexplor.errors import InputError
 from behavexplor.health import health_warnings
 from behavexplor.rollout import ADSError, LockStep
 from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
+from behavexplor.simulation import Simulation, compile_kernels
 from behavexplor.workers import WorkerPool
 
 P = ParamSpec("P")
@@ -25,6 +28,7 @@ T = TypeVar("T")
 LOCK_STEP: Final = 32  # episodes at a time in one process, at most
 
 _simulation: list[Simulation] = []  # the one of this process, once it has begun to evaluate
+_loose: list[str] = []  # what this process may still do although it is confined
 
 
 def begin(env: str, ads: str, trust: Collection[str] = ()) -> Simulation:
@@ -54,7 +58,8 @@ def evaluate(scenario: bytes) -> bytes:
 
 def examine(_: bytes) -> bytes:
     """What is wrong with the ADS of this process, a JSON list of sentences; see `behavexplor.health`."""
-    return json.dumps(health_warnings(_simulation[0])).encode()
+    loose = [f"This system cannot keep the worker that runs the ADS from what it may: to {right}" for right in _loose]
+    return json.dumps(health_warnings(_simulation[0]) + loose).encode()
 
 
 class Evaluations:
@@ -94,7 +99,14 @@ def evaluations(simulation: Simulation) -> Evaluations | None:
     return None if episodes is None else Evaluations(simulation, episodes)
 
 
-def _begin_worker(env: str, ads: str, trust: Collection[str]) -> Evaluations | None:
+def prepare_worker(env: str, ads: str, trust: Collection[str], unconfined: bool) -> None:  # noqa: ARG001
+    """Confine this process if the ADS is somebody else's program; see `behavexplor.confinement`."""
+    if not (unconfined or is_shipped(ads)):
+        keep_no_code()
+        _loose[:] = confine()
+
+
+def _begin_worker(env: str, ads: str, trust: Collection[str], unconfined: bool) -> Evaluations | None:  # noqa: ARG001
     return evaluations(begin(env, ads, trust))
 
 
@@ -187,6 +199,7 @@ def make_executor(
     trust: Collection[str] = (),
     time_limit: float = 300.0,
     memory_limit: float = 8.0,
+    unconfined: bool = False,
 ) -> Executor:
     """An executor for `evaluate` and `examine`.
 
@@ -197,13 +210,19 @@ def make_executor(
         trust: see `Simulation`.
         time_limit: of one execution [s]; not in this process.
         memory_limit: of one worker [GiB]; not in this process.
+        unconfined: whether an ADS that is not shipped with this package may write files and use the network; in this
+            process it always may.
     """
     if workers == 0:
         return InProcessExecutor(evaluations(_simulation[0]))
+    if not (unconfined or is_shipped(ads)):
+        compile_kernels(env)  # confined workers cannot keep what they compile
     functions = {function.__name__: function for function in (evaluate, examine)}
     limits = (time_limit, memory_limit)
-    arguments = (env, ads, tuple(trust))
-    return WorkerPool(workers, functions, _begin_worker, arguments, *limits, together=evaluate.__name__)
+    arguments = (env, ads, tuple(trust), unconfined)
+    return WorkerPool(
+        workers, functions, _begin_worker, arguments, *limits, together=evaluate.__name__, prepare=prepare_worker
+    )
 
 
 def warm_up(executor: Executor) -> list[str]:
@@ -211,10 +230,16 @@ def warm_up(executor: Executor) -> list[str]:
 
     Returns:
         What is wrong with the ADS, a sentence each.
+
+    Raises:
+        InputError: if it cannot be made.
     """
-    with suppress(Exception):  # an ADS that takes its process down will do so again, in an execution that counts
+    try:
         return list(json.loads(executor.submit(examine, b"").result()))
-    return []
+    except InputError:
+        raise
+    except Exception:  # an ADS that takes its process down will do so again, in an execution that counts
+        return []
 
 
 def available_cores() -> int:

@@ -1,15 +1,15 @@
 """A campaign made ready to run: its ADS loaded, its run folder open, what executes it started; and all of it closed."""
 
 from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from behavexplor.campaign import Campaign, search_method
 from behavexplor.config import Budget, CampaignConfig
 from behavexplor.errors import InputError
-from behavexplor.executor import begin, make_executor
+from behavexplor.executor import begin, make_executor, warm_up
+from behavexplor.simulation import logical_scenario
 from behavexplor.store import Store
 
 
@@ -20,16 +20,23 @@ class Ready:
     Attributes:
         campaign: not yet run.
         store: its run folder.
-        executor: runs its scenarios; see `behavexplor.executor.warm_up`.
+        warnings: what is wrong with the ADS, a sentence each.
     """
 
     campaign: Campaign
     store: Store
-    executor: Executor
+    warnings: list[str]
 
 
 @contextmanager
-def opened(config: CampaignConfig, folder: Path, workers: int, *, resume: bool) -> Iterator[Ready]:
+def opened(
+    config: CampaignConfig,
+    folder: Path,
+    workers: int,
+    *,
+    resume: bool,
+    patience: AbstractContextManager[object] | None = None,
+) -> Iterator[Ready]:
     """Make a campaign ready, and release all of it afterwards.
 
     Args:
@@ -37,20 +44,24 @@ def opened(config: CampaignConfig, folder: Path, workers: int, *, resume: bool) 
         folder: its run folder, new or empty unless it is resumed.
         workers: processes that execute scenarios; 0 is this one.
         resume: go on with what the folder holds.
+        patience: entered while the ADS is loaded and tried.
 
     Raises:
         InputError: if the ADS, the environment, the search method or the run folder cannot be used.
     """
-    simulation = begin(config.env, config.ads, config.trust)
-    search = search_method(config, simulation.logical)
-    store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
-    limits = (config.time_limit, config.memory_limit)
-    executor = make_executor(workers, config.env, config.ads, config.trust, *limits)
-    try:
-        yield Ready(Campaign(config, search, simulation.logical, store, executor), store, executor)
-    finally:
-        executor.shutdown(wait=False, cancel_futures=True)
-        store.close()
+    logical = logical_scenario(config.env)
+    search = search_method(config, logical)
+    with ExitStack() as stack:
+        with patience or nullcontext():
+            if workers == 0:
+                begin(config.env, config.ads, config.trust)
+            limits = (config.time_limit, config.memory_limit)
+            executor = make_executor(workers, config.env, config.ads, config.trust, *limits, config.unconfined)
+            stack.callback(executor.shutdown, wait=False, cancel_futures=True)
+            warnings = warm_up(executor)
+        store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
+        stack.callback(store.close)
+        yield Ready(Campaign(config, search, logical, store, executor), store, warnings)
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:

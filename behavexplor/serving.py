@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
@@ -79,9 +80,11 @@ def serve(
     connection: Connection,
     asking: Any,
     functions: Functions,
+    prepare: Callable[..., None] | None,
     begin: Callable[..., Together | None],
     arguments: tuple[Any, ...],
     memory_limit: float,
+    folder: str,
 ) -> None:
     """Answer requests until the other end of the connection is closed.
 
@@ -91,17 +94,22 @@ def serve(
         connection: to the campaign.
         asking: see `behavexplor.rollout.share_asking`.
         functions: that can be called, by name.
-        begin: called first; gives what works on many requests together, if there is such a thing.
-        arguments: of `begin`.
+        prepare: called first, if there is such a thing, while there is no thread beside this one.
+        begin: called then; gives what works on many requests together, if there is such a thing.
+        arguments: of both.
         memory_limit: of the process [GiB], where the system can set it.
+        folder: for temporary files.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_campaign, daemon=True).start()
+    os.environ["TMPDIR"] = tempfile.tempdir = folder
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     logging.getLogger("behavexplor").setLevel(logging.ERROR)  # the campaign's own process has warned already
     share_asking(asking)
     _limit_memory(memory_limit)
     try:
+        if prepare is not None:
+            prepare(*arguments)
+        Thread(target=_end_with_campaign, daemon=True).start()
         together = begin(*arguments)
         threadpool_limits(1)  # of what the ADS has loaded, too
     except InputError as error:

@@ -1,9 +1,10 @@
 """An environment with an ADS in it: concrete scenarios go in, traces come out."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
+import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
@@ -14,6 +15,8 @@ from behavexplor.logical import LogicalScenario
 from behavexplor.rollout import LockStep, rollout, rollout_all
 from behavexplor.scenario import Scenario
 from behavexplor.trace import Trace
+
+_KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
 
 
 def environment_id(name: str) -> str:
@@ -49,7 +52,7 @@ class Simulation:
 
     def __init__(self, env: str, ads: str, trust: Collection[str] = ()) -> None:
         name = environment_id(env)
-        self.logical = _logical(name)
+        self.logical = logical_scenario(env)
         self.ads = load_ads(ads, self.logical.roadmap, trust)
         declared = ("observation", "action", "policy_frequency", "simulation_frequency")
         config = {key: _plain(getattr(self.ads, key)) for key in declared if hasattr(self.ads, key)}
@@ -160,14 +163,44 @@ def _brief(space: gymnasium.Space[Any]) -> str:
     return f"Box{space.shape}" if isinstance(space, gymnasium.spaces.Box) else str(space)
 
 
-def _logical(name: str) -> LogicalScenario:
-    """The logical scenario of an environment."""
+def compile_kernels(env: str) -> None:
+    """Have the machine code ready that this package executes an environment with, one scenario alone and many together.
+
+    Args:
+        env: see `environment_id`; one of another package is left to that.
+    """
+    if env not in behavexplor.FUNCTIONAL_SCENARIOS:
+        return
+    simulation = Simulation(env, "constant")
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    simulation.run(scenario)
+    for _ in simulation.run_all([scenario, scenario], 2):
+        pass
+    for changes in _KERNELS_OF_VIEWS:
+        envs = simulation.vector_env(2, **changes)
+        if envs is not None:
+            envs.reset(seed=0)
+            envs.step(envs.action_space.sample())
+            envs.close()
+    simulation.close()
+
+
+def logical_scenario(env: str) -> LogicalScenario:
+    """The logical scenario of an environment.
+
+    Args:
+        env: see `environment_id`.
+
+    Raises:
+        InputError: if there is no such environment, or it has none.
+    """
+    name = environment_id(env)
     try:
-        env = gymnasium.make(name, disable_env_checker=True)
+        made: gymnasium.Env[Any, Any] = gymnasium.make(name, disable_env_checker=True)
     except Exception as error:  # gymnasium's own errors, and whatever the environment's package raises
         raise InputError(f"The environment {name!r} cannot be made: {error}") from error
-    logical = getattr(env.unwrapped, "logical", None)
-    env.close()
+    logical = getattr(made.unwrapped, "logical", None)
+    made.close()
     if not isinstance(logical, LogicalScenario):
         raise InputError(
             f"The environment {name!r} cannot be fuzzed: it has no attribute `logical` that says which scenarios "

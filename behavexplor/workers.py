@@ -11,9 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from multiprocessing.connection import Connection, wait
+from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
+from behavexplor.errors import InputError
 from behavexplor.rollout import ADSError
 from behavexplor.serving import (
     ADS_FAILED,
@@ -69,12 +71,13 @@ class WorkerPool(Executor):
     Args:
         n_workers: number of processes.
         functions: those that may be submitted, by name.
-        begin: called first in each process; gives what works on many calls together, or None.
+        begin: called in each process; gives what works on many calls together, or None.
         arguments: of `begin`.
         time_limit: of one call that a worker has to itself, and between two answers of other workers [s]; the process
             is killed after it.
         memory_limit: of one process [GiB], where the system can set it.
         together: name of the function that can be worked on together.
+        prepare: called before `begin`, with the same arguments; what it takes from the process, all its threads lack.
     """
 
     def __init__(
@@ -86,10 +89,14 @@ class WorkerPool(Executor):
         time_limit: float,
         memory_limit: float,
         together: str | None = None,
+        prepare: Callable[..., None] | None = None,
     ) -> None:
         self._names = {function: name for name, function in functions.items()}
         self._together = together
-        self._serving = (functions, begin, arguments, memory_limit)
+        self._folder = TemporaryDirectory(
+            prefix="behavexplor-", ignore_cleanup_errors=True
+        )  # of the workers' own files
+        self._serving = (functions, prepare, begin, arguments, memory_limit, self._folder.name)
         self._time_limit = time_limit
         self._keys = count()
         self._lock = Lock()  # of what follows, which is changed by those who submit
@@ -103,7 +110,8 @@ class WorkerPool(Executor):
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Call one of the functions on bytes, as soon as a worker is free.
 
-        The future's exception is an `ADSError` for what the ADS has done, whatever that was.
+        The future's exception is an `ADSError` for what the ADS has done, whatever that was, and an `InputError` if a
+        worker could not begin.
         """
         if kwargs or len(args) != 1 or not isinstance(args[0], bytes):
             raise TypeError("a worker's function takes bytes and nothing else")
@@ -148,6 +156,7 @@ class WorkerPool(Executor):
             _fail([task for task in self._waiting if not task.future.cancel()], WorkerDiedError("it was not run again"))
             self._wake.close()
             self._woken.close()
+            self._folder.cleanup()
 
     def _is_done(self) -> bool:
         return self._closed and not self._waiting and not any(worker and worker.tasks for worker in self._workers)
@@ -194,7 +203,7 @@ class WorkerPool(Executor):
         if tag == READY:
             worker.capacity, worker.is_ready = int(content), True
         elif not worker.is_ready:
-            _fail(worker.tasks.values(), RuntimeError(content.decode()))
+            _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
         elif tag == SUSPECT:
             self._again([worker.tasks.pop(key)])
@@ -214,8 +223,7 @@ class WorkerPool(Executor):
             for task in tasks:
                 task.crashes += 1
             if kind == "hang" or not worker.is_ready or any(task.crashes >= CRASHES for task in tasks):
-                error = ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
-                _fail(tasks, error)
+                _fail(tasks, _error(worker, kind, message, was_asking=was_asking))
                 return
         self._again(tasks)
 
@@ -310,6 +318,13 @@ class _Worker:
 
     def _wait_for(self, seconds: float) -> None:
         self.patience, self.deadline = seconds, time.monotonic() + seconds
+
+
+def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:
+    """What the loss of a worker means."""
+    if not worker.is_ready:
+        return InputError(f"The ADS cannot be loaded: {message}")
+    return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
 
 
 def _fail(tasks: Iterable[_Task], error: Exception) -> None:

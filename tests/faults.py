@@ -4,10 +4,12 @@ import ctypes
 import os
 import random
 import signal
+import socket
 import sys
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -51,6 +53,9 @@ FAULTS = (
     Fault("recurses for ever", "Recursing", "raised", "RecursionError"),
     Fault("closes all its files, also those that are ours", "ClosingAll", "crash", "it closed the files"),
     Fault("closes all its files and hangs", "Vanishing", "hang", "no answer within"),
+    Fault("writes to a file", "Writing", "raised", "PermissionError"),
+    Fault("opens a connection", "Connecting", "raised", "PermissionError"),
+    Fault("sends a signal to the process that began it", "Signalling", "raised", "PermissionError"),
     Fault("closes stdin, stdout and stderr", "Closing", DROVE),
     Fault("prints rubbish to stdout and stderr", "Printing", DROVE),
     Fault("starts threads that never end", "Threading", DROVE),
@@ -162,6 +167,21 @@ class Vanishing(Faulty):
     def fail(self, answer, observation):
         os.closerange(3, 1000)
         time.sleep(1000)
+
+
+class Writing(Faulty):
+    def fail(self, answer, observation):
+        Path(__file__).with_name("written").write_text("x")
+
+
+class Connecting(Faulty):
+    def fail(self, answer, observation):
+        socket.create_connection(("127.0.0.1", 9))
+
+
+class Signalling(Faulty):
+    def fail(self, answer, observation):
+        os.kill(os.getppid(), signal.SIGTERM)
 
 
 class Closing(Faulty):

@@ -12,7 +12,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"compiled", "errors", "geometry", "plain", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
-EXECUTION = {"rollout", "simulation", "executor", "health", "serving", "workers"}
+EXECUTION = {"rollout", "simulation", "executor", "health", "serving", "workers", "confinement"}
 CAMPAIGN = {"config", "database", "losses", "store", "campaign", "running", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),
@@ -37,6 +37,8 @@ HEAVY = {  # where the heavy libraries may be imported
     "stable_baselines3": {"ads", "envs.sb3", "training"},
     "sb3_contrib": {"ads", "training"},
     "numba": {"compiled"},
+    "landlockpy": {"confinement"},
+    "pyseccomp": {"confinement"},
     "sklearn": {"fuzz", "triage"},
     "pymoo": {"fuzz"},
     "ribs": {"fuzz"},

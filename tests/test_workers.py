@@ -108,7 +108,7 @@ def test_a_worker_that_takes_too_long_is_replaced():
 
 def test_a_worker_that_cannot_begin_fails_its_task():
     pool = WorkerPool(1, FUNCTIONS, refuse, (), time_limit=5.0, memory_limit=8.0)
-    with pytest.raises(WorkerDiedError, match="a worker ended"):
+    with pytest.raises(InputError, match="cannot be loaded: its process ended"):
         pool.submit(echo, b"").result()
     pool.shutdown()
 
@@ -116,7 +116,7 @@ def test_a_worker_that_cannot_begin_fails_its_task():
 def test_why_a_worker_cannot_begin_is_said():
     pool = WorkerPool(1, FUNCTIONS, decline, (), time_limit=5.0, memory_limit=8.0)
     for _ in range(2):
-        with pytest.raises(RuntimeError, match="no such road"):
+        with pytest.raises(InputError, match="no such road"):
             pool.submit(echo, b"").result()
     pool.shutdown()
 

@@ -21,6 +21,11 @@ SYSTEMS = MappingProxyType(
 )
 
 
+def is_shipped(name: str) -> bool:
+    """Whether an ADS is a program of this package, which at most reads numbers from a file."""
+    return name.partition(":")[0] in SYSTEMS or name.endswith(".npz")
+
+
 def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     """The system under test of a name.
 

@@ -21,7 +21,6 @@ from behavexplor.campaign import Campaign, ExecutionError
 from behavexplor.campaign import Progress as CampaignProgress
 from behavexplor.config import campaign_config, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import warm_up
 from behavexplor.losses import DATABASE
 from behavexplor.running import opened
 from behavexplor.store import Store
@@ -243,7 +242,7 @@ def _campaign(
     """Run a campaign, or go on with it; whether it came to its end."""
     with opened(campaign_config(values), folder, workers, resume=(folder / DATABASE).is_file()) as ready:
         stop.watch(ready.campaign)
-        for warning in warm_up(ready.executor):
+        for warning in ready.warnings:
             say(WARNING, warning)
         threadpool_limits(1)  # of what the ADS has loaded, too
         watch = Stopwatch(folder, ready.campaign.elapsed)

@@ -16,7 +16,7 @@ from behavexplor.commands.display import Display, summary
 from behavexplor.commands.signals import stopped_by_signals
 from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import available_cores, warm_up
+from behavexplor.executor import available_cores
 from behavexplor.fuzz.methods import METHODS, describe_method
 from behavexplor.running import opened
 from behavexplor.store import Store
@@ -51,6 +51,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     trust: Annotated[str | None, _flag("DIGEST", None)] = None,
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, _flag("RUN", None)] = None,
+    unconfined: bool = False,
     quiet: bool = False,
     fail_on_violation: bool = False,
 ) -> int:
@@ -68,11 +69,12 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
         out: Run folder, new or empty.
         resume: Go on with the campaign in this run folder; a larger --budget extends it.
+        unconfined: Let an ADS of yours write files and use the network.
         quiet: Only the summary.
         fail_on_violation: Exit with code 1 if any spec was violated, as a check in CI wants it.
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
-    flags["trust"] = (trust,) if trust else None
+    flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None}
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers)
     if resume and (config or out):
@@ -81,12 +83,12 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     folder = resume or out or run_folder(chosen, Path("runs"))
-    with opened(chosen, folder, workers, resume=resume is not None) as ready, _stoppable(ready.campaign, display):
+    patience = display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ...")
+    making = opened(chosen, folder, workers, resume=resume is not None, patience=patience)
+    with making as ready, _stoppable(ready.campaign, display):
         if ready.store.repaired:
             display.say(ready.store.repaired)
-        with display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."):
-            warnings = warm_up(ready.executor)
-        for warning in warnings:
+        for warning in ready.warnings:
             display.say(f"Beware: {warning}")
         return _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
 

@@ -12,8 +12,9 @@ from behavexplor.config import CampaignConfig, stored_config
 from behavexplor.drawing import decisive_frame, draw, save_animation
 from behavexplor.errors import InputError
 from behavexplor.executor import evaluate, make_executor
+from behavexplor.roadmap import RoadMap
 from behavexplor.rollout import ADSError
-from behavexplor.simulation import Simulation
+from behavexplor.simulation import logical_scenario
 from behavexplor.store import Execution, Store
 
 
@@ -38,41 +39,40 @@ def replay(
     execution = store.execution(number)
     store.close()
     config = stored_config(run)
-    simulation = Simulation(config.env, config.ads, config.trust)
+    logical = logical_scenario(config.env)
     if ERROR in execution.record:
         failure = execution.record[ERROR]
         print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
     else:
-        _show(execution, simulation, out or run / "replays")
-    simulation.close()
+        _show(execution, logical.roadmap, out or run / "replays")
     return _compare(execution, config)
 
 
-def _show(execution: Execution, simulation: Simulation, folder: Path) -> None:
-    """Draw an execution if it is one of the simulation's environment, on a disk that has the room.
+def _show(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
+    """Draw an execution if it is one of this environment, on a disk that has the room.
 
     Raises:
         InputError: if not.
     """
     foreign = f"Execution {execution.id} is none of a campaign in this environment"
-    if len(execution.load_trace().illegal_lines) != len(simulation.logical.roadmap.line_kinds):
+    if len(execution.load_trace().illegal_lines) != len(roadmap.line_kinds):
         raise InputError(f"{foreign}: its trace has other lines")
     try:
-        _draw(execution, simulation, folder)
+        _draw(execution, roadmap, folder)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
     except OSError as error:
         raise InputError(f"The pictures in {folder} cannot be written: {error.strerror}") from None
 
 
-def _draw(execution: Execution, simulation: Simulation, folder: Path) -> None:
+def _draw(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
     """Make the pictures, and say what they show."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be made: {error.strerror}") from None
     animation, picture = folder / f"{execution.id:06d}.gif", folder / f"{execution.id:06d}.png"
-    trace, roadmap, caption = execution.load_trace(), simulation.logical.roadmap, _verdict(execution)
+    trace, caption = execution.load_trace(), _verdict(execution)
     frame = decisive_frame(trace, execution.record["violated"])
     draw(trace, roadmap, frame, caption).save(picture)
     save_animation(animation, trace, roadmap, caption)
@@ -84,7 +84,7 @@ def _draw(execution: Execution, simulation: Simulation, folder: Path) -> None:
 def _compare(execution: Execution, config: CampaignConfig) -> int:
     """Run an execution again, in a process of its own for whatever its ADS may do."""
     limits = (config.time_limit, config.memory_limit)
-    with make_executor(1, config.env, config.ads, config.trust, *limits) as executor:
+    with make_executor(1, config.env, config.ads, config.trust, *limits, config.unconfined) as executor:
         try:
             again = executor.submit(evaluate, execution.scenario.to_json().encode()).result()
         except ADSError as error:

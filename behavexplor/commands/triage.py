@@ -12,14 +12,13 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.ads.rule import RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.campaign import ERROR, ads_failure
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.config import CampaignConfig, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import InProcessExecutor, available_cores, evaluate
+from behavexplor.executor import InProcessExecutor, available_cores, evaluate, prepare_worker
 from behavexplor.rollout import ADSError
 from behavexplor.store import Execution, Store, write_durably
 from behavexplor.triage.agreement import agreement
@@ -56,10 +55,11 @@ def triage(
         raise InputError(f"--workers {workers} must lie between 0 and {MOST_WORKERS}")
     config = stored_config(run)
     store = Store.read(run)
-    simulation = begin(config.env, config.ads, config.trust)
     known = {} if afresh else _known(run)
     failures = [execution for execution in store.executions() if execution.record["violated"]]
     waiting = [execution for execution in failures if execution.id not in known]
+    if waiting and count == 0:
+        begin(config.env, config.ads, config.trust)
     pool = _executor(min(count, len(waiting)), config)
     total = len(store)
     try:
@@ -71,7 +71,7 @@ def triage(
                     _triage(config, total, known.values()).write(run)
                 meter.show(done)
         found = _triage(config, total, (known[execution.id] for execution in failures))
-        if isinstance(simulation.ads, RulePlanner):
+        if config.ads.partition(":")[0] == "rule":
             traces = ((execution.id, execution.load_trace()) for execution in store.executions())
             found = replace(found, weaknesses=weakness_records(traces, found.findings))
         found.write(run)
@@ -102,8 +102,9 @@ def _executor(workers: int, config: CampaignConfig) -> Executor:
     if workers == 0:
         return InProcessExecutor()
     functions = {"evaluate": evaluate, "examine": examine}
-    arguments = (config.env, config.ads, tuple(config.trust))
-    return WorkerPool(workers, functions, begin_worker, arguments, TIME_LIMIT * config.time_limit, config.memory_limit)
+    arguments = (config.env, config.ads, tuple(config.trust), config.unconfined)
+    limits = (TIME_LIMIT * config.time_limit, config.memory_limit)
+    return WorkerPool(workers, functions, begin_worker, arguments, *limits, prepare=prepare_worker)
 
 
 def _examined(pool: Executor, run: Path, waiting: Sequence[Execution], config: CampaignConfig) -> Iterator[Finding]:

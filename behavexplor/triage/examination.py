@@ -32,7 +32,7 @@ def begin(env: str, ads: str, trust: Collection[str] = ()) -> Simulation:
     return _simulation[0]
 
 
-def begin_worker(env: str, ads: str, trust: Collection[str] = ()) -> None:
+def begin_worker(env: str, ads: str, trust: Collection[str], unconfined: bool) -> None:  # noqa: ARG001
     """The same in a worker process, which examines one failure at a time."""
     begin(env, ads, trust)
 
