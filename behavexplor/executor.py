@@ -12,7 +12,7 @@ from concurrent.futures import Executor, Future
 from itertools import count
 from typing import Final, ParamSpec, TypeVar, cast
 
-from behavexplor.ads.loading import is_shipped
+from behavexplor.ads.loading import check_name, is_shipped
 from behavexplor.compiled import keep_no_code
 from behavexplor.confinement import confine
 from behavexplor.errors import InputError
@@ -58,8 +58,8 @@ def evaluate(scenario: bytes) -> bytes:
 
 def examine(_: bytes) -> bytes:
     """What is wrong with the ADS of this process, a JSON list of sentences; see `behavexplor.health`."""
-    loose = [f"This system cannot keep the worker that runs the ADS from what it may: to {right}" for right in _loose]
-    return json.dumps(health_warnings(_simulation[0]) + loose).encode()
+    loose = [f"This system cannot prevent that the ADS may {right}" for right in _loose]
+    return json.dumps([*map(_explained, health_warnings(_simulation[0])), *loose]).encode()
 
 
 class Evaluations:
@@ -107,7 +107,17 @@ def prepare_worker(env: str, ads: str, trust: Collection[str], unconfined: bool)
 
 
 def _begin_worker(env: str, ads: str, trust: Collection[str], unconfined: bool) -> Evaluations | None:  # noqa: ARG001
-    return evaluations(begin(env, ads, trust))
+    try:
+        return evaluations(begin(env, ads, trust))
+    except InputError as error:
+        raise InputError(_explained(str(error))) from None
+
+
+def _explained(sentence: str) -> str:
+    """With the cause that nobody would think of, if that may be it."""
+    if "PermissionError" not in sentence:
+        return sentence
+    return f"{sentence}: an ADS may neither write files nor use the network, unless with --unconfined"
 
 
 class InProcessExecutor(Executor):
@@ -212,9 +222,13 @@ def make_executor(
         memory_limit: of one worker [GiB]; not in this process.
         unconfined: whether an ADS that is not shipped with this package may write files and use the network; in this
             process it always may.
+
+    Raises:
+        InputError: if there is no such environment, or no ADS can have such a name.
     """
     if workers == 0:
         return InProcessExecutor(evaluations(_simulation[0]))
+    check_name(ads)
     if not (unconfined or is_shipped(ads)):
         compile_kernels(env)  # confined workers cannot keep what they compile
     functions = {function.__name__: function for function in (evaluate, examine)}

@@ -156,7 +156,7 @@ def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_
         arguments = [*arguments, "--out", str(tmp_path / "run")]
     assert main(arguments) == 2
     output = capsys.readouterr()
-    lines = [line for line in output.err.splitlines() if not line.startswith("Fuzzing ")]
+    lines = [line for line in output.err.splitlines() if not line.startswith(("Fuzzing ", "Waiting "))]
     assert len(lines) == 1
     assert message in lines[0]
     assert output.out == ""
@@ -170,6 +170,23 @@ def test_bad_flags_exit_with_2_and_no_traceback(arguments):
     result = run(*arguments)
     assert result.returncode == 2
     assert "Traceback" not in result.stderr
+
+
+def test_a_driver_in_the_working_directory_is_found(tmp_path):
+    (tmp_path / "own_driver.py").write_text("from tests.drivers import cruiser\n")
+    program = Path(sys.executable).with_name("behavexplor")
+    command = [program, "evaluate", "--env", "lane-follow", "--ads", "own_driver:cruiser", "--scenarios", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_a_driver_that_cannot_be_loaded_leaves_no_run_behind(tmp_path):
+    (tmp_path / "own_driver.py").write_text("import os\nos._exit(3)\n")
+    result = run("fuzz", "--ads", "own_driver:driver", "--workers", "1", "--env", "lane-follow", cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.endswith("The ADS cannot be loaded: its process ended with exit code 3\n")
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_folder_that_is_not_empty_is_kept(tmp_path):

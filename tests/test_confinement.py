@@ -126,6 +126,7 @@ def test_an_ads_that_writes_is_stopped_unless_it_may(tmp_path, monkeypatch):
     with make_executor(1, "lane-follow", "tests.test_confinement:Writer") as workers:
         warnings = warm_up(workers)
     assert "PermissionError" in warnings[0]
+    assert "--unconfined" in warnings[0]
     assert not diary.exists()
     with make_executor(1, "lane-follow", "tests.test_confinement:Writer", unconfined=True) as workers:
         assert warm_up(workers) == []

@@ -26,6 +26,17 @@ def is_shipped(name: str) -> bool:
     return name.partition(":")[0] in SYSTEMS or name.endswith(".npz")
 
 
+def check_name(name: str) -> None:
+    """Refuse what cannot be the name of an ADS; nothing is loaded.
+
+    Raises:
+        InputError: if it is neither one of ours, nor a file, nor "module:attribute".
+    """
+    system, separator, _ = name.partition(":")
+    if not (separator or system in SYSTEMS or name.endswith((".zip", ".npz")) or Path(name).exists()):
+        raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
+
+
 def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     """The system under test of a name.
 
@@ -42,15 +53,14 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     Raises:
         InputError: if there is none of that name, or what is found cannot predict.
     """
-    system, separator, variant = name.partition(":")
+    check_name(name)
+    system, _, variant = name.partition(":")
     if system in SYSTEMS:
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
         return ads
     if name.endswith((".zip", ".npz")) or Path(name).exists():
         return _policy(Path(name), roadmap, trust)
-    if not separator:
-        raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
     module_name, attribute = system, variant
     try:
         found = getattr(import_module(module_name), attribute)

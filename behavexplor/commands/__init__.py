@@ -38,6 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     import tyro  # noqa: PLC0415 - a library user of this package never needs it
 
+    if "" not in sys.path and not sys.flags.safe_path:  # modules of the user's lie in the working directory
+        sys.path.insert(0, "")
     try:
         if given and given[0] in COMMANDS:  # the others need not be imported, some of them take their time
             code: int = tyro.cli(_command(given[0]), prog=f"{program()} {given[0]}", args=given[1:])
