@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.archive import Archive
 from behavexplor.ads.sb3.inert import Inert, as_array
-from behavexplor.errors import InputError, brief
+from behavexplor.errors import InputError
 
 # Where the classes live that a policy may be built from; anything else is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
@@ -106,7 +106,7 @@ def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], net_ar
         net_arch = net_arch[0]
     layers = list(net_arch.values()) if isinstance(net_arch, Mapping) else [net_arch or []]
     if not all(isinstance(widths, list | tuple) and all(type(width) is int for width in widths) for widths in layers):
-        raise InputError(f"{archive.path}: its net_arch must be widths of layers, got {brief(net_arch)}")
+        raise InputError(f"{archive.path}: its net_arch must be widths of layers, or lists of them by name")
     count = sum(sum(widths) + sum(before * after for before, after in pairwise(widths)) for widths in layers)
     if max(count, *(gymnasium.spaces.flatdim(space) for space in spaces)) > len(archive.weights):
         raise InputError(f"{archive.path}: its weights are too few for the network that its settings describe")
