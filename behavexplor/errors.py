@@ -2,10 +2,26 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Final
+
+LONGEST: Final = 900  # characters of a sentence
 
 
 class InputError(ValueError):
-    """Something that the user gave cannot be used; the message says what is wrong and how to mend it."""
+    """Something that the user gave cannot be used; the message says what is wrong and how to mend it.
+
+    It is one line that a terminal can show, whatever of the input it repeats.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(sentence(message))
+
+
+def sentence(text: str) -> str:
+    """A text as one line of at most `LONGEST` characters, all of them printable."""
+    line = " ".join(text.split())[: LONGEST + 1]
+    shown = "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line)
+    return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4].rstrip()} ..."
 
 
 def brief(value: object) -> str:

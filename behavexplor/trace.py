@@ -153,7 +153,7 @@ class Trace:
         missing = {"format", "end", *_ARRAYS} - values.keys()
         if missing:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
-        if values["format"] != FORMAT:
+        if not np.array_equal(values["format"], FORMAT):
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:

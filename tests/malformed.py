@@ -1,19 +1,72 @@
-"""Malformed input of every kind: what a user, a disk, or somebody with bad intentions may hand in."""
+"""Malformed input of every kind: what a user, a disk, or somebody with bad intentions may hand in; and its limits."""
 
 import io
 import json
+import resource
 import shutil
+import signal
 import zipfile
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import yaml
 
+from behavexplor.commands import BAD_INPUT, main
 from behavexplor.config import CampaignConfig
 from behavexplor.losses import DATABASE, FAILURES
 from behavexplor.store import Store
 from tests.test_store import execution
+
+SECONDS = 20  # for one input
+GIBIBYTES = 6  # that this process may have
+LONGEST = 1000  # characters of a sentence
+
+
+class TooLongError(BaseException):
+    """Something hangs; nobody catches that by mistake."""
+
+
+@contextmanager
+def limited():
+    """A limit on the memory of this process, and on the time of an input."""
+
+    def stop(*_):
+        raise TooLongError
+
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    resource.setrlimit(resource.RLIMIT_DATA, (GIBIBYTES * 2**30, before[1]))
+    handler = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def is_sentence(text):
+    """Whether a message is one line of printable characters that can be read in a terminal."""
+    return 0 < len(text) < LONGEST and text.isprintable()
+
+
+def refuse(capfd, *arguments, accepted=(BAD_INPUT,), sentences=1):
+    """The program refuses its arguments in one sentence, or accepts them."""
+    try:
+        code = main(list(map(str, arguments)))
+    except SystemExit as exit_:  # of the parser of flags
+        code, sentences = exit_.code, None  # it draws a box
+    out, err = capfd.readouterr()
+    assert code in (BAD_INPUT, *accepted), (code, arguments, err)
+    assert "Traceback" not in err + out, err
+    if code == BAD_INPUT and sentences is not None:
+        said = [line for line in err.splitlines() if not line.startswith("Fuzzing ")]
+        assert 1 <= len(said) <= sentences, err
+        assert all(map(is_sentence, said)), err
+    return code
+
 
 HUGE = {
     "deep list": "[" * 50_000,

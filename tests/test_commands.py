@@ -1,5 +1,6 @@
 """The commands as a user runs them: what they print, their exit codes, and what is left after an interruption."""
 
+import io
 import json
 import os
 import re
@@ -161,6 +162,16 @@ def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_
     assert message in lines[0]
     assert output.out == ""
     assert not (tmp_path / "run").exists()
+
+
+def test_names_of_files_need_not_be_text(tmp_path, monkeypatch):
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, "utf-8"))
+    page = tmp_path / "\udcff.html"
+    assert main(["report", str(ROOT / "tests" / "stored" / "format-1"), "--out", str(page)]) == 0
+    sys.stdout.flush()
+    assert printed.getvalue() == f"Report: {tmp_path}/\\udcff.html\n".encode()
+    assert page.is_file()
 
 
 @pytest.mark.parametrize(

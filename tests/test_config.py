@@ -81,7 +81,7 @@ def test_unknown_options_are_refused(name):
         ({"assessment": {"retreta": 5}}, "did you mean 'retreat'"),
         ({"miner": 5}, "miner of the options of behavexplor"),
         ({"selection": "energetic"}, "selection of the options of behavexplor"),
-        ({"assessment": {"retreat": -1.0}}, "retreat: must be a number at least 0"),
+        ({"assessment": {"retreat": -1.0}}, "retreat: must be a number from 0 to 100000"),
     ],
 )
 def test_wrong_options_are_named_however_deep(options, message):

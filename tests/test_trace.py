@@ -198,6 +198,7 @@ def test_a_file_without_a_field_is_refused_by_its_name(field):
     ("field", "value", "message"),
     [
         ("format", np.array(2), "has format 2; this version reads format 1"),
+        ("format", np.ones(2), "this version reads format 1"),
         ("end", np.array("exploded"), "end: expected one of"),
         ("time", np.array(["a"] * 20), "time"),
         ("position", np.zeros((8, 4, 2, 19), dtype=np.uint8), "wrong shape"),

@@ -10,17 +10,17 @@ import traceback
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.metadata import version
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
 COMMANDS = ("fuzz", "replay", "records", "triage", "report", "evaluate", "bench", "train")  # each a module of its name
 
 _DESCRIPTION = "Find out how a driving policy fails."
-_LONGEST = 900  # characters of a sentence that is shown
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,6 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given == ["--version"]:
         print(f"behavexplor {version('behavexplor')}")
         return OK
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
     import tyro  # noqa: PLC0415 - a library user of this package never needs it
 
     if "" not in sys.path and not sys.flags.safe_path:  # modules of the user's lie in the working directory
@@ -64,17 +66,11 @@ def _command(name: str) -> Callable[..., Any]:
 def _failed(error: Exception) -> int:
     """Say what went wrong: a sentence for the user's input, which a file's name or rights are, too; the exit code."""
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
-        print(f"{program()}: {_sentence(error)}", file=sys.stderr)
+        print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
     traceback.print_exception(error)
     print(f"{program()}: This is a bug in behavexplor or in an extension of it; please report it.", file=sys.stderr)
     return INTERNAL_ERROR
-
-
-def _sentence(error: Exception) -> str:
-    """What is wrong in one line, however much of it was given."""
-    text = " ".join(str(error).split())
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 def program() -> str:

@@ -54,6 +54,7 @@ ACTIONS = MappingProxyType(
         "DiscreteMetaAction": actions.DiscreteMetaAction,
     }
 )
+MAX_PARTS = 16  # of a TupleObservation
 _UNREAD_KEYS = {
     "observation": {"flatten"},
     "action": {"target_speeds"},
@@ -209,8 +210,9 @@ def _check_observation(what: str, config: object, types: Mapping[str, type | Non
         raise InputError(f"{what}.absolute: an OccupancyGrid is always relative to the ego")
     if settings["type"] == "TupleObservation":
         parts = settings["observation_configs"]
-        if not isinstance(parts, list | tuple) or not parts:
-            raise InputError(f"{what}.observation_configs: expected a list of observations, got {shown(parts)}")
+        if not isinstance(parts, list | tuple) or not 1 <= len(parts) <= MAX_PARTS:
+            wanted = f"a list of 1 to {MAX_PARTS} observations"
+            raise InputError(f"{what}.observation_configs: expected {wanted}, got {shown(parts)}")
         inner = {name: kind for name, kind in types.items() if kind and name != "TupleObservation"}
         for i, part in enumerate(parts):
             _check_observation(f"{what}.observation_configs[{i}]", part, inner)

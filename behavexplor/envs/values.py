@@ -1,6 +1,5 @@
 """What the values of a configuration may be: kinds of values, and what each is called in an error."""
 
-import math
 from collections.abc import Callable, Mapping
 from numbers import Integral, Real
 from typing import Any, NamedTuple
@@ -10,6 +9,7 @@ import numpy as np
 from behavexplor.errors import InputError
 
 MOST = 10_000  # no count, size, frequency [Hz] or time [s] is larger
+LARGEST = 1e9  # no other number is larger, so that none can become infinite
 
 
 class Kind(NamedTuple):
@@ -43,7 +43,7 @@ def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
     try:
-        return math.isfinite(value)
+        return abs(float(value)) <= LARGEST
     except OverflowError:  # an int beyond all floats
         return False
 
@@ -97,7 +97,7 @@ def one_of(known: tuple[str, ...]) -> Kind:
     return Kind(f"one of {', '.join(known)}", lambda value: isinstance(value, str) and value in known)
 
 
-NUMBER = Kind("a number", _is_number)
+NUMBER = Kind(f"a number of at most {LARGEST:g}", _is_number)
 POSITIVE = Kind(f"a number above 0 and up to {MOST}", lambda value: _is_number(value) and 0 < value <= MOST)
 NOT_NEGATIVE = Kind(f"a number from 0 to {MOST}", lambda value: _is_number(value) and 0 <= value <= MOST)
 WHOLE = Kind(f"a whole number from 0 to {MOST}", lambda value: _is_whole(value, 0))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from behavexplor.errors import missing_library
 from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.objectives import objectives
-from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.options import MAX_POPULATION, check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.specs import SPECS, Verdict
 from behavexplor.logical import LogicalScenario
@@ -46,7 +46,7 @@ class NSGA2Options:
     mutation_eta: float = 20.0
 
     def __post_init__(self) -> None:
-        check_range("population", self.population, 4)
+        check_range("population", self.population, 4, MAX_POPULATION)
         check_range("crossover_probability", self.crossover_probability, 0, 1)
         for name in ("crossover_eta", "mutation_eta"):
             check_range(name, getattr(self, name), 0)

@@ -1,11 +1,14 @@
 """Checks of options, in the words of the user who set them."""
 
-import math
+from typing import Final
 
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, brief
+
+LARGEST: Final = 100_000  # no count, share or distance makes sense beyond it, and many would never end
+MAX_POPULATION: Final = 1000  # whose members are compared with one another
 
 
-def check_range(name: str, value: float, low: float, high: float = math.inf) -> None:
+def check_range(name: str, value: float, low: float, high: float = LARGEST) -> None:
     """Refuse an option that is out of range.
 
     Args:
@@ -17,6 +20,5 @@ def check_range(name: str, value: float, low: float, high: float = math.inf) -> 
     Raises:
         InputError: naming the option and the range.
     """
-    if not low <= value <= high or not math.isfinite(value):
-        allowed = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
-        raise InputError(f"{name}: must be a number {allowed}, got {value}")
+    if not low <= value <= high:
+        raise InputError(f"{name}: must be a number from {low:g} to {high:g}, got {brief(value)}")

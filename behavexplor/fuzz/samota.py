@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.many_objective import survivors
 from behavexplor.fuzz.objectives import objectives
-from behavexplor.fuzz.options import check_range
+from behavexplor.fuzz.options import MAX_POPULATION, check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.specs import Verdict
 from behavexplor.fuzz.surrogates import Ensemble, fit_ensemble, fit_rbf
@@ -67,7 +67,7 @@ class SAMOTAOptions:
 
     def __post_init__(self) -> None:
         for name in ("population", "cluster_size", "local_population"):
-            check_range(name, getattr(self, name), 2)
+            check_range(name, getattr(self, name), 2, MAX_POPULATION)
         for name in ("adaptive_samples", "generations", "local_generations"):
             check_range(name, getattr(self, name), 1)
         for name in ("database_limit", "local_limit"):

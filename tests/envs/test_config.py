@@ -311,7 +311,11 @@ def test_a_refused_change_changes_nothing():
             "GrayscaleObservation needs 'observation_shape'",
         ),
         ({"observation": {"type": "OccupancyGrid", "absolute": True}}, "always relative to the ego"),
-        ({"observation": {"type": "TupleObservation", "observation_configs": []}}, "expected a list of observations"),
+        ({"observation": {"type": "TupleObservation", "observation_configs": []}}, "a list of 1 to 16 observations"),
+        (
+            {"observation": {"type": "TupleObservation", "observation_configs": [{"type": "Kinematics"}] * 17}},
+            "a list of 1 to 16 observations",
+        ),
         (
             {
                 "observation": {

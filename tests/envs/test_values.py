@@ -9,7 +9,7 @@ from behavexplor.envs import values
 from behavexplor.errors import InputError
 
 HUGE = 10**400
-NO_NUMBERS = (None, True, "1", [1], math.nan, math.inf, 1j, HUGE)
+NO_NUMBERS = (None, True, "1", [1], math.nan, math.inf, 1j, HUGE, 1e10, -1e308)
 
 
 @pytest.mark.parametrize(
@@ -25,9 +25,13 @@ NO_NUMBERS = (None, True, "1", [1], math.nan, math.inf, 1j, HUGE)
         (values.TWO_NUMBERS, ([1, 0], (0.5, 0.5)), ([1], [1, 2, 3], [1, None], None)),
         (values.THREE_NUMBERS, ([1, 0, 2],), ([1, 2], "abc", {1: 1, 2: 2, 3: 3})),
         (values.TWO_POSITIVE, ((5, 0.1),), ((5, 0), (5,), 5)),
-        (values.TWO_RANGES, ([[0, 1], (2, 3)],), ([0, 1], [[1, 0], [2, 3]], [[0, 1]], None)),
+        (values.TWO_RANGES, ([[0, 1], (2, 3)],), ([0, 1], [[1, 0], [2, 3]], [[0, 1]], [[-1e308, 1e308], [0, 1]], None)),
         (values.IMAGE_SHAPE, ((84, 84),), ([84, 84], (84,), (84, 0), (84.0, 84))),
-        (values.EVEN_NUMBERS, ([0, 4.5, 9], np.linspace(20, 30, 3)), ([1], [2, 1], [0, 1, 3], [0, 0], None, [])),
+        (
+            values.EVEN_NUMBERS,
+            ([0, 4.5, 9], np.linspace(20, 30, 3)),
+            ([1], [2, 1], [0, 1, 3], [0, 0], [0, 1e308, 10], None, []),
+        ),
         (values.NUMBER_RANGES, ({}, {"x": [0, 1]}), ({"x": [1, 0]}, {"x": 1}, [("x", [0, 1])])),
         (values.names(("a", "b")), (["a"], ("b", "a")), ([], ["c"], "a", [["a"]], [None])),
         (values.one_of(("a", "b")), ("a",), ("c", "", ["a"], None)),

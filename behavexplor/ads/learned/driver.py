@@ -151,6 +151,8 @@ def read_layers(path: Path) -> list[tuple[Floats, Floats]]:
         raise InputError(f"{path} holds no network of this package: {error}") from None
     if any(array.dtype.kind != "f" for layer in layers for array in layer):
         raise InputError(f"{path} holds no network of this package: weights and biases must be floating-point numbers")
+    if any((weights.ndim, bias.ndim) != (2, 1) for weights, bias in layers):
+        raise InputError(f"{path} holds no network of this package: weights must be matrices, and biases vectors")
     return [(weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in layers]
 
 

@@ -3,8 +3,9 @@
 import inspect
 import io
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
 import gymnasium
@@ -35,7 +36,7 @@ def build_policy(archive: Archive) -> BasePolicy:
     settings = archive.settings
     try:
         policy_class = _class(settings.get("policy_class"))
-        keywords = _value(settings.get("policy_kwargs") or {})
+        keywords = dict(_value(settings.get("policy_kwargs") or {}))
         spaces = [_space(settings.get(f"{kind}_space")) for kind in ("observation", "action")]
     except UntrustedError:
         raise
@@ -74,6 +75,7 @@ def assemble(
     Raises:
         InputError: if the weights are damaged, or those of another policy.
     """
+    _check_size(archive, (observation_space, action_space), keywords.get("net_arch"))
     accepted = inspect.signature(policy_class).parameters
     given = {key: value for key, value in keywords.items() if not key.startswith("optimizer")}
     if "lr_schedule" in accepted:
@@ -92,6 +94,22 @@ def assemble(
         raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
     policy.set_training_mode(False)
     return policy
+
+
+def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], net_arch: Any) -> None:
+    """Refuse, before it is made, a network with more weights than there are bytes of them.
+
+    Raises:
+        InputError: if it has, or its layers are not described by their widths.
+    """
+    if isinstance(net_arch, list) and net_arch and isinstance(net_arch[0], Mapping):  # as earlier versions wrote it
+        net_arch = net_arch[0]
+    layers = list(net_arch.values()) if isinstance(net_arch, Mapping) else [net_arch or []]
+    if not all(isinstance(widths, list | tuple) and all(type(width) is int for width in widths) for widths in layers):
+        raise InputError(f"{archive.path}: its net_arch must be widths of layers, or lists of them by name")
+    count = sum(sum(widths) + sum(before * after for before, after in pairwise(widths)) for widths in layers)
+    if max(count, *(gymnasium.spaces.flatdim(space) for space in spaces)) > len(archive.weights):
+        raise InputError(f"{archive.path}: its weights are too few for the network that its settings describe")
 
 
 def _class(reference: Any) -> type[BasePolicy]:

@@ -90,6 +90,13 @@ def test_a_file_that_is_no_network_is_refused(content, tmp_path):
         read_layers(tmp_path / "policy.npz")
 
 
+@pytest.mark.parametrize(("weights", "bias"), [((2, 2), ()), ((2,), (2,)), ((2, 2, 1), (2,)), ((2, 2), (2, 1))])
+def test_layers_that_are_no_matrices_are_refused(weights, bias, tmp_path):
+    np.savez(tmp_path / "policy.npz", weights_0=np.zeros(weights), bias_0=np.zeros(bias))
+    with pytest.raises(InputError, match="weights must be matrices, and biases vectors"):
+        read_layers(tmp_path / "policy.npz")
+
+
 def test_a_file_without_all_layers_is_refused(tmp_path):
     np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2))
     with pytest.raises(InputError, match="holds no network"):

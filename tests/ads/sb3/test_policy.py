@@ -1,6 +1,8 @@
 """Models of Stable-Baselines3 as systems under test: they drive as there, and their files run nothing."""
 
+import base64
 import json
+import pickle
 import zipfile
 from pathlib import Path
 
@@ -247,6 +249,43 @@ def rewritten(source: Path, target: Path, **members) -> Path:
 def test_a_file_that_is_no_model_is_refused(members, message, tmp_path, ppo):
     with pytest.raises(InputError, match=message):
         load_policy(rewritten(ppo, tmp_path / "model.zip", **members))
+
+
+@pytest.mark.parametrize("keywords", [[8, 8], "net_arch", 3, True])
+def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path, ppo):
+    with zipfile.ZipFile(ppo) as file:
+        data = json.loads(file.read("data")) | {"policy_kwargs": keywords}
+    with pytest.raises(InputError, match="cannot be read"):
+        load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(data).encode()))
+
+
+@pytest.mark.parametrize(
+    ("settings", "space"),
+    [
+        ({"net_arch": [30_000, 30_000]}, None),
+        ({"net_arch": {"pi": [8], "vf": [10**12]}}, None),
+        ({"net_arch": [8] * 100_000}, None),
+        ({}, gymnasium.spaces.Discrete(10**9)),
+        ({}, gymnasium.spaces.MultiDiscrete([2, 10**8])),
+    ],
+    ids=["two wide layers", "one wide layer", "many layers", "many actions", "many actions of an axis"],
+)
+def test_a_network_larger_than_its_weights_is_never_made(settings, space, tmp_path, ppo, monkeypatch):
+    monkeypatch.setattr(torch.nn.Linear, "__init__", None)
+    with zipfile.ZipFile(ppo) as file:
+        data = json.loads(file.read("data")) | {"policy_kwargs": settings}
+    if space is not None:
+        data["action_space"] = {":serialized:": base64.b64encode(pickle.dumps(space)).decode()}
+    with pytest.raises(InputError, match="its weights are too few for the network"):
+        load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(data).encode()))
+
+
+@pytest.mark.parametrize("layers", [8, "8", [8, [[[8]]]], [8, 8.0], [None], {"pi": 8}, {"pi": [[8]], "vf": [8]}])
+def test_layers_that_are_no_widths_are_refused(layers, tmp_path, ppo):
+    with zipfile.ZipFile(ppo) as file:
+        data = json.loads(file.read("data")) | {"policy_kwargs": {"net_arch": layers}}
+    with pytest.raises(InputError, match="its net_arch must be widths of layers"):
+        load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(data).encode()))
 
 
 def test_a_file_cut_short_is_refused_in_a_sentence(tmp_path, ppo):
