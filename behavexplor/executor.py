@@ -14,8 +14,10 @@ from itertools import count
 from typing import Final, ParamSpec, TypeVar, cast
 
 from behavexplor.health import health_warnings
+from behavexplor.identity import identify
 from behavexplor.rollout import ADSError, LockStep
 from behavexplor.scenario import Scenario
+from behavexplor.serving import Functions
 from behavexplor.simulation import Simulation
 from behavexplor.workers import WorkerPool
 
@@ -55,6 +57,9 @@ def evaluate(scenario: bytes) -> bytes:
 def examine(_: bytes) -> bytes:
     """What is wrong with the ADS of this process, a JSON list of sentences; see `behavexplor.health`."""
     return json.dumps(health_warnings(_simulation[0])).encode()
+
+
+FUNCTIONS: Final[Functions] = {function.__name__: function for function in (evaluate, examine, identify)}
 
 
 class Evaluations:
@@ -200,10 +205,9 @@ def make_executor(
     """
     if workers == 0:
         return InProcessExecutor(evaluations(_simulation[0]))
-    functions = {function.__name__: function for function in (evaluate, examine)}
     limits = (time_limit, memory_limit)
     arguments = (env, ads, tuple(trust))
-    return WorkerPool(workers, functions, _begin_worker, arguments, *limits, together=evaluate.__name__)
+    return WorkerPool(workers, FUNCTIONS, _begin_worker, arguments, *limits, together=evaluate.__name__)
 
 
 def warm_up(executor: Executor) -> list[str]:

@@ -5,12 +5,16 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from behavexplor.campaign import Campaign, search_method
+from behavexplor.cluster.opening import cluster_executor
 from behavexplor.config import Budget, CampaignConfig
 from behavexplor.errors import InputError
 from behavexplor.executor import begin, make_executor
 from behavexplor.store import Store
+
+_SETTINGS = ("env", "ads", "trust", "time_limit", "memory_limit")  # of a configuration that an execution needs
 
 
 @dataclass(frozen=True)
@@ -29,28 +33,35 @@ class Ready:
 
 
 @contextmanager
-def opened(config: CampaignConfig, folder: Path, workers: int, *, resume: bool) -> Iterator[Ready]:
+def opened(config: CampaignConfig, folder: Path, workers: int, *, resume: bool, cluster: str = "") -> Iterator[Ready]:
     """Make a campaign ready, and release all of it afterwards.
 
     Args:
         config: what it is.
         folder: its run folder, new or empty unless it is resumed.
-        workers: processes that execute scenarios; 0 is this one.
+        workers: processes that execute scenarios; 0 is this one, or on a cluster as many as it has cores.
         resume: go on with what the folder holds.
+        cluster: where the processes are, see `behavexplor.cluster.opening.parse_cluster`; empty for this machine.
 
     Raises:
-        InputError: if the ADS, the environment, the search method or the run folder cannot be used.
+        InputError: if the ADS, the environment, the search method, the cluster or the run folder cannot be used.
     """
     simulation = begin(config.env, config.ads, config.trust)
     search = search_method(config, simulation.logical)
-    store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
-    limits = (config.time_limit, config.memory_limit)
-    executor = make_executor(workers, config.env, config.ads, config.trust, *limits)
+    executor = _executor(config, workers, cluster)
     try:
-        yield Ready(Campaign(config, search, simulation.logical, store, executor), store, executor)
+        store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
+        try:
+            yield Ready(Campaign(config, search, simulation.logical, store, executor), store, executor)
+        finally:
+            store.close()
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
-        store.close()
+
+
+def _executor(config: CampaignConfig, workers: int, cluster: str) -> Executor:
+    settings: dict[str, Any] = {name: getattr(config, name) for name in _SETTINGS}
+    return cluster_executor(cluster, workers, settings) if cluster else make_executor(workers, **settings)
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:
