@@ -62,6 +62,8 @@ class DaskCluster:
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop)
 
     def _stop(self) -> None:
+        with suppress(Exception):
+            self._run(_cancel_all()).result(ENDING_SECONDS)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
@@ -104,3 +106,11 @@ class DaskCluster:
         await self._client.close()
         if self._local is not None:
             await self._local.close()
+
+
+async def _cancel_all() -> None:
+    """End what this loop still waits for: calls of a campaign that was interrupted."""
+    tasks = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)

@@ -38,6 +38,7 @@ class RayCluster:
             self._ray.init(address="local", include_dashboard=False, **room, **quiet)
         self.cores = int(self._ray.cluster_resources().get("CPU", 0))
         self._kind = self._ray.remote(num_cpus=1)(Node)
+        self._first: dict[Any, Future[bytes]] = {}  # answer of each node
         self._ends: list[Any] = []
 
     def start(self, *arguments: str) -> Any:
@@ -46,12 +47,17 @@ class RayCluster:
 
     def ask(self, node: Any, function: str, data: bytes) -> "Future[bytes]":
         """Call `Node.ask`."""
-        future: Future[bytes] = node.ask.remote(function, data).future()
-        return future
+        answer: Future[bytes] = node.ask.remote(function, data).future()
+        self._first.setdefault(node, answer)
+        return answer
 
     def end(self, node: Any) -> None:
-        """Have the node end its process."""
-        self._ends.append(node.end.remote())
+        """Have the node end its process; one that still waits for room is not begun any more."""
+        first = self._first.pop(node, None)
+        if first is not None and first.done():
+            self._ends.append(node.end.remote())
+        else:
+            self._ray.kill(node)
 
     def close(self) -> None:
         """Wait a little for the nodes that end, and leave."""
