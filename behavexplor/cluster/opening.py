@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +14,7 @@ from behavexplor.cluster.on_ray import RayCluster
 from behavexplor.errors import InputError, missing_library, unknown_name
 
 MAX_NODES: Final = 256
+CONNECT_SECONDS: Final = 20.0  # in which a cluster must have answered [s]
 KINDS: Mapping[str, Callable[[str, int], Cluster]] = MappingProxyType({"ray": RayCluster, "dask": DaskCluster})
 
 _ADDRESS = re.compile(r"(?:(?P<scheme>[a-z]+)://)?(?P<host>\[[0-9a-fA-F:.]+\]|[\w.-]+):(?P<port>\d{1,5})")
@@ -55,9 +57,19 @@ def cluster_executor(text: str, workers: int, settings: Mapping[str, Any]) -> Cl
         InputError: if there is no such cluster, or a node of it cannot do what this machine does.
     """
     kind, address = parse_cluster(text)
+    if found := _ADDRESS.fullmatch(address):
+        _reach(found["host"].strip("[]"), int(found["port"]))
     try:
         cluster = KINDS[kind](address, workers)
     except ModuleNotFoundError as error:
         raise missing_library(f"--cluster {kind}", error.name, kind) from None
     count = workers or max(min(cluster.cores, MAX_NODES), 1)
     return ClusterExecutor(cluster, count, settings["ads"], (json.dumps(dict(settings)), str(Path.cwd())))
+
+
+def _reach(host: str, port: int) -> None:
+    """Whether somebody listens there: Ray would try for minutes, and end this process."""
+    try:
+        socket.create_connection((host, port), CONNECT_SECONDS).close()
+    except OSError as error:
+        raise InputError(f"No cluster answers at {host}:{port} ({error}): is it running there?") from error

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -12,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from behavexplor.cluster.on_dask import DaskCluster
-from behavexplor.commands import BAD_INPUT, main
 from tests.cluster.two_nodes import BUDGET, KILLED_AT, Killing, processes_of_nodes, records
 
 pytest.importorskip("distributed")
@@ -100,13 +98,3 @@ def test_a_cluster_on_this_machine_gives_the_same_records(tmp_path):
     alone = records(tmp_path / "alone", 1)
     assert records(tmp_path / "cluster", 2, "dask") == alone
     assert is_over(processes_of_nodes)
-
-
-def test_a_scheduler_that_does_not_answer_is_named(capsys, monkeypatch):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        monkeypatch.setattr("behavexplor.cluster.on_dask.CONNECT_SECONDS", 1.0)
-        code = main(["fuzz", "--env", "lane-follow", "--ads", "constant", "--cluster", f"dask:{address}"])
-    assert code == BAD_INPUT
-    assert f"No scheduler of Dask's answers at {address}" in capsys.readouterr().err.splitlines()[-1]

@@ -1,5 +1,6 @@
 """What may be said of a cluster on the command line."""
 
+import socket
 import subprocess
 import sys
 
@@ -60,6 +61,17 @@ def test_a_library_that_is_not_installed_is_named(kind, capsys, monkeypatch, tmp
     code, said = fuzz(capsys, "--cluster", kind, "--out", str(tmp_path / "run"))
     assert code == BAD_INPUT
     assert f"--cluster {kind} needs {library}: install the extra '{kind}'" in said
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_cluster_that_does_not_answer_is_named(kind, capsys, tmp_path):
+    with socket.socket() as nobody:  # it does not listen
+        nobody.bind(("127.0.0.1", 0))
+        port = nobody.getsockname()[1]
+        code, said = fuzz(capsys, "--cluster", f"{kind}:127.0.0.1:{port}", "--out", str(tmp_path / "run"))
+    assert code == BAD_INPUT
+    assert f"No cluster answers at 127.0.0.1:{port} (" in said
     assert not (tmp_path / "run").exists()
 
 
