@@ -6,14 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from behavexplor.cluster.on_dask import DaskCluster
-from tests.cluster.two_nodes import BUDGET, KILLED_AT, Killing, processes_of_nodes, records
+from tests.cluster.two_nodes import BUDGET, KILLED_AT, SHORT, Killing, processes_of_nodes, records
 
-pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra dask")
 ROOT = Path(__file__).parent.parent.parent
 PATIENCE = 60.0  # for processes that start or end [s]
 
@@ -95,6 +96,6 @@ def test_a_node_that_is_killed_costs_no_record(machines, starts, tmp_path):
 
 
 def test_a_cluster_on_this_machine_gives_the_same_records(tmp_path):
-    alone = records(tmp_path / "alone", 1)
-    assert records(tmp_path / "cluster", 2, "dask") == alone
+    alone = records(tmp_path / "alone", 0, config=SHORT)
+    assert records(tmp_path / "cluster", 2, "dask", config=SHORT) == alone
     assert is_over(processes_of_nodes)

@@ -6,20 +6,20 @@ import time
 import pytest
 
 from behavexplor.cluster.on_ray import RayCluster
-from tests.cluster.two_nodes import BUDGET, KILLED_AT, Killing, processes_of_nodes, records
+from tests.cluster.two_nodes import BUDGET, KILLED_AT, SHORT, Killing, processes_of_nodes, records
 
-pytest.importorskip("ray")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Ray's own, of its Python and its libraries
 PATIENCE = 60.0  # for processes that end [s]
 
 
 @pytest.fixture(autouse=True, scope="module")
 def token():
-    """No cluster that others can use, and none of Ray's files in the home folder."""
+    """No cluster that others can use, and no file of Ray's at home; it reads this when it is imported."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_AUTH_MODE", "token")
         patch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        pytest.importorskip("ray")
         yield
 
 
@@ -62,6 +62,6 @@ def test_a_node_that_is_killed_costs_no_record(machines, starts, tmp_path):
 
 
 def test_a_cluster_on_this_machine_gives_the_same_records(tmp_path):
-    alone = records(tmp_path / "alone", 1)
-    assert records(tmp_path / "cluster", 0, "ray") == alone
+    alone = records(tmp_path / "alone", 0, config=SHORT)
+    assert records(tmp_path / "cluster", 0, "ray", config=SHORT) == alone
     assert is_over(processes_of_nodes)

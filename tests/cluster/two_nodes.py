@@ -7,12 +7,13 @@ from behavexplor.running import opened
 
 BUDGET = 40
 CONFIG = CampaignConfig(env="lane-follow", ads="rule:hardened", budget=str(BUDGET), seed=2)
+SHORT = CampaignConfig(env="lane-follow", ads="constant", budget="10", seed=2)
 KILLED_AT = 15  # executions
 
 
-def records(folder, workers, cluster="", observe=lambda _: None):
-    """The records of the campaign."""
-    with opened(CONFIG, folder, workers, resume=False, cluster=cluster) as ready:
+def records(folder, workers, cluster="", observe=lambda _: None, config=CONFIG):
+    """The records of a campaign."""
+    with opened(config, folder, workers, resume=False, cluster=cluster) as ready:
         ready.campaign.run(observe)
         return list(ready.store.records())
 
