@@ -17,8 +17,10 @@ from behavexplor.compiled import keep_no_code
 from behavexplor.confinement import confine
 from behavexplor.errors import InputError
 from behavexplor.health import health_warnings
+from behavexplor.identity import identify
 from behavexplor.rollout import ADSError, LockStep
 from behavexplor.scenario import Scenario
+from behavexplor.serving import Functions
 from behavexplor.simulation import Simulation, compile_kernels
 from behavexplor.workers import WorkerPool
 
@@ -60,6 +62,9 @@ def examine(_: bytes) -> bytes:
     """What is wrong with the ADS of this process, a JSON list of sentences; see `behavexplor.health`."""
     loose = [f"This system cannot prevent that the ADS may {right}" for right in _loose]
     return json.dumps([*map(_explained, health_warnings(_simulation[0])), *loose]).encode()
+
+
+FUNCTIONS: Final[Functions] = {function.__name__: function for function in (evaluate, examine, identify)}
 
 
 class Evaluations:
@@ -231,11 +236,10 @@ def make_executor(
     check_name(ads)
     if not (unconfined or is_shipped(ads)):
         compile_kernels(env)  # confined workers cannot keep what they compile
-    functions = {function.__name__: function for function in (evaluate, examine)}
     limits = (time_limit, memory_limit)
     arguments = (env, ads, tuple(trust), unconfined)
     return WorkerPool(
-        workers, functions, _begin_worker, arguments, *limits, together=evaluate.__name__, prepare=prepare_worker
+        workers, FUNCTIONS, _begin_worker, arguments, *limits, together=evaluate.__name__, prepare=prepare_worker
     )
 
 

@@ -1,16 +1,21 @@
 """A campaign made ready to run: its ADS loaded, its run folder open, what executes it started; and all of it closed."""
 
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from behavexplor.campaign import Campaign, search_method
+from behavexplor.cluster.opening import cluster_executor
 from behavexplor.config import Budget, CampaignConfig
 from behavexplor.errors import InputError
 from behavexplor.executor import begin, make_executor, warm_up
 from behavexplor.simulation import logical_scenario
 from behavexplor.store import Store
+
+_SETTINGS = ("env", "ads", "trust", "time_limit", "memory_limit", "unconfined")  # what an execution needs
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ def opened(
     workers: int,
     *,
     resume: bool,
+    cluster: str = "",
     patience: AbstractContextManager[object] | None = None,
 ) -> Iterator[Ready]:
     """Make a campaign ready, and release all of it afterwards.
@@ -42,26 +48,31 @@ def opened(
     Args:
         config: what it is.
         folder: its run folder, new or empty unless it is resumed.
-        workers: processes that execute scenarios; 0 is this one.
+        workers: processes that execute scenarios; 0 is this one, or on a cluster as many as it has cores.
         resume: go on with what the folder holds.
+        cluster: where the processes are, see `behavexplor.cluster.opening.parse_cluster`; empty for this machine.
         patience: entered while the ADS is loaded and tried.
 
     Raises:
-        InputError: if the ADS, the environment, the search method or the run folder cannot be used.
+        InputError: if the ADS, the environment, the search method, the cluster or the run folder cannot be used.
     """
     logical = logical_scenario(config.env)
     search = search_method(config, logical)
     with ExitStack() as stack:
         with patience or nullcontext():
-            if workers == 0:
+            if workers == 0 and not cluster:
                 begin(config.env, config.ads, config.trust)
-            limits = (config.time_limit, config.memory_limit)
-            executor = make_executor(workers, config.env, config.ads, config.trust, *limits, config.unconfined)
+            executor = _executor(config, workers, cluster)
             stack.callback(executor.shutdown, wait=False, cancel_futures=True)
             warnings = warm_up(executor)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         yield Ready(Campaign(config, search, logical, store, executor), store, warnings)
+
+
+def _executor(config: CampaignConfig, workers: int, cluster: str) -> Executor:
+    settings: dict[str, Any] = {name: getattr(config, name) for name in _SETTINGS}
+    return cluster_executor(cluster, workers, settings) if cluster else make_executor(workers, **settings)
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:

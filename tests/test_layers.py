@@ -12,7 +12,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 GROUND = {"compiled", "errors", "geometry", "plain", "roadmap", "scenario", "logical", "scene", "trace"}
 STRANGERS = {"envs", "ads", "fuzz"}
-EXECUTION = {"rollout", "simulation", "executor", "health", "serving", "workers", "confinement"}
+EXECUTION = {"rollout", "simulation", "executor", "health", "identity", "serving", "workers", "cluster", "confinement"}
 CAMPAIGN = {"config", "database", "losses", "store", "campaign", "running", "drawing", "evaluation"}
 ALLOWED = {
     **dict.fromkeys(GROUND, GROUND),
@@ -44,6 +44,8 @@ HEAVY = {  # where the heavy libraries may be imported
     "ribs": {"fuzz"},
     "rich": {"commands"},
     "tyro": {"commands"},
+    "ray": {"cluster"},
+    "distributed": {"cluster"},
     "PIL": {"drawing"},
     "matplotlib": {"bench"},
     "jinja2": {"report"},

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor.campaign import Campaign, ExecutionError, run_folder
+from behavexplor.cluster.opening import MAX_NODES, parse_cluster
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
 from behavexplor.commands.signals import stopped_by_signals
@@ -23,6 +24,8 @@ from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
 _MAX_WORKERS = 64
+_WAITING = "Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."
+_WAITING_FOR_NODE = "Waiting for a node of the cluster that has loaded the ADS ..."
 
 
 def _flag(metavar: str, default: object, text: str | None = None) -> Any:
@@ -48,6 +51,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     seed: Annotated[int | None, _flag("N", _DEFAULTS.seed)] = None,
     batch: Annotated[int | None, _flag("N", _DEFAULTS.batch)] = None,
     workers: Annotated[int | None, _flag("N", "the available cores")] = None,
+    cluster: Annotated[str | None, _flag("ray|dask[:ADDRESS]", None)] = None,
     trust: Annotated[str | None, _flag("DIGEST", None)] = None,
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, _flag("RUN", None)] = None,
@@ -66,6 +70,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         seed: The same seed gives the same records.
         batch: Candidates in flight: each is chosen without the results of that many before it.
         workers: Processes that execute scenarios; the records do not depend on it. 0 is this process, without limits.
+        cluster: Have the workers on a cluster of Ray's or Dask's (see docs/robustness.md); without an address one is
+            started on this machine.
         trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
         out: Run folder, new or empty.
         resume: Go on with the campaign in this run folder; a larger --budget extends it.
@@ -76,15 +82,21 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None}
     given = {name: value for name, value in flags.items() if value is not None}
-    workers = _checked_workers(workers)
+    workers = _checked_workers(workers, cluster)
     if resume and (config or out):
         raise InputError("--config and --out cannot be given with --resume: the run folder has its configuration")
     chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     folder = resume or out or run_folder(chosen, Path("runs"))
-    patience = display.patience("Waiting for the ADS: one that is compiled takes its time once, up to a minute ...")
-    making = opened(chosen, folder, workers, resume=resume is not None, patience=patience)
+    making = opened(
+        chosen,
+        folder,
+        workers,
+        resume=resume is not None,
+        cluster=cluster or "",
+        patience=display.patience(_WAITING_FOR_NODE, 0.5) if cluster else display.patience(_WAITING),
+    )
     with making as ready, _stoppable(ready.campaign, display):
         if ready.store.repaired:
             display.say(ready.store.repaired)
@@ -116,12 +128,17 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
     return code
 
 
-def _checked_workers(workers: int | None) -> int:
-    if workers is None:
-        return min(available_cores(), _MAX_WORKERS)
-    if not 0 <= workers <= _MAX_WORKERS:
-        raise InputError(f"--workers {workers} must lie between 0 and {_MAX_WORKERS}")
-    return workers
+def _checked_workers(workers: int | None, cluster: str | None) -> int:
+    """How many; see `behavexplor.running.opened`."""
+    if cluster is None:
+        least, most, default = 0, _MAX_WORKERS, min(available_cores(), _MAX_WORKERS)
+    else:
+        parse_cluster(cluster)
+        least, most, default = 1, MAX_NODES, 0
+    if workers is not None and not least <= workers <= most:
+        where = " on a cluster" if cluster else ""
+        raise InputError(f"--workers {workers} must lie between {least} and {most}{where}")
+    return default if workers is None else workers
 
 
 def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
