@@ -12,7 +12,6 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.campaign import ERROR, ads_failure
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
@@ -22,6 +21,7 @@ from behavexplor.executor import InProcessExecutor, available_cores, evaluate, p
 from behavexplor.rollout import ADSError
 from behavexplor.store import Execution, Store, write_durably
 from behavexplor.triage.agreement import agreement
+from behavexplor.triage.counterfactual import UNKNOWN
 from behavexplor.triage.coverage import weakness_records
 from behavexplor.triage.examination import begin, begin_worker, error_finding, examination, examine, seen
 from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Triage, counted, witness_path
@@ -171,7 +171,7 @@ def _cells(sighting: Sighting) -> tuple[str, str]:
 
 def _agreements(findings: Sequence[Finding]) -> list[str]:
     """How well what needs no replays agrees with the causes."""
-    caused = [finding for finding in findings if finding.cause in WEAKNESSES]
+    caused = [finding for finding in findings if finding.cause not in (None, UNKNOWN)]
     if not caused:
         return []
     causes = [str(finding.cause) for finding in caused]
@@ -179,7 +179,7 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
     classes = agreement(causes, [finding.class_id for finding in caused])
     return [
         "",
-        f"Signatures equal the cause in {signatures.equal:.0%} of {signatures.n} failures with one (precision "
+        f"Signatures equal the cause in {signatures.equal:.0%} of {signatures.n} failures with a known one (precision "
         f"{signatures.precision:.2f}, recall {signatures.recall:.2f}, adjusted Rand index "
         f"{signatures.adjusted_rand:.2f}); classes group them with an adjusted Rand index of "
         f"{classes.adjusted_rand:.2f}",

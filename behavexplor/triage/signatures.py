@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.rule.weaknesses import names
 from behavexplor.fuzz.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
-from behavexplor.fuzz.fault import STATIONARY_SPEED
-from behavexplor.fuzz.moments import R3, Moment, recent, recent_decisions, violation_moment
+from behavexplor.fuzz.fault import STATIONARY_SPEED, contact_fault
+from behavexplor.fuzz.moments import R1, R3, Moment, recent, recent_decisions, violation_moment
 from behavexplor.trace import Trace
+from behavexplor.triage.counterfactual import ENVIRONMENT
 
 Floats = NDArray[np.float64]
 
@@ -34,11 +35,14 @@ def signature(trace: Trace, violated: tuple[str, ...]) -> str | None:
         violated: names of the violated specs.
 
     Returns:
-        One of the sixteen weaknesses; None if none of them fits, or there is nothing to explain.
+        One of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back; None if none of
+        them fits, or there is nothing to explain.
     """
     moment = violation_moment(trace, violated)
     if moment is None or "triggered" not in trace.decisions:
         return None
+    if moment.spec == R1 and contact_fault(trace) == "npc_rear_end":
+        return ENVIRONMENT
     seconds = trace.duration if moment.spec == R3 else OUTLOOK
     bits = trace.decisions["triggered"][recent_decisions(trace, moment.frame, seconds)].astype(np.int64)
     triggered = names(int(np.bitwise_or.reduce(bits)))

@@ -208,5 +208,5 @@ def test_wrong_input_is_one_sentence(run, tmp_path, capsys):
     shutil.copytree(run, copy)
     text = (copy / "config.yaml").read_text().replace("ads: rule:hardened", "ads: rulle:hardened")
     (copy / "config.yaml").write_text(text)
-    assert main(["triage", str(copy)]) == BAD_INPUT
+    assert main(["triage", str(copy), "--afresh"]) == BAD_INPUT
     assert "rulle" in capsys.readouterr().err
