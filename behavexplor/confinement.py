@@ -39,13 +39,13 @@ def _seal_files() -> bool:
         from landlockpy import AccessFS, LandlockError, Ruleset, Scope, supported  # noqa: PLC0415 - Linux only
     except ModuleNotFoundError:
         return False
-    if not supported():
-        return False
     reading = AccessFS.EXECUTE | AccessFS.READ_FILE | AccessFS.READ_DIR
     writing = ~(reading | AccessFS.IOCTL_DEV)
     of_a_file = AccessFS.WRITE_FILE | AccessFS.TRUNCATE
     devices = [device for pattern in _DEVICES for device in Path("/dev").glob(pattern)]
     try:
+        if not supported():
+            return False
         with Ruleset(handled_fs=writing, scoped=Scope.SIGNAL | Scope.ABSTRACT_UNIX_SOCKET) as ruleset:
             for place in (Path(tempfile.gettempdir()), *devices):
                 ruleset.allow_path(place, writing if place.is_dir() else of_a_file)

@@ -11,11 +11,10 @@ import pytest
 from behavexplor import executor
 from behavexplor.confinement import confine
 from behavexplor.executor import make_executor, warm_up
+from tests.confining import confines
 from tests.drivers import Cruiser
 
-landlockpy = pytest.importorskip("landlockpy")
-pytest.importorskip("pyseccomp")
-pytestmark = pytest.mark.skipif(not landlockpy.supported(), reason="this system has no Landlock")
+pytestmark = pytest.mark.skipif(not confines(), reason="this system cannot confine a process")
 ROOT = Path(__file__).parent.parent
 
 
@@ -80,8 +79,6 @@ def test_nor_may_its_threads_and_children(tmp_path):
 
 
 def test_it_cannot_end_the_process_that_began_it(tmp_path):
-    if landlockpy.abi_version() < 6:
-        pytest.skip("this system cannot keep signals in")
     assert confined("print(outcome(lambda: os.kill(os.getppid(), 0)))", tmp_path) == ["PermissionError"]
 
 
@@ -134,8 +131,8 @@ def test_an_ads_that_writes_is_stopped_unless_it_may(tmp_path, monkeypatch):
 
 
 def test_what_a_system_cannot_prevent_is_said(monkeypatch):
-    monkeypatch.setattr(landlockpy, "supported", lambda: False)
-    monkeypatch.setitem(sys.modules, "pyseccomp", None)
+    for library in ("landlockpy", "pyseccomp"):
+        monkeypatch.setitem(sys.modules, library, None)
     assert confine() == ("write files", "use the network")
     monkeypatch.setattr(executor, "_loose", ["write files"])
     monkeypatch.setattr(executor, "_simulation", [])

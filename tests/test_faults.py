@@ -1,7 +1,5 @@
 """Whatever a driving system does in a worker, it is recorded, and no other execution is lost for it."""
 
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -11,12 +9,12 @@ from behavexplor.config import CampaignConfig
 from behavexplor.executor import make_executor
 from behavexplor.simulation import Simulation
 from behavexplor.store import Store
+from tests.confining import confines
 from tests.faults import DROVE, FAULTS, table
 
 DOCS = Path(__file__).parent.parent / "docs" / "robustness.md"
 LOGICAL = Simulation("lane-follow", "constant").logical
 BUDGET = 2
-CONFINES = bool(find_spec("landlockpy")) and import_module("landlockpy").abi_version() >= 6
 
 
 def records(folder, ads):
@@ -39,7 +37,7 @@ def healthy(tmp_path_factory):
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.ads)
 def test_a_fault_is_recorded_and_costs_no_other_execution(fault, healthy, tmp_path):
-    if fault.message == "PermissionError" and not CONFINES:
+    if fault.message == "PermissionError" and not confines():
         pytest.skip("this system cannot confine a process")
     found = records(tmp_path / "run", f"tests.faults:{fault.ads}")
     assert [record["id"] for record in found] == list(range(BUDGET))
