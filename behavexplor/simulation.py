@@ -169,7 +169,7 @@ def compile_kernels(env: str) -> None:
     Args:
         env: see `environment_id`; one of another package is left to that.
     """
-    if env not in behavexplor.FUNCTIONAL_SCENARIOS:
+    if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
         return
     simulation = Simulation(env, "constant")
     scenario = simulation.logical.sample(np.random.default_rng(0))
