@@ -111,6 +111,12 @@ def prepare_worker(env: str, ads: str, trust: Collection[str], unconfined: bool)
         _loose[:] = confine()
 
 
+def compile_for_workers(env: str, ads: str, *, unconfined: bool) -> None:
+    """Have the machine code ready before workers begin that are to be confined: they cannot keep what they compile."""
+    if not (unconfined or is_shipped(ads)):
+        compile_kernels(env)
+
+
 def _begin_worker(env: str, ads: str, trust: Collection[str], unconfined: bool) -> Evaluations | None:  # noqa: ARG001
     try:
         return evaluations(begin(env, ads, trust))
@@ -234,8 +240,7 @@ def make_executor(
     if workers == 0:
         return InProcessExecutor(evaluations(_simulation[0]))
     check_name(ads)
-    if not (unconfined or is_shipped(ads)):
-        compile_kernels(env)  # confined workers cannot keep what they compile
+    compile_for_workers(env, ads, unconfined=unconfined)
     limits = (time_limit, memory_limit)
     arguments = (env, ads, tuple(trust), unconfined)
     return WorkerPool(

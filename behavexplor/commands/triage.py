@@ -2,8 +2,9 @@
 
 import json
 import sys
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +18,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.config import CampaignConfig, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import InProcessExecutor, available_cores, evaluate, prepare_worker
+from behavexplor.executor import InProcessExecutor, available_cores, compile_for_workers, evaluate, prepare_worker
 from behavexplor.rollout import ADSError
 from behavexplor.store import Execution, Store, write_durably
 from behavexplor.triage.agreement import agreement
@@ -28,6 +29,7 @@ from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Tr
 from behavexplor.workers import WorkerPool
 
 WRITTEN_AFTER = 10  # findings, so that an interruption costs no more than that
+AHEAD = 4  # failures that are read ahead for each worker
 MOST_WORKERS = 64
 TIME_LIMIT = 10.0  # of one failure, in those of one execution
 
@@ -56,8 +58,8 @@ def triage(
     config = stored_config(run)
     store = Store.read(run)
     known = {} if afresh else _known(run)
-    failures = [execution for execution in store.executions() if execution.record["violated"]]
-    waiting = [execution for execution in failures if execution.id not in known]
+    failures = [record["id"] for record in store.records() if record["violated"]]
+    waiting = [number for number in failures if number not in known]
     if waiting and count == 0:
         begin(config.env, config.ads, config.trust)
     pool = _executor(min(count, len(waiting)), config)
@@ -65,12 +67,12 @@ def triage(
     try:
         (run / WITNESSES).mkdir(exist_ok=True)
         with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-            for done, finding in enumerate(_examined(pool, run, waiting, config), 1):
+            for done, finding in enumerate(_examined(pool, store, waiting, config.seed, AHEAD * count), 1):
                 known[finding.id] = finding
                 if done % WRITTEN_AFTER == 0:
                     _triage(config, total, known.values()).write(run)
                 meter.show(done)
-        found = _triage(config, total, (known[execution.id] for execution in failures))
+        found = _triage(config, total, (known[number] for number in failures))
         if config.ads.partition(":")[0] == "rule":
             traces = ((execution.id, execution.load_trace()) for execution in store.executions())
             found = replace(found, weaknesses=weakness_records(traces, found.findings))
@@ -102,36 +104,44 @@ def _executor(workers: int, config: CampaignConfig) -> Executor:
     if workers == 0:
         return InProcessExecutor()
     functions = {"evaluate": evaluate, "examine": examine}
+    compile_for_workers(config.env, config.ads, unconfined=config.unconfined)
     arguments = (config.env, config.ads, tuple(config.trust), config.unconfined)
     limits = (TIME_LIMIT * config.time_limit, config.memory_limit)
     return WorkerPool(workers, functions, begin_worker, arguments, *limits, prepare=prepare_worker)
 
 
-def _examined(pool: Executor, run: Path, waiting: Sequence[Execution], config: CampaignConfig) -> Iterator[Finding]:
-    """What is found out about failures, in their order; witnesses are written."""
-    futures = []
-    for execution in waiting:
-        if ERROR in execution.record:
-            futures.append(pool.submit(evaluate, execution.scenario.to_json().encode()))
-        else:
-            futures.append(pool.submit(examine, examination(execution.record, execution.trace, config.seed)))
-    for execution, future in zip(waiting, futures, strict=True):
-        record = execution.record
-        try:
-            answer = future.result()
-        except ADSError as error:
-            if ERROR in record:
-                yield error_finding(record, happened_again=record[ERROR] == ads_failure(error))
-            else:
-                yield Finding(**seen(record, execution.load_trace()), same_verdict=False, same_trace=False)
-            continue
+def _examined(pool: Executor, store: Store, waiting: Iterable[int], seed: int, ahead: int) -> Iterator[Finding]:
+    """What is found out about failures, in their order, so many of which are read ahead; witnesses are written."""
+    pending: deque[tuple[Execution, Future[bytes]]] = deque()
+    for number in waiting:
+        execution = store.execution(number)
+        pending.append((execution, _submitted(pool, execution, seed)))
+        if len(pending) > ahead:
+            yield _finding(store.folder, *pending.popleft())
+    while pending:
+        yield _finding(store.folder, *pending.popleft())
+
+
+def _submitted(pool: Executor, execution: Execution, seed: int) -> Future[bytes]:
+    if ERROR in execution.record:
+        return pool.submit(evaluate, execution.scenario.to_json().encode())
+    return pool.submit(examine, examination(execution.record, execution.trace, seed))
+
+
+def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
+    record = execution.record
+    try:
+        answer = future.result()
+    except ADSError as error:
         if ERROR in record:
-            yield error_finding(record, happened_again=False)
-            continue
-        values = json.loads(answer)
-        if values["witness"] is not None:
-            write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
-        yield Finding(**values["finding"])
+            return error_finding(record, happened_again=record[ERROR] == ads_failure(error))
+        return Finding(**seen(record, execution.load_trace()), same_verdict=False, same_trace=False)
+    if ERROR in record:
+        return error_finding(record, happened_again=False)
+    values = json.loads(answer)
+    if values["witness"] is not None:
+        write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
+    return Finding(**values["finding"])
 
 
 def report(found: Triage) -> str:
