@@ -39,8 +39,9 @@ def missing_library(what: str, library: str | None, extra: str) -> InputError:
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
-    """The error for a name that is not among `known`: it names the nearest match, or else all of them."""
+    """The error for a name that is not among `known`: it names the nearest, or else all of them."""
     known = sorted(known)
-    close = get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(known)}."
+    begun = [other for other in known if len(name) > 2 and other.startswith(name)]
+    close = begun or get_close_matches(name, known, n=1)
+    hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"known are {', '.join(known)}."
     return InputError(f"Unknown {kind} {name!r}: {hint}")

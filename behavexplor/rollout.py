@@ -247,7 +247,9 @@ def _checked(
     actions = np.asarray(answer[0])
     expected = (count, *(space.shape or ()))
     if actions.shape != expected:
-        raise _AnswerError(f"predict must return actions of shape {expected}, got {actions.shape}")
+        raise _AnswerError(
+            f"predict must return actions of shape {expected}, got {actions.shape}: a row for each observation"
+        )
     if counts is not None and not counts.all():
         actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():

@@ -9,7 +9,7 @@ from typing import Any
 
 from behavexplor.campaign import Campaign, search_method
 from behavexplor.cluster.opening import cluster_executor
-from behavexplor.config import Budget, CampaignConfig
+from behavexplor.config import Budget, CampaignConfig, stored_config
 from behavexplor.errors import InputError
 from behavexplor.executor import begin, make_executor, warm_up
 from behavexplor.simulation import logical_scenario
@@ -80,11 +80,20 @@ def _reopened(run: Path, config: CampaignConfig) -> Store:
     store = Store.reopen(run)
     try:
         _check_budget(run, config, len(store))
-        store.write_config(config.to_yaml())
+        if not _is_shorter(config.budget, stored_config(run).budget):
+            store.write_config(config.to_yaml())
     except InputError:
         store.close()
         raise
     return store
+
+
+def _is_shorter(budget: str, stored: str) -> bool:
+    """Whether a budget is a smaller one of the same kind: that only ends the run earlier this time."""
+    new, old = Budget.parse(budget), Budget.parse(stored)
+    if new.executions is not None and old.executions is not None:
+        return new.executions < old.executions
+    return new.seconds is not None and old.seconds is not None and new.seconds < old.seconds
 
 
 def _check_budget(run: Path, config: CampaignConfig, count: int) -> None:

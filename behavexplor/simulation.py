@@ -148,8 +148,20 @@ def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: s
         return
     raise InputError(
         f"The policy {ads_name!r} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
-        f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. {how_to_fit(*spaces)}"
+        f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. "
+        f"{_where_it_fits(spaces)}{how_to_fit(*spaces)}"
     )
+
+
+def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) -> str:
+    """Which other environments of this package have a policy's spaces, as a sentence; empty if none has."""
+    fitting = []
+    for other in behavexplor.FUNCTIONAL_SCENARIOS:
+        made = gymnasium.make(environment_id(other), disable_env_checker=True)
+        if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
+            fitting.append(other)
+        made.close()
+    return f"It fits {' and '.join(fitting)} as it is: was --env forgotten? Else: " if fitting else ""
 
 
 def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:

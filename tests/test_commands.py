@@ -132,7 +132,9 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--env", "nowhere/x-v0"], "The environment 'nowhere/x-v0' cannot be made"),
         (["fuzz", "--env", "CartPole-v1"], "cannot be fuzzed"),
         (["fuzz", "--ads", "rules"], "did you mean 'rule'?"),
-        (["fuzz", "--ads", "tests.nothing:here"], "cannot be imported"),
+        (["fuzz", "--env", "intersection"], "did you mean 'intersection-left' or 'intersection-straight'?"),
+        (["fuzz", "--ads", "tests.nothing:here"], "in this folder and on PYTHONPATH"),
+        (["fuzz", "--ads", "tests/drivers.py"], "is a module of Python: name what drives in it, such as"),
         (["fuzz", "--ads", "tests.drivers:make_nothing"], "has no predict method"),
         (["fuzz", "--ads", "tests.drivers:np.pi"], "cannot be imported"),
         (["fuzz", "--method", "unifrom"], "did you mean 'uniform'?"),
@@ -332,6 +334,22 @@ def test_a_smaller_budget_is_refused_on_resuming(finished):
     assert "budget: '12'" in (folder / "config.yaml").read_text()
 
 
+def test_a_smaller_budget_ends_a_run_earlier_and_is_not_kept(tmp_path):
+    folder = tmp_path / "a"
+    assert run(*FUZZ, "--budget", 4, "--out", folder).returncode == 0
+    config = folder / "config.yaml"
+    config.write_text(config.read_text().replace("budget: '4'", "budget: '9'"))
+    earlier = run("fuzz", "--resume", folder, "--budget", 6, "--workers", 0)
+    assert earlier.stdout.startswith("6 executions")
+    assert "budget: '9'" in config.read_text()
+    assert run("fuzz", "--resume", folder, "--workers", 0).stdout.startswith("9 executions")
+    assert run("fuzz", "--resume", folder, "--budget", 10, "--workers", 0).stdout.startswith("10 executions")
+    assert "budget: '10'" in config.read_text()
+    again = run("fuzz", "--resume", folder, "--workers", 0)
+    assert again.returncode == 0
+    assert "nothing left to do: a larger --budget extends the run" in again.stderr
+
+
 @pytest.mark.parametrize("text", ["{{{", "", "[1, 2]", "env: 3"])
 def test_a_damaged_configuration_is_one_sentence(finished, tmp_path, text):
     folder, _ = finished
@@ -356,7 +374,8 @@ def test_help_is_quick_and_says_what_matters():
     assert result.returncode == 0
     for flag in ("env", "ads", "method", "config", "budget", "seed", "workers", "batch", "out", "resume", "quiet"):
         assert f"--{flag}" in result.stdout
-    assert "(default: intersection-straight)" in result.stdout
+    words = " ".join(result.stdout.replace("│", " ").split())
+    assert "lane-change, lane-follow, or a gymnasium id. (default: intersection-straight)" in words
 
 
 def test_records_can_be_cut_off_by_head(finished):

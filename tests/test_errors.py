@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from behavexplor.errors import LONGEST, InputError, sentence
+from behavexplor.errors import LONGEST, InputError, sentence, unknown_name
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,16 @@ def test_a_message_is_never_long(message):
 def test_a_message_survives_other_processes():
     error = InputError("x" * 2000)
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("rulle", "did you mean 'rule'?"),
+        ("lane", "did you mean 'lane-change' or 'lane-follow'?"),
+        ("x", "known are lane-change, lane-follow, rule."),
+        ("", "known are lane-change, lane-follow, rule."),
+    ],
+)
+def test_an_unknown_name_is_told_the_nearest(name, hint):
+    assert str(unknown_name("thing", name, ["rule", "lane-follow", "lane-change"])).endswith(hint)

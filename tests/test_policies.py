@@ -10,6 +10,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.errors import InputError
 from behavexplor.health import health_warnings
 from behavexplor.simulation import Simulation
 from tests.ads.sb3.models import make_model
@@ -111,6 +112,13 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
     (tmp_path / "model.yaml").write_text(advice)
     flags = ["--budget", "1", "--workers", "0", "--out", str(tmp_path / "run")]
     assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), *flags]) == OK
+
+
+def test_a_policy_of_another_environment_is_told_which(tmp_path):
+    with gymnasium.make("behavexplor/lane-change-v0") as env:
+        make_model("PPO", env.observation_space, env.action_space).save(tmp_path / "model")
+    with pytest.raises(InputError, match=r"It fits lane-change and lane-follow as it is: was --env forgotten\?"):
+        Simulation("intersection-straight", str(tmp_path / "model.zip"))
 
 
 def test_trust_in_something_that_is_no_digest_is_refused(capsys):

@@ -33,6 +33,9 @@ def check_name(name: str) -> None:
         InputError: if it is neither one of ours, nor a file, nor "module:attribute".
     """
     system, separator, _ = name.partition(":")
+    module = name.removesuffix(".py")
+    if system not in SYSTEMS and not separator and Path(f"{module}.py").is_file():
+        raise InputError(f"{name!r} is a module of Python: name what drives in it, such as {module}:MyDriver")
     if not (separator or system in SYSTEMS or name.endswith((".zip", ".npz")) or Path(name).exists()):
         raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
 
@@ -65,7 +68,8 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     try:
         found = getattr(import_module(module_name), attribute)
     except Exception as error:  # a module can raise anything when it is imported
-        raise InputError(f"The ADS {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+        hint = ", which is looked for in this folder and on PYTHONPATH" if isinstance(error, ImportError) else ""
+        raise InputError(f"The ADS {name!r} cannot be imported: {type(error).__name__}: {error}{hint}") from error
     return _made(name, found, roadmap)
 
 

@@ -133,7 +133,8 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     failures = [_Failure(*row) for row in store.failures()]
     kinds = {failure.kind for failure in failures if failure.kind is not None}
     unique = f" in {len(kinds)} classes" if kinds else ""
-    lines += [f"{progress.failed} failed ({share(progress.failed, progress)}){unique}:"]
+    failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
+    lines += [f"{failed}; each counts once, for the first of these:"]
     lines += [_line_of(name, [one for one in failures if one.spec == name]) for name in progress.violations]
     lines += _listed_classes(failures)
     lines += [f"Everything is kept in {store.folder}, the failures in its folder failures"]

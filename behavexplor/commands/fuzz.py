@@ -10,6 +10,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from behavexplor import FUNCTIONAL_SCENARIOS
+from behavexplor.ads.loading import SYSTEMS
 from behavexplor.campaign import Campaign, ExecutionError, run_folder
 from behavexplor.cluster.opening import MAX_NODES, parse_cluster
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
@@ -24,6 +26,11 @@ from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
 _MAX_WORKERS = 64
+_ENVS = f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}, or a gymnasium id."
+_SYSTEMS = (
+    f"System under test: {', '.join(SYSTEMS)} (docs/policies.md), a policy's file, or package.module:attribute of "
+    "anything with a predict method."
+)
 _WAITING = "Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."
 _WAITING_FOR_NODE = "Waiting for a node of the cluster that has loaded the ADS ..."
 
@@ -43,8 +50,8 @@ def _methods() -> str:
 
 def fuzz(  # noqa: PLR0913 - one argument for each flag
     *,
-    env: Annotated[str | None, _flag("NAME", _DEFAULTS.env)] = None,
-    ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads)] = None,
+    env: Annotated[str | None, _flag("NAME", _DEFAULTS.env, _ENVS)] = None,
+    ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads, _SYSTEMS)] = None,
     method: Annotated[str | None, _flag("NAME", _DEFAULTS.method, _methods())] = None,
     config: Annotated[str | None, _flag("FILE", None)] = None,
     budget: Annotated[str | None, _flag("N|TIME", _DEFAULTS.budget)] = None,
@@ -62,19 +69,21 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     """Search for scenarios in which a driving system fails, and keep all that happened in a run folder.
 
     Args:
-        env: Environment: a functional scenario, or a gymnasium id.
-        ads: System under test: "rule", a policy's file, or package.module:attribute of anything with a predict method.
+        env: Environment.
+        ads: System under test.
         method: Search method.
         config: Campaign as a YAML file, or the name of a preset such as "paper"; flags override it.
         budget: Executions (750), or a time (90s, 30m, 1h30m).
         seed: The same seed gives the same records.
         batch: Candidates in flight: each is chosen without the results of that many before it.
-        workers: Processes that execute scenarios; the records do not depend on it. 0 is this process, without limits.
+        workers: Processes that execute scenarios; the records do not depend on it. 0 is this process, where
+            nothing limits or confines the ADS.
         cluster: Have the workers on a cluster of Ray's or Dask's (see docs/robustness.md); without an address one is
             started on this machine.
         trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
         out: Run folder, new or empty.
-        resume: Go on with the campaign in this run folder; a larger --budget extends it.
+        resume: Go on with the campaign in this run folder; a larger --budget extends it, a smaller one ends it earlier
+            this time.
         unconfined: Let an ADS of yours write files and use the network.
         quiet: Only the summary.
         fail_on_violation: Exit with code 1 if any spec was violated, as a check in CI wants it.
@@ -102,7 +111,10 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(ready.store.repaired)
         for warning in ready.warnings:
             display.say(f"Beware: {warning}")
-        return _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
+        code = _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
+        if code == OK and 0 < ready.campaign.progress.executions == ready.campaign.progress.resumed:
+            display.say("There was nothing left to do: a larger --budget extends the run.")
+        return code
 
 
 def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violation: bool) -> int:
