@@ -12,7 +12,6 @@ from behavexplor import executor
 from behavexplor.confinement import confine
 from behavexplor.executor import make_executor, warm_up
 from tests.confining import confines
-from tests.drivers import Cruiser
 
 pytestmark = pytest.mark.skipif(not confines(), reason="this system cannot confine a process")
 ROOT = Path(__file__).parent.parent
@@ -108,24 +107,23 @@ def test_kernels_can_be_compiled_though_nothing_can_be_kept(tmp_path):
     assert not list(tmp_path.rglob("*.nbi"))
 
 
-class Writer(Cruiser):
-    """Writes down where it was."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        with Path(os.environ["DIARY"]).open("a") as diary:
-            diary.write(f"{observation[0, 0, 1]}\n")
-        return super().predict(observation, state)
-
-
 def test_an_ads_that_writes_is_stopped_unless_it_may(tmp_path, monkeypatch):
     diary = tmp_path / "diary"
-    monkeypatch.setenv("DIARY", str(diary))
-    with make_executor(1, "lane-follow", "tests.test_confinement:Writer") as workers:
+    (tmp_path / "diarist.py").write_text(
+        "from pathlib import Path\n"
+        "from tests.drivers import Cruiser\n"
+        "class Diarist(Cruiser):\n"
+        "    def predict(self, observation, *arguments, **keywords):\n"
+        f"        Path({str(diary)!r}).open('a').write('x')\n"
+        "        return super().predict(observation, *arguments, **keywords)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with make_executor(1, "lane-follow", "diarist:Diarist") as workers:
         warnings = warm_up(workers)
     assert "PermissionError" in warnings[0]
     assert "--unconfined" in warnings[0]
     assert not diary.exists()
-    with make_executor(1, "lane-follow", "tests.test_confinement:Writer", unconfined=True) as workers:
+    with make_executor(1, "lane-follow", "diarist:Diarist", unconfined=True) as workers:
         assert warm_up(workers) == []
     assert diary.stat().st_size > 0
 

@@ -95,7 +95,7 @@ def test_a_policy_of_other_spaces_is_refused_with_what_would_fit(observations, c
     space = gymnasium.spaces.Box(-np.inf, np.inf, observations, np.float32)
     algorithm = "DQN" if isinstance(commands, gymnasium.spaces.Discrete) else "PPO"
     make_model(algorithm, space, commands).save(tmp_path / "model")
-    assert main(["fuzz", "--env", "lane-follow", "--ads", str(tmp_path / "model.zip"), "--budget", "1"]) == BAD_INPUT
+    assert main(["fuzz", "--env", "lane-follow", "--ads", str(tmp_path / "model.zip"), "--workers", "0"]) == BAD_INPUT
     message = capsys.readouterr().err
     assert "but the environment 'behavexplor/lane-follow-v0' has Box(7, 5) and Box(2,)" in message
     assert hint in message
@@ -107,7 +107,7 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
         spaces = env.observation_space, env.action_space
     algorithm = "DQN" if isinstance(spaces[1], gymnasium.spaces.Discrete) else "PPO"
     make_model(algorithm, *spaces).save(tmp_path / "model")
-    assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), "--budget", "1"]) == BAD_INPUT
+    assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), "--workers", "0"]) == BAD_INPUT
     advice = capsys.readouterr().err.strip().partition(" of yours: ")[2]
     (tmp_path / "model.yaml").write_text(advice)
     flags = ["--budget", "1", "--workers", "0", "--out", str(tmp_path / "run")]
