@@ -73,7 +73,7 @@ class DaskCluster:
         self._local: Any = None
         if not address:
             threads = {"n_workers": 1, "threads_per_worker": room, "processes": False}
-            self._local = await self._dask.LocalCluster(asynchronous=True, dashboard_address=None, **threads)
+            self._local = await self._dask.LocalCluster(asynchronous=True, dashboard_address="127.0.0.1:0", **threads)
         where = self._local or address
         self._client: Any = await self._dask.Client(where, asynchronous=True, timeout=CONNECT_SECONDS)
         return sum((await self._client.nthreads()).values())

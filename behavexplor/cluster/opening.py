@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from behavexplor.ads.loading import check_name
 from behavexplor.cluster.executor import Cluster, ClusterExecutor
 from behavexplor.cluster.on_dask import DaskCluster
 from behavexplor.cluster.on_ray import RayCluster
@@ -53,9 +54,11 @@ def cluster_executor(text: str, workers: int, settings: Mapping[str, Any]) -> Cl
         settings: arguments of `behavexplor.executor.make_executor` beside the workers.
 
     Raises:
-        InputError: if there is no such cluster, or a node of it cannot do what this machine does.
+        InputError: if there is no such cluster, no ADS can have such a name, or a node cannot do what this machine
+            does.
     """
     kind, address = parse_cluster(text)
+    check_name(settings["ads"])
     if found := _ADDRESS.fullmatch(address):
         _reach(found["host"].strip("[]"), int(found["port"]))
     try:

@@ -12,11 +12,20 @@ from pathlib import Path
 import pytest
 
 from behavexplor.cluster.on_dask import DaskCluster
-from tests.cluster.two_nodes import BUDGET, KILLED_AT, SHORT, Killing, processes_of_nodes, records
+from tests.cluster.two_nodes import (
+    BUDGET,
+    KILLED_AT,
+    PATIENCE,
+    SHORT,
+    Killing,
+    is_over,
+    processes_of_nodes,
+    records,
+    starts_of,
+)
 
 pytestmark = pytest.mark.skipif(find_spec("distributed") is None, reason="needs the extra dask")
 ROOT = Path(__file__).parent.parent.parent
-PATIENCE = 60.0  # for processes that start or end [s]
 
 
 class Machines:
@@ -69,16 +78,7 @@ def machines(tmp_path):
 @pytest.fixture
 def starts(monkeypatch):
     """What is started on the cluster while the test runs."""
-    begun, start = [], DaskCluster.start
-    monkeypatch.setattr(DaskCluster, "start", lambda cluster, *args: begun.append(args) or start(cluster, *args))
-    return begun
-
-
-def is_over(condition):
-    deadline = time.monotonic() + PATIENCE
-    while condition() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return not condition()
+    return starts_of(DaskCluster, monkeypatch)
 
 
 @pytest.mark.slow

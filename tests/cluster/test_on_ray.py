@@ -1,15 +1,22 @@
 """Campaigns on Ray: the same records, also when one of two nodes is killed. Ray takes its time to start."""
 
 import secrets
-import time
 
 import pytest
 
 from behavexplor.cluster.on_ray import RayCluster
-from tests.cluster.two_nodes import BUDGET, KILLED_AT, SHORT, Killing, processes_of_nodes, records
+from tests.cluster.two_nodes import (
+    BUDGET,
+    KILLED_AT,
+    SHORT,
+    Killing,
+    is_over,
+    processes_of_nodes,
+    records,
+    starts_of,
+)
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # Ray's own, of its Python and its libraries
-PATIENCE = 60.0  # for processes that end [s]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -38,16 +45,7 @@ def machines():
 @pytest.fixture
 def starts(monkeypatch):
     """What is started on the cluster while the test runs."""
-    begun, start = [], RayCluster.start
-    monkeypatch.setattr(RayCluster, "start", lambda cluster, *args: begun.append(args) or start(cluster, *args))
-    return begun
-
-
-def is_over(condition):
-    deadline = time.monotonic() + PATIENCE
-    while condition() and time.monotonic() < deadline:
-        time.sleep(0.05)
-    return not condition()
+    return starts_of(RayCluster, monkeypatch)
 
 
 def test_a_node_that_is_killed_costs_no_record(machines, starts, tmp_path):

@@ -1,5 +1,6 @@
 """A campaign on a cluster of two nodes, one of which is killed while it works, beside one on this machine."""
 
+import time
 from pathlib import Path
 
 from behavexplor.config import CampaignConfig
@@ -9,6 +10,7 @@ BUDGET = 40
 CONFIG = CampaignConfig(env="lane-follow", ads="rule:hardened", budget=str(BUDGET), seed=2)
 SHORT = CampaignConfig(env="lane-follow", ads="constant", budget="10", seed=2)
 KILLED_AT = 15  # executions
+PATIENCE = 60.0  # [s]
 
 
 def records(folder, workers, cluster="", observe=lambda _: None, config=CONFIG):
@@ -28,6 +30,21 @@ class Killing:
         if self.killed_at is None and progress.executions >= KILLED_AT:
             self.killed_at = progress.executions
             self.kill()
+
+
+def starts_of(kind, monkeypatch):
+    """The arguments of each node that is started on clusters of a kind from now on."""
+    begun, start = [], kind.start
+    monkeypatch.setattr(kind, "start", lambda cluster, *args: begun.append(args) or start(cluster, *args))
+    return begun
+
+
+def is_over(condition):
+    """Whether a condition ends before long."""
+    deadline = time.monotonic() + PATIENCE
+    while condition() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return not condition()
 
 
 def processes_of_nodes(session=None):
