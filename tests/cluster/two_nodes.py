@@ -6,10 +6,10 @@ from pathlib import Path
 from behavexplor.config import CampaignConfig
 from behavexplor.running import opened
 
-BUDGET = 40
+BUDGET = 300
 CONFIG = CampaignConfig(env="lane-follow", ads="rule:hardened", budget=str(BUDGET), seed=2)
 SHORT = CampaignConfig(env="lane-follow", ads="constant", budget="10", seed=2)
-KILLED_AT = 15  # executions
+KILLED_AT = 150  # executions, when both nodes have been at work for a while
 PATIENCE = 60.0  # [s]
 
 
