@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,9 +17,12 @@ from behavexplor.campaign import ERROR
 from behavexplor.fuzz.fault import NPC_CAUSED
 from behavexplor.fuzz.specs import SPECS
 from behavexplor.store import Store
+from behavexplor.triage.counterfactual import ENVIRONMENT
+from behavexplor.triage.signatures import signature
 
 COLLISION, LINES, DESTINATION = (spec.name for spec in SPECS)
 LABELS: Final = {COLLISION: "R1", LINES: "R2", DESTINATION: "R3", ERROR: "error"}  # what tables call them
+UNEXPLAINED: Final = "unexplained"
 _LEAST_PAIRS: Final = 3  # of a correlation
 
 
@@ -32,12 +35,15 @@ class Failure:
         label: "R1", "R2" or "R3", the first requirement that it violates; or "error".
         npc_caused: whether it is a collision that an NPC caused, as far as its trace alone tells.
         kind: its class of violations, if it has been classified.
+        signature: the weakness of the rule planner that its decision log hints at, or "environment" or "unexplained";
+            None for a driver without that log.
     """
 
     number: int
     label: str
     npc_caused: bool
     kind: str | None
+    signature: str | None = None
 
 
 @dataclass(frozen=True)
@@ -81,10 +87,23 @@ class Summary:
             failure.kind for failure in self.failures if failure.kind is not None and label in (None, failure.label)
         )
 
+    def weaknesses(self, label: str | None = None) -> frozenset[str]:
+        """The weaknesses of the rule planner that the signatures of its failures name."""
+        return frozenset(
+            failure.signature
+            for failure in self.failures
+            if failure.signature not in (None, ENVIRONMENT, UNEXPLAINED) and label in (None, failure.label)
+        )
+
     @property
     def classified(self) -> bool:
         """Whether every failure has a class."""
         return all(failure.kind is not None for failure in self.failures)
+
+    @property
+    def signed(self) -> bool:
+        """Whether every failure has a signature."""
+        return all(failure.signature is not None for failure in self.failures)
 
     @property
     def npc_caused(self) -> int:
@@ -113,6 +132,7 @@ def summarise(cell: Cell, root: Path) -> Summary:
             pairs.append((float(record["degree"]), float(record["search"]["novelty"])))
         if record["violated"]:
             failures.append(_failure(record))
+    failures = _with_signatures(failures, store)
     store.close()
     timing = read_timing(folder)
     share = count / timing.executions if timing.executions else math.nan
@@ -137,6 +157,19 @@ def _failure(record: Mapping[str, Any]) -> Failure:
     return Failure(int(record["id"]), LABELS.get(name, name), record.get("fault") in NPC_CAUSED, record.get("class"))
 
 
+def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]:
+    """The failures with their signatures, as they are if the driver keeps no log of its weaknesses."""
+    signed = []
+    for failure in failures:
+        execution = store.execution(failure.number)
+        trace = execution.load_trace()
+        if failure.label != LABELS[ERROR] and "triggered" not in trace.decisions:
+            return list(failures)
+        found = signature(trace, tuple(execution.record["violated"]))
+        signed.append(replace(failure, signature=found or UNEXPLAINED))
+    return signed
+
+
 def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
     """Pearson's r of pairs and its p; None where one side does not vary, or there are hardly any."""
     values = np.asarray(pairs, dtype=float).reshape(-1, 2)
@@ -147,10 +180,11 @@ def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, flo
 
 
 def summaries_csv(summaries: Iterable[Summary]) -> str:
-    """A row for each campaign, as CSV; the columns of unique violations only if all failures are classified."""
+    """A row for each campaign, as CSV; what not all failures of the experiment have is left out."""
     summaries = list(summaries)
-    unique = bool(summaries) and all(summary.classified for summary in summaries)
-    rows = [_row(summary, unique=unique) for summary in summaries]
+    unique = all(summary.classified for summary in summaries)
+    signed = all(summary.signed for summary in summaries)
+    rows = [_row(summary, unique=unique, signed=signed) for summary in summaries]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else ["env"], lineterminator="\n")
     writer.writeheader()
@@ -158,7 +192,7 @@ def summaries_csv(summaries: Iterable[Summary]) -> str:
     return text.getvalue()
 
 
-def _row(summary: Summary, *, unique: bool) -> dict[str, object]:
+def _row(summary: Summary, *, unique: bool, signed: bool) -> dict[str, object]:
     labels = LABELS.values()
     values: dict[str, object] = {name: getattr(summary, name) for name in ("env", "ads", "method", "seed")}
     values |= {"executions": summary.executions, "failed": summary.total()}
@@ -167,6 +201,8 @@ def _row(summary: Summary, *, unique: bool) -> dict[str, object]:
     if unique:
         values |= {"unique": len(summary.kinds()), **{f"unique_{label}": len(summary.kinds(label)) for label in labels}}
         values["classes"] = " ".join(sorted(summary.kinds()))
+    if signed:
+        values |= {"weaknesses": len(summary.weaknesses()), "signatures": " ".join(sorted(summary.weaknesses()))}
     values["novelty_rate"] = _rounded(summary.novelty_rate, 6)
     values["executing_s"] = _rounded(summary.executing, 3)
     values["analysing_s"] = _rounded(summary.analysing, 3)

@@ -12,6 +12,10 @@ Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
 
 _STRONG_P = 0.001  # what the paper reports of its correlations
+_SIGNATURES = (
+    "Signatures follow from a failure's trace and decision log alone; `triage` says how often they equal the cause "
+    "that replays show."
+)
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,8 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
     if _classified(summaries):
         made.append(distinct(experiment, summaries))
+    if _signed(summaries):
+        made.append(weaknesses(experiment, summaries))
     made.append(times(experiment, summaries))
     if any(summary.r is not None for summary in summaries):
         made.append(correlations(experiment, summaries))
@@ -87,6 +93,8 @@ def violations(
     if _classified(summaries):
         columns += [(Column(f"Unique {label}"), _unique(label)) for label in _labels(summaries)]
         columns += [(Column("Unique sum", interval=True, best=True), _unique(None))]
+    if _signed(summaries):
+        columns += [(Column("Weaknesses", interval=True, best=True), _weaknesses)]
     columns += [(Column("Novel %"), lambda summary: 100 * summary.novelty_rate)]
     rows: list[tuple[Value, ...]] = []
     blocks = []
@@ -104,6 +112,7 @@ def violations(
         f"Means over n campaigns of {experiment.budget} executions; in brackets the 95 % interval (Student's t).",
         "A failure counts once, for the first requirement that it violates.",
         "R1 by NPC: collisions in which an NPC drove into the back of the ego, or into a standing ego.",
+        *(("Weaknesses: different ones of the planner's sixteen. " + _SIGNATURES,) if _signed(summaries) else ()),
     )
     return Table(name, title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
 
@@ -123,6 +132,24 @@ def distinct(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     heads += (Column("Details", only_csv=True),)
     notes = ("Classes of violations that any of the campaigns found; more campaigns find more.",)
     return Table("distinct", "Distinct violations over all campaigns", heads, tuple(rows), (len(rows),), notes)
+
+
+def weaknesses(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
+    """In how many campaigns each weakness of the rule planner was found (the paper's table of diversity)."""
+    known = sorted(frozenset[str]().union(*(summary.weaknesses() for summary in summaries)))
+    rows: list[tuple[Value, ...]] = []
+    for method in experiment.methods:
+        found = [summary.weaknesses() for summary in summaries if summary.method == method]
+        if not found:
+            continue
+        counts = [sum(name in names for names in found) for name in known]
+        rows.append((method, len(found), *counts, sum(count > 0 for count in counts)))
+    heads = tuple(map(Column, ("Method", "Campaigns", *known, "Distinct")))
+    notes = (
+        "Number of campaigns with a failure whose signature is that weakness, all scenarios together.",
+        _SIGNATURES,
+    )
+    return Table("weaknesses", "Weaknesses of the planner found", heads, tuple(rows), (len(rows),), notes)
 
 
 def times(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
@@ -175,6 +202,8 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
     figures: list[tuple[str, str, Figure]] = [("failures", "failures", _total(None))]
     if _classified(summaries):
         figures.append(("unique", "unique violations", _unique(None)))
+    if _signed(summaries):
+        figures.append(("weaknesses", "weaknesses of the planner", _weaknesses))
     others = [method for method in experiment.methods if method != experiment.compared]
     families = [(experiment.compared, [(experiment.compared, other) for other in others])]
     if experiment.baseline and experiment.baseline != experiment.compared:
@@ -241,6 +270,10 @@ def _unique(label: str | None) -> Figure:
     return lambda summary: len(summary.kinds(label))
 
 
+def _weaknesses(summary: Summary) -> int:
+    return len(summary.weaknesses())
+
+
 def _mean(found: Sequence[Summary], figure: Figure) -> Estimate:
     return estimate([figure(summary) for summary in found])
 
@@ -253,6 +286,11 @@ def _labels(summaries: Sequence[Summary]) -> list[str]:
 
 def _classified(summaries: Sequence[Summary]) -> bool:
     return bool(summaries) and all(summary.classified for summary in summaries)
+
+
+def _signed(summaries: Sequence[Summary]) -> bool:
+    """Whether every failure has a signature, and some of them a weakness."""
+    return all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries)
 
 
 def _of(summaries: Sequence[Summary], group: Group) -> list[Summary]:

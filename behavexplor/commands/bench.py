@@ -63,7 +63,7 @@ def bench(
         code = _run(chosen, root, jobs, quiet=quiet)
     finished = [cell for cell in chosen.cells() if state(cell, root).finished]
     if finished:
-        _report(chosen, root, [summarise(cell, root) for cell in finished])
+        _report(chosen, root, _summaries(finished, root, quiet=quiet))
     print(f"{len(finished)} of {len(chosen.cells())} campaigns are finished; everything is kept in {root}")
     return code
 
@@ -134,6 +134,16 @@ def _words(progress: Progress) -> str:
     failed = f", {len(progress.failed)} failed" if progress.failed else ""
     left = f", about {clock(progress.left)} left" if progress.left is not None else ""
     return f"{progress.finished} of {progress.cells} campaigns{failed}{left}"
+
+
+def _summaries(cells: Sequence[Cell], root: Path, *, quiet: bool) -> list[Summary]:
+    """What each campaign found; of a large experiment with many failures that takes a minute or two."""
+    with Meter(sys.stderr, len(cells), "campaigns read", quiet=quiet) as meter:
+        found = []
+        for cell in cells:
+            found.append(summarise(cell, root))
+            meter.show(len(found))
+    return found
 
 
 def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) -> None:

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 import tyro
@@ -16,6 +17,16 @@ from behavexplor.roadmap import RoadMap
 from behavexplor.rollout import ADSError
 from behavexplor.simulation import logical_scenario
 from behavexplor.store import Execution, Store
+
+_ENDED_BY = MappingProxyType(
+    {
+        "collision": "a collision",
+        "arrived": "its arrival",
+        "passed": "passing its destination",
+        "standstill": "standing still",
+        "timeout": "the time limit",
+    }
+)
 
 
 def replay(
@@ -103,4 +114,4 @@ def _compare(execution: Execution, config: CampaignConfig) -> int:
 def _verdict(execution: Execution) -> str:
     """What an execution did, after its number."""
     violated = " and ".join(execution.record["violated"]) or "nothing"
-    return f"violates {violated}, ended by {execution.record['end']}"
+    return f"violates {violated}, ended by {_ENDED_BY[execution.record['end']]}"

@@ -192,7 +192,7 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
         f"Signatures equal the cause in {signatures.equal:.0%} of {signatures.n} failures with a known one (precision "
         f"{signatures.precision:.2f}, recall {signatures.recall:.2f}, adjusted Rand index "
         f"{signatures.adjusted_rand:.2f}); classes group them with an adjusted Rand index of "
-        f"{classes.adjusted_rand:.2f}",
+        f"{classes.adjusted_rand:.2f}. An index of 1 is the same grouping, 0 as good as chance.",
     ]
 
 

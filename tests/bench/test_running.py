@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.bench.cells import Cells, State, _campaign, _Stop, state
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.bench.forecast import forecast
@@ -23,6 +24,7 @@ from behavexplor.commands import main
 from behavexplor.errors import InputError
 from behavexplor.fuzz.fault import NPC_CAUSED, contact_fault
 from behavexplor.store import Store
+from behavexplor.triage.signatures import signature
 
 ROOT = Path(__file__).parents[2]
 TEXT = """
@@ -253,6 +255,22 @@ def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
     faults = [contact_fault(store.execution(failure.number).load_trace()) for failure in summary.failures]
     store.close()
     assert [failure.npc_caused for failure in summary.failures] == [fault in NPC_CAUSED for fault in faults]
+
+
+def test_signatures_are_of_drivers_with_the_planners_log_alone(whole, tmp_path):
+    (cruiser, *_) = read_experiment(str(whole[0] / "small.yaml")).cells()
+    assert {failure.signature for failure in summarise(cruiser, whole[0] / "out").failures} == {None}
+    text = TEXT.replace("tests.drivers:cruiser", "rule")
+    (cell, *_) = read_experiment(str(write(tmp_path, 30, text))).cells()
+    assert _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, _Stop(), lambda *_: None)
+    summary = summarise(cell, tmp_path)
+    store = Store.read(tmp_path / cell.folder)
+    failed = [store.execution(failure.number) for failure in summary.failures]
+    store.close()
+    expected = [signature(execution.load_trace(), tuple(execution.record["violated"])) for execution in failed]
+    assert [failure.signature for failure in summary.failures] == [found or "unexplained" for found in expected]
+    assert summary.weaknesses()
+    assert summary.weaknesses() <= set(WEAKNESSES)
 
 
 def test_a_stopwatch_adds_up_and_leaves_out_what_was_only_looked_at_again(tmp_path):

@@ -29,17 +29,17 @@ EXPERIMENT = experiment_config(
 )
 
 
-def failures(*labels, kinds=None):
+def failures(*labels, kinds=None, signatures=None):
     """Failures at every fifth execution; of the collisions, the first is an NPC's."""
-    kinds = kinds or [None] * len(labels)
+    kinds, signatures = (values or [None] * len(labels) for values in (kinds, signatures))
     return tuple(
-        Failure(5 * i, label, label == "R1" and i == 0, kind)
-        for i, (label, kind) in enumerate(zip(labels, kinds, strict=True))
+        Failure(5 * i, label, label == "R1" and i == 0, kind, signature)
+        for i, (label, kind, signature) in enumerate(zip(labels, kinds, signatures, strict=True))
     )
 
 
-def campaign(method, seed, labels, env="lane-follow", kinds=None, r=None):
-    found = failures(*labels, kinds=kinds)
+def campaign(method, seed, labels, env="lane-follow", kinds=None, r=None, signatures=None):
+    found = failures(*labels, kinds=kinds, signatures=signatures)
     return Summary(env, "rule", method, seed, 100, found, 0.2, 8.0, 2.0, r, None if r is None else 10.0**-seed)
 
 
@@ -56,6 +56,14 @@ CLASSIFIED = [
     campaign("Search", 1, ["R1", "R1", "R2"], kinds=["R1-a", "R1-a", "R2-a"]),
     campaign("Search", 2, ["R1", "R3"], kinds=["R1-b", "R3-a"]),
     campaign("w/o it", 1, ["R1"], kinds=["R1-a"]),
+]
+
+
+SIGNED = [
+    campaign("Search", 1, ["R1", "R1", "R2"], signatures=["environment", "R1-8", "R2-2"]),
+    campaign("Search", 2, ["R1", "R1", "R1"], signatures=["R1-8", "R1-8", "R1-2"]),
+    campaign("w/o it", 1, ["R2", "R3"], signatures=["R2-2", "unexplained"]),
+    campaign("Uniform_1", 1, []),
 ]
 
 
@@ -103,6 +111,23 @@ def test_distinct_violations_are_the_classes_of_all_campaigns_together():
     table = made("distinct", CLASSIFIED)
     assert table.rows[0] == ("Search", 2, 2, 1, 1, 4, "R1-a, R1-b, R2-a, R3-a")
     assert table.rows[1] == ("w/o it", 1, 1, 0, 0, 1, "R1-a")
+
+
+def test_weaknesses_are_counted_by_campaign_and_what_is_none_is_left_out():
+    table = made("weaknesses", SIGNED)
+    assert [head.name for head in table.columns] == ["Method", "Campaigns", "R1-2", "R1-8", "R2-2", "Distinct"]
+    assert table.rows == (("Search", 2, 1, 2, 1, 3), ("w/o it", 1, 0, 0, 1, 1), ("Uniform_1", 1, 0, 0, 0, 0))
+    assert [mean.mean for mean in column(made("violations", SIGNED), "Weaknesses")] == [2, 1, 0]
+    assert column(made("weaknesses-search", SIGNED), "Mean against") == [1, 0]
+    assert SIGNED[0].weaknesses("R1") == {"R1-8"}
+
+
+def test_weaknesses_are_told_only_where_every_failure_has_a_signature():
+    half_known = [*SIGNED, campaign("w/o it", 2, ["R1"])]
+    unexplained = [campaign("Search", 1, ["R1"], signatures=["unexplained"])]
+    for summaries in (SUMMARIES, half_known, unexplained):
+        assert not {"weaknesses", "weaknesses-search"} & {table.name for table in tables(EXPERIMENT, summaries)}
+        assert "Weaknesses" not in [head.name for head in made("violations", summaries).columns]
 
 
 def test_times_are_split():
@@ -218,6 +243,9 @@ def test_a_summary_is_a_row():
     assert "unique" not in rows[0]
     classified = list(csv.DictReader(io.StringIO(summaries_csv(CLASSIFIED))))
     assert (classified[0]["unique"], classified[0]["unique_R1"], classified[0]["classes"]) == ("2", "1", "R1-a R2-a")
+    assert "weaknesses" not in classified[0]
+    signed = list(csv.DictReader(io.StringIO(summaries_csv(SIGNED))))
+    assert [(row["weaknesses"], row["signatures"]) for row in signed[:2]] == [("2", "R1-8 R2-2"), ("2", "R1-2 R1-8")]
 
 
 def test_curves_rise_with_the_failures():
