@@ -15,8 +15,11 @@ from behavexplor.errors import InputError
 from behavexplor.executor import evaluate, make_executor
 from behavexplor.roadmap import RoadMap
 from behavexplor.rollout import ADSError
-from behavexplor.simulation import logical_scenario
+from behavexplor.simulation import Simulation, logical_scenario
 from behavexplor.store import Execution, Store
+from behavexplor.trace import Trace
+from behavexplor.triage.findings import read_witness, witness_path
+from behavexplor.triage.witness import avoids, replay_witness
 
 _ENDED_BY = MappingProxyType(
     {
@@ -36,6 +39,7 @@ def replay(
     out: Annotated[
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: replays/ in RUN)")
     ] = None,
+    avoided: bool = False,
 ) -> int:
     """Draw one execution as an animation (GIF) and its decisive moment (PNG), and run it again.
 
@@ -45,12 +49,15 @@ def replay(
         run: The run folder.
         number: The execution, as `records` numbers them.
         out: Where the pictures go.
+        avoided: Draw instead how the ego could have avoided the collision, after `triage` has found out.
     """
     store = Store.read(run)
     execution = store.execution(number)
     store.close()
     config = stored_config(run)
     logical = logical_scenario(config.env)
+    if avoided:
+        return _avoid(execution, config, run, out or run / "replays")
     if ERROR in execution.record:
         failure = execution.record[ERROR]
         print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
@@ -72,24 +79,61 @@ def _show(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
         _draw(execution, roadmap, folder)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
-    except OSError as error:
-        raise InputError(f"The pictures in {folder} cannot be written: {error.strerror}") from None
 
 
 def _draw(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
     """Make the pictures, and say what they show."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"The folder {folder} cannot be made: {error.strerror}") from None
-    animation, picture = folder / f"{execution.id:06d}.gif", folder / f"{execution.id:06d}.png"
     trace, caption = execution.load_trace(), _verdict(execution)
     frame = decisive_frame(trace, execution.record["violated"])
-    draw(trace, roadmap, frame, caption).save(picture)
-    save_animation(animation, trace, roadmap, caption)
     degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record["degrees"].items())
+    animation, picture = _save(trace, roadmap, frame, caption, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s; violation degrees: {degrees}")
     print(f"Animation: {animation}\nDecisive moment, at {trace.time[frame]:.2f} s: {picture}")
+
+
+def _save(trace: Trace, roadmap: RoadMap, frame: int, caption: str, path: Path) -> tuple[Path, Path]:
+    """Write an animation of a trace and a picture of one frame, on a disk that has the room; their paths."""
+    animation, picture = path.with_suffix(".gif"), path.with_suffix(".png")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder {path.parent} cannot be made: {error.strerror}") from None
+    try:
+        draw(trace, roadmap, frame, caption).save(picture)
+        save_animation(animation, trace, roadmap, caption)
+    except OSError as error:
+        raise InputError(f"The pictures in {path.parent} cannot be written: {error.strerror}") from None
+    return animation, picture
+
+
+def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path) -> int:
+    """Drive and draw the witness that triage keeps against a collision.
+
+    Raises:
+        InputError: if there is none.
+    """
+    file = witness_path(run, execution.id)
+    if not file.is_file():
+        raise InputError(
+            f"There is no witness against execution {execution.id}: `behavexplor triage {run}` keeps one for each "
+            "collision that it calls preventable"
+        )
+    witness, recorded = read_witness(file), execution.load_trace()
+    simulation = Simulation(config.env, "constant")  # whichever: the witness drives
+    try:
+        trace = replay_witness(simulation, execution.scenario, witness)
+    finally:
+        simulation.close()
+    if not avoids(trace, recorded, witness.begin):
+        print(f"The witness in {file} does NOT avoid the collision.", file=sys.stderr)
+        return CHECK_FAILED
+    frame = min(len(recorded.time), len(trace.time)) - 1
+    caption = f"{witness.name} from {witness.begin:.2f} s on"
+    path = folder / f"{execution.id:06d}-avoided"
+    animation, picture = _save(trace, simulation.logical.roadmap, frame, caption, path)
+    print(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
+    print(f"Animation: {animation}\nAt the time of the collision: {picture}")
+    return OK
 
 
 def _compare(execution: Execution, config: CampaignConfig) -> int:

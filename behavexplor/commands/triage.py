@@ -1,6 +1,7 @@
 """`behavexplor triage`: what the failures of a run are."""
 
 import json
+import shlex
 import sys
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -86,6 +87,10 @@ def triage(
         pool.shutdown(wait=False, cancel_futures=True)
         store.close()
     print(report(found))
+    preventable = next((finding for finding in found.findings if finding.avoidance), None)
+    if preventable is not None:
+        command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
+        print(f"\nHow the first preventable collision could have been avoided: {command} --avoided")
     return OK
 
 

@@ -172,6 +172,13 @@ def read_witness(path: Path) -> Witness:
 
 
 def witness_from(values: Mapping[str, Any]) -> Witness:
-    """The inverse of `witness_values`."""
+    """The inverse of `witness_values`.
+
+    Raises:
+        ValueError: if nobody could drive it.
+    """
     commands = np.array(values["commands"], dtype=np.float64).reshape(-1, 2)
-    return Witness(str(values["name"]), float(values["begin"]), int(values["frequency"]), commands)
+    frequency = int(values["frequency"])
+    if not len(commands) or not np.isfinite(commands).all() or frequency < 1:
+        raise ValueError("it has no commands that can be driven")
+    return Witness(str(values["name"]), float(values["begin"]), frequency, commands)

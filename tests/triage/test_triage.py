@@ -1,14 +1,16 @@
 """The command: what it finds out about a run, keeps in its folder, and says."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.commands.triage import report
 from behavexplor.config import CampaignConfig
 from behavexplor.errors import InputError
@@ -87,6 +89,31 @@ def test_witnesses_are_files_that_anyone_can_replay(run):
         again = replay_witness(simulation, store.execution(finding.id).scenario, witness)
         assert "collision" not in judge(again).violated
     store.close()
+
+
+def test_a_witness_is_replayed_to_pictures(run, tmp_path, capsys):
+    assert main(["replay", str(run), "2", "--avoided", "--out", str(tmp_path)]) == OK
+    witness = read_witness(witness_path(run, 2))
+    assert f": {witness.name} from {witness.begin:.2f} s on" in capsys.readouterr().out
+    with Image.open(tmp_path / "000002-avoided.gif") as animation:
+        assert animation.n_frames > 10
+    assert (tmp_path / "000002-avoided.png").is_file()
+
+
+def test_a_collision_without_a_witness_is_one_sentence(run, tmp_path, capsys):
+    assert main(["replay", str(run), "1", "--avoided", "--out", str(tmp_path)]) == BAD_INPUT
+    assert "There is no witness against execution 1: `behavexplor triage" in capsys.readouterr().err
+
+
+def test_a_witness_that_avoids_nothing_is_said_so(run, tmp_path, capsys):
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    path = witness_path(folder, 0)
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps({**values, "commands": [[4.0, 0.0]] * len(values["commands"])}))
+    assert main(["replay", str(folder), "0", "--avoided"]) == CHECK_FAILED
+    assert "does NOT avoid the collision" in capsys.readouterr().err
+    assert not (folder / "replays").exists()
 
 
 def test_weaknesses_are_counted_over_all_executions(run):
@@ -193,7 +220,9 @@ def test_a_file_that_cannot_be_used_is_said_to_be(tmp_path, content, message):
 
 
 def test_a_damaged_witness_is_said_to_be(tmp_path):
-    for content in ("", "{}", '{"name": "a", "begin": 0, "frequency": 20, "commands": [1, 2, 3]}'):
+    damaged = ((20, [1, 2, 3]), (20, []), (20, [[0, math.nan]]), (0, [[0, 0]]))
+    values = [{"name": "a", "begin": 0, "frequency": rate, "commands": commands} for rate, commands in damaged]
+    for content in ("", "{}", *map(json.dumps, values)):
         (tmp_path / "w.json").write_text(content)
         with pytest.raises(InputError, match="is no witness"):
             read_witness(tmp_path / "w.json")
