@@ -20,7 +20,7 @@ ALLOWED = {
     **dict.fromkeys(EXECUTION, GROUND | EXECUTION | {"ads"}),
     **dict.fromkeys(CAMPAIGN, GROUND | EXECUTION | CAMPAIGN | {"fuzz"}),
     "triage": GROUND | EXECUTION | {"ads", "fuzz", "config", "store", "triage"},
-    "report": GROUND | {"config", "fuzz", "store", "triage", "report"},
+    "report": GROUND | {"config", "fuzz", "store", "triage", "bench", "report"},
     "training": GROUND | EXECUTION | {"ads", "envs"},
     "bench": GROUND | EXECUTION | CAMPAIGN | {"fuzz", "triage", "bench"},
     "commands": GROUND | EXECUTION | CAMPAIGN | {"ads", "fuzz", "training", "triage", "bench", "report", "commands"},

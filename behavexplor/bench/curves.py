@@ -12,7 +12,7 @@ from behavexplor.bench.statistics import Estimate, estimate
 from behavexplor.bench.summaries import Summary
 
 POINTS: Final = 50  # of a curve
-FAILURES, UNIQUE = "failures", "unique violations"
+FAILURES, UNIQUE, WEAKNESSES = "failures", "unique violations", "weaknesses of the planner"
 
 _COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
 
@@ -22,7 +22,7 @@ class Curve:
     """The mean over campaigns of what was found by a number of executions.
 
     Attributes:
-        figure: "failures" or "unique violations".
+        figure: "failures", "unique violations" or "weaknesses of the planner".
         env: environment.
         ads: system under test.
         method: its name in the experiment.
@@ -39,10 +39,12 @@ class Curve:
 
 
 def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
-    """All curves of an experiment; those of unique violations only if all failures are classified."""
+    """All curves of an experiment; those of classes and weaknesses only if all failures have one."""
     figures: list[tuple[str, Callable[[Summary, int], int]]] = [(FAILURES, _failed_by)]
     if summaries and all(summary.classified for summary in summaries):
-        figures.append((UNIQUE, _kinds_by))
+        figures.append((UNIQUE, lambda summary, count: len(summary.kinds(before=count))))
+    if all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries):
+        figures.append((WEAKNESSES, lambda summary, count: len(summary.weaknesses(before=count))))
     step = max(1, math.ceil(experiment.budget / POINTS))
     at = tuple(sorted({*range(step, experiment.budget, step), experiment.budget}))
     made = []
@@ -56,10 +58,6 @@ def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
 
 def _failed_by(summary: Summary, count: int) -> int:
     return sum(failure.number < count for failure in summary.failures)
-
-
-def _kinds_by(summary: Summary, count: int) -> int:
-    return len({failure.kind for failure in summary.failures if failure.number < count})
 
 
 def curves_csv(found: Sequence[Curve]) -> str:

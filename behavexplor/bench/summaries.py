@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -81,19 +81,19 @@ class Summary:
         """How many failed, of one label or of all."""
         return sum(label in (None, failure.label) for failure in self.failures)
 
-    def kinds(self, label: str | None = None) -> frozenset[str]:
-        """The classes of the failures of one label, or of all: the unique violations."""
-        return frozenset(
-            failure.kind for failure in self.failures if failure.kind is not None and label in (None, failure.label)
-        )
+    def kinds(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
+        """The classes of the failures of one label, or of all, up to an execution: the unique violations."""
+        return frozenset(failure.kind for failure in self._failed(label, before) if failure.kind is not None)
 
-    def weaknesses(self, label: str | None = None) -> frozenset[str]:
-        """The weaknesses of the rule planner that the signatures of its failures name."""
-        return frozenset(
-            failure.signature
-            for failure in self.failures
-            if failure.signature not in (None, ENVIRONMENT, UNEXPLAINED) and label in (None, failure.label)
-        )
+    def weaknesses(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
+        """The weaknesses of the rule planner that the signatures of these failures name."""
+        signatures = {failure.signature for failure in self._failed(label, before)} - {ENVIRONMENT, UNEXPLAINED}
+        return frozenset(name for name in signatures if name is not None)
+
+    def _failed(self, label: str | None, before: int | None) -> Iterator[Failure]:
+        for failure in self.failures:
+            if label in (None, failure.label) and (before is None or failure.number < before):
+                yield failure
 
     @property
     def classified(self) -> bool:
@@ -179,12 +179,16 @@ def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, flo
     return float(found.statistic), float(found.pvalue)
 
 
-def summaries_csv(summaries: Iterable[Summary]) -> str:
-    """A row for each campaign, as CSV; what not all failures of the experiment have is left out."""
-    summaries = list(summaries)
+def summary_rows(summaries: Sequence[Summary]) -> list[dict[str, object]]:
+    """The columns of each campaign by name; what not all failures of the experiment have is left out."""
     unique = all(summary.classified for summary in summaries)
     signed = all(summary.signed for summary in summaries)
-    rows = [_row(summary, unique=unique, signed=signed) for summary in summaries]
+    return [_row(summary, unique=unique, signed=signed) for summary in summaries]
+
+
+def summaries_csv(summaries: Sequence[Summary]) -> str:
+    """A row for each campaign, as CSV."""
+    rows = summary_rows(summaries)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else ["env"], lineterminator="\n")
     writer.writeheader()

@@ -19,10 +19,12 @@ from behavexplor.campaign import search_method
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import clock
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.report import PAGE
 from behavexplor.commands.signals import stopped_by_signals
 from behavexplor.commands.tables import text
 from behavexplor.errors import InputError
 from behavexplor.executor import available_cores
+from behavexplor.report.experiment import experiment_page
 from behavexplor.simulation import Simulation
 
 _MAX_JOBS = 1024
@@ -65,6 +67,8 @@ def bench(
     if finished:
         _report(chosen, root, _summaries(finished, root, quiet=quiet))
     print(f"{len(finished)} of {len(chosen.cells())} campaigns are finished; everything is kept in {root}")
+    if finished:
+        print(f"As a page: {root / PAGE}")
     return code
 
 
@@ -156,6 +160,7 @@ def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) ->
     figure = curves_svg(drawn)
     if figure is not None:
         files["curves.svg"] = figure
+    files[PAGE] = experiment_page(experiment, summaries, made, drawn)
     try:
         (root / "tables").mkdir(exist_ok=True)
         for name, content in files.items():

@@ -388,13 +388,5 @@
     readColors();
     for (const player of players.values()) player.draw();
   };
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  const theme = document.getElementById("theme");
-  const THEMES = { "": "auto", light: "light", dark: "dark" };
-  theme.addEventListener("click", () => {
-    const names = Object.keys(THEMES), next = names[(names.indexOf(root.dataset.theme || "") + 1) % names.length];
-    if (next) root.dataset.theme = next; else delete root.dataset.theme;
-    theme.textContent = `Colours: ${THEMES[next]}`;
-    redraw();
-  });
+  root.addEventListener("colours", redraw);
 })();

@@ -1,20 +1,13 @@
 """The page: what is known of some runs, as one HTML file that loads nothing."""
 
-import base64
-import hashlib
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
-from importlib.resources import files
-from typing import Any, Final
+from typing import Final
 
-from jinja2 import BaseLoader, Environment, StrictUndefined
-
-import behavexplor
 from behavexplor.report.gallery import PASSED
 from behavexplor.report.reading import Run
+from behavexplor.report.rendering import rendered
 from behavexplor.report.sections import curves, section
 
-_LIBRARIES: Final = ("gymnasium", "highway-env", "numpy", "scikit-learn")
 _NOT_EXAMINED: Final = "not examined"
 
 _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # of the comparison
@@ -44,41 +37,17 @@ def page(runs: Sequence[Run], replays: int) -> str:
         InputError: if a run is damaged.
     """
     sections = [section(number, run, replays) for number, run in enumerate(runs, 1)]
-    style, script = _source("page.css"), _source("page.js")
-    template = Environment(
-        loader=_Sources(), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    ).get_template("page.html.jinja")
     several = len(runs) > 1
-    text = template.render(
+    return rendered(
+        "page.html.jinja",
+        ("theme.js", "page.js"),
         sections=sections,
         comparison=comparison(runs) if several else (),
         overlaid=curves(runs) if several else (),
         class_rows=class_rows(runs) if several else (),
         values={"runs": [part.values for part in sections]},
-        style=style,
-        script=script,
-        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:; "
-        "base-uri 'none'; form-action 'none'",
-        versions={"behavexplor": behavexplor.__version__, **{name: version(name) for name in _LIBRARIES}},
         PASSED=PASSED,
     )
-    return text.encode("ascii", "xmlcharrefreplace").decode("ascii")
-
-
-class _Sources(BaseLoader):
-    """Templates beside this module, also in a zipped package."""
-
-    def get_source(self, environment: Environment, template: str) -> tuple[str, str | None, Any]:  # noqa: ARG002
-        return _source(template), None, None
-
-
-def _source(name: str) -> str:
-    return files("behavexplor.report").joinpath(name).read_text("utf-8")
-
-
-def _hash(text: str) -> str:
-    """As a content security policy names a script or a style sheet."""
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
 def comparison(runs: Sequence[Run]) -> tuple[tuple[str, tuple[str, ...]], ...]:

@@ -99,6 +99,8 @@ def test_every_cell_is_run_and_everything_is_written(whole):
         assert (row["r_BF"] != "") == (row["method"] == "BehAVExplor")
     assert "4 of 4 campaigns are finished" in result.stdout
     assert (folder / "out" / "tables.txt").read_text().strip() in result.stdout
+    assert f"As a page: {folder / 'out' / 'report.html'}" in result.stdout
+    assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
     assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv"} <= names
 

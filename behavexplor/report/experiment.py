@@ -1,0 +1,165 @@
+"""The page of an experiment: what was compared, intervals, curves and tables, as one HTML file that loads nothing."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from behavexplor.bench.curves import Curve
+from behavexplor.bench.experiment import Experiment
+from behavexplor.bench.statistics import Estimate
+from behavexplor.bench.summaries import Summary, summary_rows
+from behavexplor.bench.tables import Table
+from behavexplor.bench.writing import marked, shown
+from behavexplor.report.charts import WIDTH, Chart, Scale, Series, chart, ticks
+from behavexplor.report.rendering import rendered
+
+LEFT, RIGHT, TOP, BOTTOM, LINE = 118.0, 10.0, 6.0, 18.0, 15.0  # of a chart of intervals, in units of its view box
+_TOO_WIDE: Final = ("classes", "signatures")  # for the table of campaigns
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A mean with its interval, as a line of a chart.
+
+    Attributes:
+        name: of the method.
+        y: where the line is.
+        x: where the mean is.
+        low: where the interval begins.
+        high: where it ends.
+        text: the figures.
+    """
+
+    name: str
+    y: float
+    x: float
+    low: float
+    high: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Bars:
+    """A chart of intervals, a line for each method.
+
+    Attributes:
+        title: what it shows.
+        bars: from above.
+        x_ticks: places and labels.
+        height: of the chart.
+    """
+
+    title: str
+    bars: tuple[Bar, ...]
+    x_ticks: tuple[tuple[float, str], ...]
+    height: float
+
+
+def experiment_page(
+    experiment: Experiment, summaries: Sequence[Summary], tables: Sequence[Table], curves: Sequence[Curve]
+) -> str:
+    """The page, pure ASCII. Equal experiments give equal pages.
+
+    Args:
+        experiment: what was to be run.
+        summaries: of the campaigns that are finished.
+        tables: of these, as `behavexplor.bench.tables.tables` makes them.
+        curves: as `behavexplor.bench.curves.curves` makes them.
+    """
+    return rendered(
+        "experiment.html.jinja",
+        ("theme.js",),
+        experiment=experiment,
+        total=len(experiment.cells()),
+        finished=len(summaries),
+        figures=_figures(experiment, curves),
+        tables=[_table(table) for table in tables],
+        campaigns=_campaigns(experiment, summaries),
+        parameters=experiment.to_yaml(),
+    )
+
+
+def _figures(experiment: Experiment, curves: Sequence[Curve]) -> list[dict[str, object]]:
+    """For each figure its charts, one of either kind for each place."""
+    styles = {name: i for i, name in enumerate(experiment.methods)}
+    panels: dict[str, dict[str, list[Curve]]] = {}
+    for curve in curves:
+        place = curve.env if len(experiment.ads) == 1 else f"{curve.env}, {curve.ads}"
+        panels.setdefault(curve.figure, {}).setdefault(place, []).append(curve)
+    return [
+        {
+            "name": name,
+            "bars": [bars(place, group) for place, group in places.items()],
+            "charts": [drawn for place, group in places.items() if (drawn := _lines(place, group, styles))],
+        }
+        for name, places in panels.items()
+    ]
+
+
+def bars(title: str, curves: Sequence[Curve]) -> Bars:
+    """What each method has found in the end, with its interval."""
+    ends = [(curve.method, curve.found[-1]) for curve in curves]
+    values = [value for _, end in ends for value in (end.mean, *_interval(end))]
+    marks = ticks(min(0.0, *values), max(1.0, *values))
+    across = Scale(marks[0], marks[-1], LEFT, WIDTH - RIGHT)
+    made = []
+    for i, (name, end) in enumerate(ends):
+        low, high = _interval(end)
+        text = f"{end.mean:.1f}" if math.isnan(end.low) else f"{end.mean:.1f} [{end.low:.1f}, {end.high:.1f}]"
+        made.append(Bar(name, TOP + LINE * (i + 0.5), across(end.mean), across(low), across(high), text))
+    height = TOP + LINE * len(ends) + BOTTOM
+    return Bars(title, tuple(made), tuple((across(mark), f"{mark:g}") for mark in marks), height)
+
+
+def _interval(end: Estimate) -> tuple[float, float]:
+    return (end.mean, end.mean) if math.isnan(end.low) else (end.low, end.high)
+
+
+def _lines(title: str, curves: Sequence[Curve], styles: Mapping[str, int]) -> Chart | None:
+    """The means over the executions."""
+    series = [
+        Series(
+            curve.method,
+            np.array([0.0, *curve.executions]),
+            np.array([0.0, *(point.mean for point in curve.found)]),
+            style=styles[curve.method],
+        )
+        for curve in curves
+    ]
+    return chart(title, series)
+
+
+def _table(table: Table) -> dict[str, object]:
+    """A table as the template draws it: each cell with whether it is the best of its block."""
+    columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
+    best = marked(table)
+    last = set(np.cumsum(table.blocks).tolist())
+    rows = [
+        {
+            "cells": [(shown(row[i], table.columns[i]), (number, i) in best) for i in columns],
+            "ends": number + 1 in last,
+        }
+        for number, row in enumerate(table.rows)
+    ]
+    heads = [table.columns[i].name for i in columns]
+    words = [bool(table.rows) and isinstance(table.rows[0][i], str) for i in columns]
+    return {
+        "name": table.name,
+        "title": table.title,
+        "heads": list(zip(heads, words, strict=True)),
+        "rows": rows,
+        "notes": table.notes,
+    }
+
+
+def _campaigns(experiment: Experiment, summaries: Sequence[Summary]) -> list[dict[str, str]]:
+    """Every campaign with its run folder."""
+    folders = {(cell.env, cell.ads, cell.method, cell.seed): cell.folder.as_posix() for cell in experiment.cells()}
+    rows = []
+    for summary, row in zip(summaries, summary_rows(summaries), strict=True):
+        kept = {name: str(value) for name, value in row.items() if name not in _TOO_WIDE}
+        rows.append({**kept, "run folder": folders[summary.env, summary.ads, summary.method, summary.seed]})
+    return rows

@@ -1,0 +1,53 @@
+"""Pages: templates with the style and the scripts of this package, as one HTML file that loads nothing."""
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Any, Final
+
+from jinja2 import BaseLoader, Environment, StrictUndefined
+
+import behavexplor
+
+_LIBRARIES: Final = ("gymnasium", "highway-env", "numpy", "scikit-learn")
+
+
+def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
+    """A page in pure ASCII. Whatever is in the values is text in it.
+
+    Args:
+        template: its name in this package.
+        scripts: their names; they run at the end of the page, in this order.
+        values: of the template.
+    """
+    style, script = _source("page.css"), "".join(map(_source, scripts))
+    environment = Environment(
+        loader=_Sources(), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    text = environment.get_template(template).render(
+        **values,
+        style=style,
+        script=script,
+        policy=f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; img-src data:; "
+        "base-uri 'none'; form-action 'none'",
+        versions={"behavexplor": behavexplor.__version__, **{name: version(name) for name in _LIBRARIES}},
+    )
+    return text.encode("ascii", "xmlcharrefreplace").decode("ascii")
+
+
+class _Sources(BaseLoader):
+    """Templates beside this module, also in a zipped package."""
+
+    def get_source(self, environment: Environment, template: str) -> tuple[str, str | None, Any]:  # noqa: ARG002
+        return _source(template), None, None
+
+
+def _source(name: str) -> str:
+    return files("behavexplor.report").joinpath(name).read_text("utf-8")
+
+
+def _hash(text: str) -> str:
+    """As a content security policy names a script or a style sheet."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
