@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from behavexplor.bench.experiment import EXPERIMENT
 from behavexplor.commands import OK
 from behavexplor.errors import InputError
 from behavexplor.report.page import page
@@ -39,6 +40,9 @@ def report(
         raise InputError("report takes a run folder at least: behavexplor report RUN")
     if not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"--replays {replays} must lie between 0 and {MOST_REPLAYS}")
+    for run in runs:
+        if (run / EXPERIMENT).is_file():
+            raise InputError(f"{run} is an experiment's folder: its page is {run / PAGE}, which `bench` writes")
     path = out or (runs[0] / PAGE if len(runs) == 1 else Path(PAGE))
     text = page([read_run(run) for run in runs], replays)
     try:

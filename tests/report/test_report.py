@@ -323,6 +323,12 @@ def test_wrong_flags_are_one_sentence(run, capsys, arguments, message):
     assert message in capsys.readouterr().err
 
 
+def test_the_folder_of_an_experiment_has_a_page_of_its_own(tmp_path, capsys):
+    (tmp_path / "experiment.yaml").write_text("name: a")
+    assert main(["report", str(tmp_path)]) == BAD_INPUT
+    assert f"its page is {tmp_path / 'report.html'}, which `bench` writes" in capsys.readouterr().err
+
+
 def test_no_run_at_all_is_one_sentence(capsys):
     assert main(["report"]) == BAD_INPUT
     assert "behavexplor report RUN" in capsys.readouterr().err
