@@ -94,6 +94,14 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
     assert f"behavexplor replay {store.folder} 3" in text
 
 
+def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
+    failed = execution(0, ["collision"])
+    failed.record["class"] = "R1/kind"
+    store.add(failed)
+    store.commit()
+    assert "in 1 class; each counts once" in summary(PROGRESS, store, "behavexplor")
+
+
 def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
     for number in range(30):
         failed = execution(number, ["collision"])

@@ -82,7 +82,7 @@ class Display:
         violations = ", ".join(f"{name} {count}" for name, count in progress.violations.items())
         return (
             f"{clock(progress.elapsed)}  {self._done(progress)}, {rate(progress):.1f}/s, "
-            f"{progress.failed} failed ({violations}) in {len(progress.classes)} classes, "
+            f"{progress.failed} failed ({violations}) in {class_count(len(progress.classes))}, "
             f"{share(progress.novel, progress)} novel, "
             f"{self._left(progress)} left"
         )
@@ -132,7 +132,7 @@ def summary(progress: Progress, store: Store, program: str) -> str:
         return "\n".join([*lines, "None failed.", f"Everything is kept in {store.folder}"])
     failures = [_Failure(*row) for row in store.failures()]
     kinds = {failure.kind for failure in failures if failure.kind is not None}
-    unique = f" in {len(kinds)} classes" if kinds else ""
+    unique = f" in {class_count(len(kinds))}" if kinds else ""
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
     lines += [f"{failed}; each counts once, for the first of these:"]
     lines += [_line_of(name, [one for one in failures if one.spec == name]) for name in progress.violations]
@@ -159,6 +159,11 @@ def _line_of(spec: str, failures: list[_Failure]) -> str:
     more = ", ..." if len(failures) > _LISTED_FAILURES else ""
     listed = ", ".join(str(failure.number) for failure in failures[:_LISTED_FAILURES])
     return f"  {spec:12} {len(failures):5}   executions {listed}{more}"
+
+
+def class_count(number: int) -> str:
+    """So many classes, in words."""
+    return f"{number} class{'' if number == 1 else 'es'}"
 
 
 def _listed_classes(failures: list[_Failure]) -> list[str]:

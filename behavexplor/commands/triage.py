@@ -16,6 +16,7 @@ from rich.table import Table
 
 from behavexplor.campaign import ERROR, ads_failure
 from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
 from behavexplor.config import CampaignConfig, stored_config
 from behavexplor.errors import InputError
@@ -153,7 +154,7 @@ def report(found: Triage) -> str:
     """The tables that a person reads."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
     lines = [
-        f"{len(found.findings)} failures of {found.executions} executions, in {len(found.classes)} classes; "
+        f"{len(found.findings)} failures of {found.executions} executions, in {class_count(len(found.classes))}; "
         f"{flaky} did not happen again",
         "",
         _plain(_class_table(found)),
