@@ -319,6 +319,7 @@ def _descendants(pid):
 def test_a_run_folder_belongs_to_one_campaign_at_a_time(tmp_path):
     folder = tmp_path / "a"
     process = start(folder)
+    process.send_signal(signal.SIGSTOP)  # or it might be done before the other has begun
     result = run("fuzz", "--resume", folder)
     process.kill()
     process.communicate()
