@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate, estimate
-from behavexplor.bench.summaries import Summary
+from behavexplor.bench.summaries import Summary, all_classified, all_signed
 
 POINTS: Final = 50  # of a curve
 FAILURES, UNIQUE, WEAKNESSES = "failures", "unique violations", "weaknesses of the planner"
@@ -41,9 +41,9 @@ class Curve:
 def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
     """All curves of an experiment; those of classes and weaknesses only if all failures have one."""
     figures: list[tuple[str, Callable[[Summary, int], int]]] = [(FAILURES, _failed_by)]
-    if summaries and all(summary.classified for summary in summaries):
+    if all_classified(summaries):
         figures.append((UNIQUE, lambda summary, count: len(summary.kinds(before=count))))
-    if all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries):
+    if all_signed(summaries):
         figures.append((WEAKNESSES, lambda summary, count: len(summary.weaknesses(before=count))))
     step = max(1, math.ceil(experiment.budget / POINTS))
     at = tuple(sorted({*range(step, experiment.budget, step), experiment.budget}))

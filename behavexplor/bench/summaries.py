@@ -179,10 +179,19 @@ def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, flo
     return float(found.statistic), float(found.pvalue)
 
 
+def all_classified(summaries: Sequence[Summary]) -> bool:
+    """Whether every failure of an experiment has a class, so that unique violations can be counted."""
+    return bool(summaries) and all(summary.classified for summary in summaries)
+
+
+def all_signed(summaries: Sequence[Summary]) -> bool:
+    """Whether every failure of an experiment has a signature, and some of them a weakness."""
+    return all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries)
+
+
 def summary_rows(summaries: Sequence[Summary]) -> list[dict[str, object]]:
     """The columns of each campaign by name; what not all failures of the experiment have is left out."""
-    unique = all(summary.classified for summary in summaries)
-    signed = all(summary.signed for summary in summaries)
+    unique, signed = all_classified(summaries), all_signed(summaries)
     return [_row(summary, unique=unique, signed=signed) for summary in summaries]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, Estimate, compare, estimate, least_p
-from behavexplor.bench.summaries import LABELS, Summary
+from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_signed
 
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
@@ -71,9 +71,9 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
     for name, methods in experiment.groups.items():
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
-    if _classified(summaries):
+    if all_classified(summaries):
         made.append(distinct(experiment, summaries))
-    if _signed(summaries):
+    if all_signed(summaries):
         made.append(weaknesses(experiment, summaries))
     made.append(times(experiment, summaries))
     if any(summary.r is not None for summary in summaries):
@@ -90,10 +90,10 @@ def violations(
         (Column("Sum", interval=True, best=True), _total(None)),
         (Column("R1 by NPC"), lambda summary: summary.npc_caused),
     ]
-    if _classified(summaries):
+    if all_classified(summaries):
         columns += [(Column(f"Unique {label}"), _unique(label)) for label in _labels(summaries)]
         columns += [(Column("Unique sum", interval=True, best=True), _unique(None))]
-    if _signed(summaries):
+    if all_signed(summaries):
         columns += [(Column("Weaknesses", interval=True, best=True), _weaknesses)]
     columns += [(Column("Novel %"), lambda summary: 100 * summary.novelty_rate)]
     rows: list[tuple[Value, ...]] = []
@@ -112,7 +112,7 @@ def violations(
         f"Means over n campaigns of {experiment.budget} executions; in brackets the 95 % interval (Student's t).",
         "A failure counts once, for the first requirement that it violates.",
         "R1 by NPC: collisions in which an NPC drove into the back of the ego, or into a standing ego.",
-        *(("Weaknesses: different ones of the planner's sixteen. " + _SIGNATURES,) if _signed(summaries) else ()),
+        *(("Weaknesses: different ones of the planner's sixteen. " + _SIGNATURES,) if all_signed(summaries) else ()),
     )
     return Table(name, title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
 
@@ -200,9 +200,9 @@ def _correlation(found: Sequence[Summary]) -> tuple[Value, ...]:
 def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     """The reference against each other method, and each against the baseline: a table for each and each figure."""
     figures: list[tuple[str, str, Figure]] = [("failures", "failures", _total(None))]
-    if _classified(summaries):
+    if all_classified(summaries):
         figures.append(("unique", "unique violations", _unique(None)))
-    if _signed(summaries):
+    if all_signed(summaries):
         figures.append(("weaknesses", "weaknesses of the planner", _weaknesses))
     others = [method for method in experiment.methods if method != experiment.compared]
     families = [(experiment.compared, [(experiment.compared, other) for other in others])]
@@ -282,15 +282,6 @@ def _labels(summaries: Sequence[Summary]) -> list[str]:
     """R1 to R3, and errors if there were any."""
     seen = {failure.label for summary in summaries for failure in summary.failures}
     return [label for label in LABELS.values() if label.startswith("R") or label in seen]
-
-
-def _classified(summaries: Sequence[Summary]) -> bool:
-    return bool(summaries) and all(summary.classified for summary in summaries)
-
-
-def _signed(summaries: Sequence[Summary]) -> bool:
-    """Whether every failure has a signature, and some of them a weakness."""
-    return all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries)
 
 
 def _of(summaries: Sequence[Summary], group: Group) -> list[Summary]:
