@@ -8,10 +8,10 @@ from typing import Final, Self
 import numpy as np
 from scipy.stats import binomtest
 
-from behavexplor.fuzz.fault import contact_fault
-from behavexplor.fuzz.specs import SPECS, judge
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.trace import Trace
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # sets the scenarios of evaluations apart from those of campaigns and trainings
 

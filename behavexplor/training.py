@@ -27,12 +27,12 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 
 from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.ads.commands import ACTION, OBSERVATION
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY, write_layers
 from behavexplor.ads.learned.learning import LearningVecEnv
-from behavexplor.envs.sb3 import DrivingVecEnv
+from behavexplor.ads.scene_io import ACTION, OBSERVATION
+from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.simulation import environment_id
+from behavexplor.execution.simulation import environment_id
 
 Floats = NDArray[np.float64]
 

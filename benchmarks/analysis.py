@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.campaign import search_method
-from behavexplor.config import CampaignConfig
-from behavexplor.fuzz.novelty import NoveltyArchive
-from behavexplor.fuzz.specs import SPECS, judge
-from behavexplor.simulation import Simulation
+from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import SPECS, judge
 
 Row = dict[str, Any]
 

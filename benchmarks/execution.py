@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from behavexplor.executor import begin, evaluate, make_executor
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation, environment_id
+from behavexplor.data.scenario import Scenario
+from behavexplor.execution.executor import begin, evaluate, make_executor
+from behavexplor.execution.simulation import Simulation, environment_id
 from benchmarks.stock import drive_env, drive_objects
 
 Row = dict[str, Any]

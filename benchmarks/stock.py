@@ -13,9 +13,9 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.network import road_network
-from behavexplor.roadmap import RoadMap
-from behavexplor.scenario import Scenario
 
 FREQUENCY, DECISIONS = 20, 10  # [Hz]
 

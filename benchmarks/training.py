@@ -20,7 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 import behavexplor
-from behavexplor.envs.sb3 import DrivingVecEnv
+from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 
 ROLLOUT = 8192  # steps of all environments together between two updates, with many environments
 

@@ -8,8 +8,8 @@ import gymnasium
 from PIL import Image
 
 import behavexplor
-from behavexplor.logical import LogicalScenario
-from behavexplor.roadmap import RoadMap
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.roadmap import RoadMap
 
 FOLDER = Path(__file__).parent / "environments"
 SEED = 4  # of the scenario in the pictures

@@ -7,7 +7,7 @@ from pathlib import Path
 
 _TRIED = """
 import os
-from behavexplor.confinement import confine
+from behavexplor.execution.confinement import confine
 print(confine() == ())
 os.kill(os.getppid(), 0)
 """

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.damage import DATABASE, FAILURES
+from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, main
-from behavexplor.config import CampaignConfig
-from behavexplor.losses import DATABASE, FAILURES
-from behavexplor.store import Store
-from tests.test_store import execution
+from tests.campaign.test_store import execution
 
 SECONDS = 20  # for one input
 GIBIBYTES = 6  # that this process may have

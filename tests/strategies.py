@@ -9,9 +9,9 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy
 
-from behavexplor.logical import LogicalScenario
-from behavexplor.scenario import Scenario
-from behavexplor.trace import ENDS, Trace
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import ENDS, Trace
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -7,8 +7,8 @@ import pytest
 
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.evaluation import Evaluation, evaluate
-from behavexplor.rollout import ADSError, rollout_all
-from behavexplor.simulation import Simulation
+from behavexplor.execution.rollout import ADSError, rollout_all
+from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser
 
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from behavexplor.campaign import ERROR, Campaign, search_method
-from behavexplor.config import CampaignConfig
-from behavexplor.executor import make_executor
-from behavexplor.simulation import Simulation
-from behavexplor.store import Store
+from behavexplor.campaign.campaign import ERROR, Campaign, search_method
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.store import Store
+from behavexplor.execution.executor import make_executor
+from behavexplor.execution.simulation import Simulation
 from tests.confining import confines
 from tests.faults import DROVE, FAULTS, table
 

@@ -83,7 +83,7 @@ def test_every_room_has_a_layer():
 
 
 @pytest.mark.parametrize(
-    "name", ["behavexplor", "behavexplor.fuzz", "behavexplor.fuzz.methods", "behavexplor.fuzz.specs"]
+    "name", ["behavexplor", "behavexplor.fuzz", "behavexplor.fuzz.methods", "behavexplor.judge.specs"]
 )
 def test_import_is_light(name):
     heavy = "{'torch', 'stable_baselines3', 'highway_env', 'sklearn', 'pandas', 'matplotlib', 'pygame', 'numba'}"

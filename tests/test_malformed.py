@@ -6,15 +6,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.commands import BAD_INPUT, OK
-from behavexplor.config import CampaignConfig
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.execution.simulation import Simulation
 from tests import malformed
+from tests.campaign.test_store import TRACES
 from tests.malformed import is_sentence, limited, refuse
-from tests.test_store import TRACES
 
 LOGICAL = Simulation("lane-follow", "constant").logical
 

@@ -27,19 +27,19 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import LearnedDriver, read_layers
 from behavexplor.ads.sb3.archive import DATA, SETTINGS
 from behavexplor.bench.experiment import read_experiment
-from behavexplor.campaign import search_method
+from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.database import Row, connect, insert
+from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK
-from behavexplor.config import CampaignConfig, campaign_config, read_yaml
-from behavexplor.database import Row, connect, insert
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+from behavexplor.execution.simulation import Simulation, environment_id
 from behavexplor.fuzz.methods import METHODS, load_method
-from behavexplor.losses import DATABASE
-from behavexplor.report.page import page
 from behavexplor.report.reading import read_run
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation, environment_id
-from behavexplor.store import Store
-from behavexplor.trace import Trace
+from behavexplor.report.run_page import page
 from behavexplor.triage.findings import TRIAGE, Triage
 from tests.ads.sb3.models import make_model
 from tests.malformed import is_sentence, limited, refuse, write

@@ -11,8 +11,8 @@ import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
-from behavexplor.health import health_warnings
-from behavexplor.simulation import Simulation
+from behavexplor.execution.preflight import health_warnings
+from behavexplor.execution.simulation import Simulation
 from tests.ads.sb3.models import make_model
 
 ENV = "behavexplor/lane-follow-v0"

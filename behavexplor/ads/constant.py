@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
+from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
-from behavexplor.roadmap import RoadMap
 
 Floats = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ class ConstantDriver:
     """Always commands the same.
 
     Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.scene`; it is not looked at.
+        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`; it is not looked at.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: 10 Hz.
 

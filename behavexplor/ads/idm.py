@@ -11,14 +11,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
-from behavexplor.ads.learned.tracker import steer
-from behavexplor.ads.rule.parameters import Parameters
-from behavexplor.ads.rule.path import Path, ego_path, limit_at, pose_on_path, project_on_path
-from behavexplor.compiled import kernel_in_place
+from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path
+from behavexplor.ads.road.steering import steer
+from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.errors import InputError
-from behavexplor.roadmap import RoadMap
-from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +33,7 @@ class IDMDriver:
     """Follows the centre line of its route at the speed that the model gives.
 
     Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.scene`.
+        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: 10 Hz.
 
@@ -48,7 +47,7 @@ class IDMDriver:
     vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap) -> None:
-        self._path = ego_path(roadmap, Parameters())
+        self._path = ego_path(roadmap)
 
     def predict(
         self,
@@ -60,7 +59,7 @@ class IDMDriver:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
             state: handed back as it is; the model has no memory.
             episode_start: not looked at.
             deterministic: it always is.

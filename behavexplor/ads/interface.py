@@ -17,7 +17,7 @@ class ADS(Protocol):
 
     Attributes:
         observation: what it observes, as highway-env's observation configuration; `{"type": "Scene"}` is
-            the one of `behavexplor.scene`.
+            the one of `behavexplor.data.scene`.
         action: what it commands, as highway-env's action configuration.
         policy_frequency: how often it is asked [Hz].
 

@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import Any
 
 from behavexplor.ads.interface import ADS
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError, missing_library, unknown_name
-from behavexplor.roadmap import RoadMap
 
 SYSTEMS = MappingProxyType(
     {

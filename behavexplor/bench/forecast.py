@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from behavexplor.bench.cells import state
 from behavexplor.bench.experiment import Cell, Experiment
+from behavexplor.bench.runs import state
 from behavexplor.bench.timing import read_timing
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
 
 TRIAL: Final = 10  # executions that are timed
 _WARMING: Final = 2  # executions before, in which what is compiled is compiled

@@ -13,10 +13,10 @@ from scipy.stats import pearsonr
 
 from behavexplor.bench.experiment import Cell
 from behavexplor.bench.timing import read_timing
-from behavexplor.campaign import ERROR
-from behavexplor.fuzz.fault import NPC_CAUSED
-from behavexplor.fuzz.specs import SPECS
-from behavexplor.store import Store
+from behavexplor.campaign.campaign import ERROR
+from behavexplor.campaign.store import Store
+from behavexplor.judge.fault import NPC_CAUSED
+from behavexplor.judge.specs import SPECS
 from behavexplor.triage.counterfactual import ENVIRONMENT
 from behavexplor.triage.signatures import signature
 

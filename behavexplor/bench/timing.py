@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from behavexplor.campaign import Progress
-from behavexplor.config import checked
+from behavexplor.campaign.campaign import Progress
+from behavexplor.campaign.config import checked
 from behavexplor.errors import InputError
 
 TIMING: Final = "timing.json"  # in the run folder of a cell

@@ -8,24 +8,24 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.bench.cells import Cells, Progress, state
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Cell, Experiment, read_experiment
 from behavexplor.bench.forecast import forecast
+from behavexplor.bench.runs import Cells, Progress, state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarise
 from behavexplor.bench.tables import Table, tables
 from behavexplor.bench.writing import table_csv, table_latex
-from behavexplor.campaign import search_method
+from behavexplor.campaign.campaign import search_method
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import clock
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.report import PAGE
 from behavexplor.commands.signals import stopped_by_signals
-from behavexplor.commands.tables import text
+from behavexplor.commands.terminal_tables import text
 from behavexplor.errors import InputError
-from behavexplor.executor import available_cores
-from behavexplor.report.experiment import experiment_page
-from behavexplor.simulation import Simulation
+from behavexplor.execution.executor import available_cores
+from behavexplor.execution.simulation import Simulation
+from behavexplor.report.experiment_page import experiment_page
 
 _MAX_JOBS = 1024
 

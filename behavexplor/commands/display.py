@@ -14,9 +14,9 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 
-from behavexplor.campaign import Progress
-from behavexplor.config import Budget
-from behavexplor.store import Store
+from behavexplor.campaign.campaign import Progress
+from behavexplor.campaign.config import Budget
+from behavexplor.campaign.store import Store
 
 LINE_SECONDS = 10.0  # between two plain lines [s]
 _LISTED_FAILURES = 3  # of each spec in the summary

@@ -15,8 +15,8 @@ from behavexplor.commands.meter import Meter
 from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation
 from behavexplor.evaluation import evaluate as drive
-from behavexplor.rollout import ADSError
-from behavexplor.simulation import Simulation
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.simulation import Simulation
 
 MOST_SCENARIOS = 1_000_000
 

@@ -12,17 +12,17 @@ import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.loading import SYSTEMS
-from behavexplor.campaign import Campaign, ExecutionError, run_folder
-from behavexplor.cluster.opening import MAX_NODES, parse_cluster
+from behavexplor.campaign.campaign import Campaign, ExecutionError, run_folder
+from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
+from behavexplor.campaign.opening import opened
+from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
 from behavexplor.commands.signals import stopped_by_signals
-from behavexplor.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import available_cores
+from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
+from behavexplor.execution.executor import available_cores
 from behavexplor.fuzz.methods import METHODS, describe_method
-from behavexplor.running import opened
-from behavexplor.store import Store
 
 _DEFAULTS = CampaignConfig()
 _MAX_WORKERS = 64
@@ -141,7 +141,7 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
 
 
 def _checked_workers(workers: int | None, cluster: str | None) -> int:
-    """How many; see `behavexplor.running.opened`."""
+    """How many; see `behavexplor.campaign.opening.opened`."""
     if cluster is None:
         least, most, default = 0, _MAX_WORKERS, min(available_cores(), _MAX_WORKERS)
     else:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import tyro
 
+from behavexplor.campaign.damage import Losses
+from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
-from behavexplor.losses import Losses
-from behavexplor.store import Store
 
 
 def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:

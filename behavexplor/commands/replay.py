@@ -7,17 +7,17 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign import ERROR, ads_failure
+from behavexplor.campaign.campaign import ERROR, ads_failure
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
-from behavexplor.config import CampaignConfig, stored_config
-from behavexplor.drawing import decisive_frame, draw, save_animation
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.executor import evaluate, make_executor
-from behavexplor.roadmap import RoadMap
-from behavexplor.rollout import ADSError
-from behavexplor.simulation import Simulation, logical_scenario
-from behavexplor.store import Execution, Store
-from behavexplor.trace import Trace
+from behavexplor.execution.executor import evaluate, make_executor
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.simulation import Simulation, logical_scenario
+from behavexplor.report.drawing import decisive_frame, draw, save_animation
 from behavexplor.triage.findings import read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
 

@@ -6,11 +6,11 @@ from typing import Annotated
 import tyro
 
 from behavexplor.bench.experiment import EXPERIMENT
+from behavexplor.campaign.store import write_durably
 from behavexplor.commands import OK
 from behavexplor.errors import InputError
-from behavexplor.report.page import page
 from behavexplor.report.reading import read_run
-from behavexplor.store import write_durably
+from behavexplor.report.run_page import page
 
 PAGE = "report.html"
 MOST_REPLAYS = 2000

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 import yaml
 
+from behavexplor.campaign.config import checked, read_yaml
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.evaluate import table
 from behavexplor.commands.meter import Meter
-from behavexplor.config import checked, read_yaml
 from behavexplor.errors import InputError, missing_library
 from behavexplor.evaluation import Evaluation, evaluate
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
 
 if TYPE_CHECKING:
     from behavexplor.training import Learned, TrainingConfig

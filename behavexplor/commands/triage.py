@@ -14,21 +14,27 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.campaign import ERROR, ads_failure
+from behavexplor.campaign.campaign import ERROR, ads_failure
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.store import Execution, Store, write_durably
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
-from behavexplor.config import CampaignConfig, stored_config
 from behavexplor.errors import InputError
-from behavexplor.executor import InProcessExecutor, available_cores, compile_for_workers, evaluate, prepare_worker
-from behavexplor.rollout import ADSError
-from behavexplor.store import Execution, Store, write_durably
+from behavexplor.execution.executor import (
+    InProcessExecutor,
+    available_cores,
+    compile_for_workers,
+    evaluate,
+    prepare_worker,
+)
+from behavexplor.execution.pool import WorkerPool
+from behavexplor.execution.rollout import ADSError
 from behavexplor.triage.agreement import agreement
 from behavexplor.triage.counterfactual import UNKNOWN
 from behavexplor.triage.coverage import weakness_records
 from behavexplor.triage.examination import begin, begin_worker, error_finding, examination, examine, seen
 from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Triage, counted, witness_path
-from behavexplor.workers import WorkerPool
 
 WRITTEN_AFTER = 10  # findings, so that an interruption costs no more than that
 AHEAD = 4  # failures that are read ahead for each worker

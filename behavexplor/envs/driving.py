@@ -11,8 +11,10 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
+from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.actions import check_actions
-from behavexplor.envs.config import changed_config, changed_logical, default_config, default_observation
+from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.network import road_network
 from behavexplor.envs.npc import motion_table
@@ -21,8 +23,6 @@ from behavexplor.envs.scene_observation import SceneObservation
 from behavexplor.envs.vehicles import ScriptedVehicle, place_ego
 from behavexplor.envs.viewer import MapViewer
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.logical import VEHICLE_SIZES, LogicalScenario
-from behavexplor.scenario import Scenario
 
 ARRIVAL_DISTANCE = 1.0  # of the ego's centre from the destination [m]
 PASSED_DISTANCE = 5.0  # beyond the destination, along its lane [m]
@@ -40,8 +40,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## Concrete scenarios
 
-    `reset(options={"scenario": scenario})` runs a `behavexplor.scenario.Scenario`. Without it one is sampled from the
-    logical scenario with the environment's own generator, so that the same environment trains a policy.
+    `reset(options={"scenario": scenario})` runs a `behavexplor.data.scenario.Scenario`. Without it one is sampled from
+    the logical scenario with the environment's own generator, so that the same environment trains a policy.
     `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` tells what is wrong.
     NPCs follow their waypoints blindly and yield to nobody: their motion is a function of the scenario alone. At the
     last waypoint, which lies behind the ego's destination, they park. The ego starts standing.
@@ -94,8 +94,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     Terminated: the ego's box touches another vehicle's ("collision"), its centre is within 1 m of the destination
     ("arrived"), or it has passed the destination by 5 m ("passed"). Truncated: the ego stood, slower than 0.3 m/s, for
     30 s ("standstill"), or the time limit is reached ("timeout"). Touching a line does not end the episode.
-    `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.trace.Trace`. `reset` returns
-    the scenario that runs as `info["scenario"]`.
+    `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.data.trace.Trace`. `reset`
+    returns the scenario that runs as `info["scenario"]`.
 
     ## Arguments
 
@@ -109,7 +109,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     | policy_frequency | 10 | decisions [Hz] |
     | duration | 200 | time limit [s] |
     | reward | see above | weights; single ones may be given |
-    | logical | {} | parameters of `behavexplor.logical.LogicalScenario` to change: `n_npcs`, `min_speed`, ... |
+    | logical | {} | parameters of `behavexplor.data.logical.LogicalScenario` to change: `n_npcs`, `min_speed`, ... |
 
     The other keys are highway-env's, most of them about rendering: `screen_width`, `screen_height`, `scaling`,
     `centering_position`, `real_time_rendering`, ... `render_mode` is None, "human" or "rgb_array".
@@ -188,7 +188,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         if scenario is None:
             scenario = self.logical.sample(self.np_random)
         if not isinstance(scenario, Scenario):
-            raise InputError(f"options['scenario'] must be a behavexplor.scenario.Scenario, got {scenario!r:.80}")
+            raise InputError(f"options['scenario'] must be a behavexplor.data.scenario.Scenario, got {scenario!r:.80}")
         self.logical.check(scenario)
         self.update_metadata()
         self.time = self.steps = 0

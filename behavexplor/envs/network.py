@@ -9,8 +9,8 @@ from highway_env.road.road import LaneIndex, RoadNetwork
 from highway_env.utils import wrap_to_pi
 from numpy.typing import NDArray
 
+from behavexplor.data.roadmap import Lane, RoadMap, Route
 from behavexplor.envs.c_library import with_c_library
-from behavexplor.roadmap import Lane, RoadMap, Route
 
 Floats = NDArray[np.float64]
 

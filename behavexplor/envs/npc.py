@@ -17,9 +17,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
-from behavexplor.roadmap import RoadMap, Route
-from behavexplor.scenario import NPC, Scenario
+from behavexplor.data.roadmap import RoadMap, Route
+from behavexplor.data.scenario import NPC, Scenario
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 

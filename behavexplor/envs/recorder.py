@@ -8,12 +8,12 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.trace import Trace
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.npc import HEADING, SPEED, X, Y
 from behavexplor.envs.reward import reward_terms, struck_from_behind
-from behavexplor.geometry import box_corners, boxes_overlap, segment_meets_box
-from behavexplor.roadmap import RoadMap
-from behavexplor.trace import Trace
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.roadmap import CURB, DOUBLE_YELLOW, Lane, RoadMap, Route
+from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane, RoadMap, Route
 
 Floats = NDArray[np.float64]
 

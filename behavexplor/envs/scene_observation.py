@@ -1,4 +1,4 @@
-"""The `Scene` observation type: all vehicles in world coordinates, for planners. See `behavexplor.scene`."""
+"""The `Scene` observation type: all vehicles in world coordinates, for planners. See `behavexplor.data.scene`."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -7,14 +7,14 @@ from gymnasium import spaces
 from highway_env.envs.common.observation import ObservationType
 from numpy.typing import NDArray
 
-from behavexplor import scene
+from behavexplor.data import scene
 
 if TYPE_CHECKING:
     from behavexplor.envs.driving import DrivingEnv
 
 
 class SceneObservation(ObservationType):  # type: ignore[misc]
-    """Array of shape (1 + n_npcs, 8), float64; its columns are those of `behavexplor.scene`."""
+    """Array of shape (1 + n_npcs, 8), float64; its columns are those of `behavexplor.data.scene`."""
 
     def __init__(self, env: "DrivingEnv", **_: Any) -> None:
         super().__init__(env)

@@ -9,9 +9,9 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.c_library import with_c_library
 from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
-from behavexplor.logical import EGO_SIZE
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from highway_env.envs.common.graphics import EnvViewer, ObservationGraphics
 from highway_env.road.graphics import RoadGraphics, WorldSurface
 from numpy.typing import NDArray
 
-from behavexplor.roadmap import DOUBLE_YELLOW
+from behavexplor.data.roadmap import DOUBLE_YELLOW
 
 Floats = NDArray[np.float64]
 

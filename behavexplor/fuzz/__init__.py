@@ -1,1 +1,1 @@
-"""The fuzzer: specs, behaviour, search methods."""
+"""Search: the methods that choose which scenarios to execute, and the tools they share."""

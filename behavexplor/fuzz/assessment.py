@@ -1,6 +1,6 @@
 """What a search takes for the violation degree of a run, and for its failure, where it is not the verdict.
 
-The verdict that is recorded is the specs' own (`behavexplor.fuzz.specs`), the same for every search method. The
+The verdict that is recorded is the specs' own (`behavexplor.judge.specs`), the same for every search method. The
 authors' released program is guided by other figures than the paper prints; with these options a search can be, too.
 """
 
@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
+from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, RoadMap
+from behavexplor.data.trace import Trace
 from behavexplor.fuzz.options import check_range
-from behavexplor.fuzz.specs import Collision, Lines, Verdict
-from behavexplor.roadmap import CURB, DOUBLE_YELLOW, RoadMap
-from behavexplor.trace import Trace
+from behavexplor.judge.specs import Collision, Lines, Verdict
 
 _REACH = 10.0  # distance to the destination beyond which more does not count [m], as in the paper's section III-B2
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow

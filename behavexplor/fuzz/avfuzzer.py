@@ -13,14 +13,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.fuzz.asker import Asker
+from behavexplor.data.geometry import box_corners, box_distance
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
 from behavexplor.fuzz.encoding import ROUTE
 from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
-from behavexplor.fuzz.specs import Verdict
-from behavexplor.geometry import box_corners, box_distance
-from behavexplor.logical import LogicalScenario
-from behavexplor.trace import Trace
+from behavexplor.fuzz.vector_search import Asker
+from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 

@@ -6,10 +6,14 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from behavexplor.behavior.miner import Behavior, BehaviorMiner, MinerOptions
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
 from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
 from behavexplor.fuzz.corpus import Corpus, Testcase
 from behavexplor.fuzz.energy import SELECTION_CHANGE, degree_change, failure_change
-from behavexplor.fuzz.miner import Behavior, BehaviorMiner, MinerOptions
 from behavexplor.fuzz.mutation import (
     MAX_KEEP_PROBABILITY,
     MIN_SIGMA,
@@ -18,13 +22,9 @@ from behavexplor.fuzz.mutation import (
     mutate_routes,
     mutate_waypoints,
 )
-from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
 from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
-from behavexplor.fuzz.specs import Verdict
-from behavexplor.logical import LogicalScenario
-from behavexplor.scenario import Scenario
-from behavexplor.trace import Trace
+from behavexplor.judge.specs import Verdict
 
 _NOT_MINED = -1  # index of a behaviour that nobody looked at
 _NOVELTY_DRAWS = 1  # purpose of draws beside those that made the candidate

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from behavexplor.data.scenario import Scenario
 from behavexplor.fuzz.energy import selection_probabilities
-from behavexplor.scenario import Scenario
 
 
 @dataclass(slots=True)

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.behavior.features import state_matrix
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.fuzz.features import state_matrix
-from behavexplor.trace import Trace
 
 Floats = NDArray[np.float64]
 Measure = Literal["mean-speed", "braking", "cornering", "standing", "duration"]

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.roadmap import Route
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.errors import InputError
-from behavexplor.logical import LogicalScenario
-from behavexplor.roadmap import Route
-from behavexplor.scenario import NPC, Scenario, Waypoint
 
 Floats = NDArray[np.float64]
 

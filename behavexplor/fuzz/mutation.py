@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.errors import InputError
-from behavexplor.logical import LogicalScenario
-from behavexplor.scenario import NPC, Scenario, Waypoint
 
 WAYPOINTS: Final = "waypoints"  # kinds of mutation, the origins of mutants
 ROUTES: Final = "routes"

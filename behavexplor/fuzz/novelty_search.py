@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
 from behavexplor.errors import missing_library
-from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.descriptors import SCALES, Measure, check_measures, describe
 from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import Candidate
-from behavexplor.fuzz.specs import Verdict
 from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_elites
-from behavexplor.logical import LogicalScenario
-from behavexplor.trace import Trace
+from behavexplor.fuzz.vector_search import Asker
+from behavexplor.judge.specs import Verdict
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
 from behavexplor.errors import missing_library
-from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.options import MAX_POPULATION, check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
-from behavexplor.fuzz.specs import SPECS, Verdict
-from behavexplor.logical import LogicalScenario
-from behavexplor.trace import Trace
+from behavexplor.fuzz.vector_search import Asker
+from behavexplor.judge.specs import SPECS, Verdict
 
 Floats = NDArray[np.float64]
 

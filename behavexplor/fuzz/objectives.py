@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.fuzz.specs import Verdict
+from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
 from behavexplor.fuzz.mutation import (
     MAX_KEEP_PROBABILITY,
     MIN_SIGMA,
@@ -14,10 +17,7 @@ from behavexplor.fuzz.mutation import (
 )
 from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
-from behavexplor.fuzz.specs import Verdict
-from behavexplor.logical import LogicalScenario
-from behavexplor.scenario import Scenario
-from behavexplor.trace import Trace
+from behavexplor.judge.specs import Verdict
 
 _KEEPING_DRAWS = 1  # purpose of draws beside those that made the candidate
 

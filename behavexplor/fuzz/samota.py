@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from behavexplor.fuzz.asker import Asker
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
 from behavexplor.fuzz.many_objective import survivors
 from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.options import MAX_POPULATION, check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
-from behavexplor.fuzz.specs import Verdict
 from behavexplor.fuzz.surrogates import Ensemble, fit_ensemble, fit_rbf
-from behavexplor.logical import LogicalScenario
-from behavexplor.trace import Trace
+from behavexplor.fuzz.vector_search import Asker
+from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]

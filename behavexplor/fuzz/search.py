@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from behavexplor.fuzz.specs import Verdict
-from behavexplor.logical import LogicalScenario
-from behavexplor.scenario import Scenario
-from behavexplor.trace import Trace
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.judge.specs import Verdict
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
 MAX_FAILED_INITIAL = 1000  # after so many initial scenarios that all failed, there is nothing to mutate

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
 from behavexplor.fuzz.search import UNIFORM, Candidate, draws
-from behavexplor.fuzz.specs import Verdict
-from behavexplor.logical import LogicalScenario
-from behavexplor.trace import Trace
+from behavexplor.judge.specs import Verdict
 
 
 @dataclass(frozen=True)

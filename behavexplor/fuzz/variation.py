@@ -5,9 +5,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.fuzz.asker import Asker
 from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.vector_search import Asker
 
 VARIATION: Final = "variation"  # origin of candidates
 ELITES: Final = "number"  # name of an archive's field: the candidate that an elite was

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from behavexplor.fuzz.distance import Labels
-from behavexplor.fuzz.features import ATTRIBUTES, STATISTICS, TIME_STEP
-from behavexplor.fuzz.miner import BehaviorMiner, MinerOptions
-from behavexplor.trace import Trace
+from behavexplor.behavior.distance import Labels
+from behavexplor.behavior.features import ATTRIBUTES, STATISTICS, TIME_STEP
+from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
+from behavexplor.data.trace import Trace
 
 Floats = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.fuzz.moments import R1, R2, Moment, violation_moment
-from behavexplor.geometry import box_corners
+from behavexplor.data.geometry import box_corners
+from behavexplor.data.trace import Trace
+from behavexplor.judge.events import R1, R2, Moment, violation_moment
 from behavexplor.report.behaviours import Behaviours
 from behavexplor.report.packing import pack
 from behavexplor.report.reading import Run
-from behavexplor.trace import Trace
 from behavexplor.triage.findings import Finding, counted
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.trace import Trace
+from behavexplor.data.trace import Trace
 
 Floats = NDArray[np.float64]
 Steps = NDArray[np.int64]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from behavexplor.config import CONFIG, CampaignConfig, stored_config
+from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.errors import InputError
-from behavexplor.store import Execution, Store
 from behavexplor.triage.blame import AT_FAULT, NOT_AT_FAULT
 from behavexplor.triage.examination import error_finding, seen
 from behavexplor.triage.findings import TRIAGE, Finding, Triage, WeaknessRecord

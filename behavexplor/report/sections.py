@@ -7,15 +7,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.fuzz.features import TIME_STEP
-from behavexplor.fuzz.novelty import NOVELTY_THRESHOLD
-from behavexplor.logical import VEHICLE_SIZES
+from behavexplor.behavior.features import TIME_STEP
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
+from behavexplor.data.logical import VEHICLE_SIZES
+from behavexplor.data.trace import Trace
 from behavexplor.report.behaviours import LETTERS, Behaviours, behaviours, evenly
 from behavexplor.report.charts import Chart, Series, chart
 from behavexplor.report.gallery import PASSED, Card, cards, replay_values
 from behavexplor.report.reading import Run, damaged, stored
-from behavexplor.report.roads import known_road, road_values
-from behavexplor.trace import Trace
+from behavexplor.report.road_shapes import known_road, road_values
 
 Floats = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from typing import Final, Literal
 
 import numpy as np
 
-from behavexplor.fuzz.fault import NPC_CAUSED, contact_fault
-from behavexplor.fuzz.moments import R1, violation_moment
-from behavexplor.roadmap import RoadMap
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.events import R1, violation_moment
+from behavexplor.judge.fault import NPC_CAUSED, contact_fault
 from behavexplor.triage.witness import Witness, find_witness
 
 Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "preventable", "unpreventable", "other"]
@@ -25,7 +25,7 @@ class Blame:
     """The verdict on a collision.
 
     Attributes:
-        kind: `ego_cut_in`, `npc_rear_end` and `struck_stationary` as in `behavexplor.fuzz.fault.contact_fault`;
+        kind: `ego_cut_in`, `npc_rear_end` and `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
             else `preventable` if there is a witness, `unpreventable` if none was found, and `other` if none could be
             looked for, in an environment that cannot run in lock-step.
         in_junction: whether the ego was inside a junction.

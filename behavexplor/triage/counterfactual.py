@@ -16,11 +16,11 @@ import numpy as np
 
 from behavexplor.ads.rule import RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES, names
-from behavexplor.fuzz.moments import R3, REQUIREMENTS, Moment, recent_decisions, violation_moment
-from behavexplor.fuzz.specs import judge
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.events import R3, REQUIREMENTS, Moment, recent_decisions, violation_moment
+from behavexplor.judge.specs import judge
 from behavexplor.triage.forks import Fork, run_forks, without
 
 OUTLOOKS: Final = (6.0, 15.0)  # before a violation, in which its causes are looked for; the longer if in vain [s]

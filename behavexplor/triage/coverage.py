@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES, names
-from behavexplor.trace import Trace
+from behavexplor.data.trace import Trace
 from behavexplor.triage.findings import Finding, Sighting, WeaknessRecord
 
 

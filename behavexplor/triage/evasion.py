@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.geometry import project_on_polyline
-from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
-from behavexplor.trace import Trace
+from behavexplor.data.geometry import project_on_polyline
+from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+from behavexplor.data.trace import Trace
 from behavexplor.triage.playback import as_actions, recorded_commands
 
 Floats = NDArray[np.float64]

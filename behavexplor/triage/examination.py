@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from behavexplor import executor
-from behavexplor.fuzz.classes import violation_class
-from behavexplor.fuzz.moments import REQUIREMENTS
-from behavexplor.fuzz.specs import judge
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.execution import executor
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.events import REQUIREMENTS
+from behavexplor.judge.specs import judge
 from behavexplor.triage.blame import Blame, blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.findings import Finding, witness_values
@@ -27,7 +27,7 @@ _simulation: list[Simulation] = []  # the one of this process, once it has begun
 
 
 def begin(env: str, ads: str, trust: Collection[str] = ()) -> Simulation:
-    """Make this process ready to examine failures; see `behavexplor.executor.begin`."""
+    """Make this process ready to examine failures; see `behavexplor.execution.executor.begin`."""
     _simulation[:] = [executor.begin(env, ads, trust)]
     return _simulation[0]
 

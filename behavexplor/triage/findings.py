@@ -9,9 +9,9 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from behavexplor.config import checked
+from behavexplor.campaign.config import checked
+from behavexplor.campaign.store import write_durably
 from behavexplor.errors import InputError
-from behavexplor.store import write_durably
 from behavexplor.triage.witness import Witness
 
 FORMAT: Final = 1
@@ -25,7 +25,7 @@ class Finding:
     Attributes:
         id: of the execution.
         spec: "R1", "R2" or "R3", the first one violated; "error" for an ADS that did something else than driving.
-        class_id: see `behavexplor.fuzz.classes.ViolationClass`; for errors "error/" and their kind.
+        class_id: see `behavexplor.judge.classes.ViolationClass`; for errors "error/" and their kind.
         words: the class in a line.
         same_verdict: whether it violated the same specs when it was run again.
         same_trace: whether the same happened then.

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from behavexplor.fuzz.specs import judge
-from behavexplor.rollout import ADSError
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import judge
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.rollout import rollout, rollout_all
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.execution.rollout import rollout, rollout_all
+from behavexplor.execution.simulation import Simulation
 
 Floats = NDArray[np.float64]
 

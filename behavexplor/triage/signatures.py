@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule.weaknesses import names
-from behavexplor.fuzz.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
-from behavexplor.fuzz.fault import STATIONARY_SPEED, contact_fault
-from behavexplor.fuzz.moments import R1, R3, Moment, recent, recent_decisions, violation_moment
-from behavexplor.trace import Trace
+from behavexplor.data.trace import Trace
+from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
+from behavexplor.judge.events import R1, R3, Moment, recent, recent_decisions, violation_moment
+from behavexplor.judge.fault import STATIONARY_SPEED, contact_fault
 from behavexplor.triage.counterfactual import ENVIRONMENT
 
 Floats = NDArray[np.float64]

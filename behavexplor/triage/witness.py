@@ -12,12 +12,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.fuzz.moments import Moment, first_line_touch
-from behavexplor.geometry import box_corners, boxes_overlap
-from behavexplor.rollout import rollout_all
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.trace import Trace
+from behavexplor.data.geometry import box_corners, boxes_overlap
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.execution.rollout import rollout_all
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.events import Moment, first_line_touch
 from behavexplor.triage.evasion import Evasion, EvasionDriver, path_beside_route, path_straight_on
 from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency, recorded_commands
 

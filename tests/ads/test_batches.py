@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.commands import RESOLUTION, as_memory, as_scenes
 from behavexplor.ads.loading import load_ads
+from behavexplor.ads.scene_io import RESOLUTION, as_memory, as_scenes
 from behavexplor.errors import InputError
 from tests.ads.learned.scenes import LOGICALS, ego, on_route
 

@@ -7,7 +7,7 @@ from behavexplor.ads.idm import ACCELERATION, JAM_GAP, TIME_GAP, idm_acceleratio
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import load_ads
 from behavexplor.errors import InputError
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
 from tests.ads.learned.scenes import LOGICALS, ego, on_route
 
 ROADMAP = LOGICALS["lane-follow"].roadmap

@@ -6,10 +6,10 @@ import pytest
 import yaml
 
 from behavexplor.bench.experiment import experiment_config, read_experiment
-from behavexplor.campaign import search_method
+from behavexplor.campaign.campaign import search_method
 from behavexplor.commands import main
 from behavexplor.errors import InputError
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
 
 SHIPPED = sorted((Path(__file__).parents[2] / "configs" / "experiments").glob("*.yaml"))
 SMALL = {"name": "small", "methods": {"A": {"method": "uniform"}, "B": {"method": "random"}}}

@@ -13,7 +13,7 @@ from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Summary, correlation, summaries_csv
 from behavexplor.bench.tables import Column, Table, tables
 from behavexplor.bench.writing import escaped, marked, table_csv, table_latex
-from behavexplor.commands.tables import text
+from behavexplor.commands.terminal_tables import text
 
 ENVS = ("lane-follow", "lane-change")
 EXPERIMENT = experiment_config(

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import behavexplor
+from behavexplor.data.geometry import box_corners, boxes_overlap
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.envs import viewer
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.errors import InputError
-from behavexplor.geometry import box_corners, boxes_overlap
-from behavexplor.scenario import NPC, Scenario, Waypoint
 from tests.strategies import seeds
 
 S1 = "behavexplor/intersection-straight-v0"
@@ -223,7 +223,7 @@ def test_a_wrong_config_is_refused(config, message):
     ("options", "message"),
     [
         ({"scenari": None}, "did you mean 'scenario'"),
-        ({"scenario": "s1.json"}, "must be a behavexplor.scenario.Scenario"),
+        ({"scenario": "s1.json"}, "must be a behavexplor.data.scenario.Scenario"),
         ({"scenario": Scenario("lane-follow", ())}, "functional: this is a scenario of 'lane-follow'"),
     ],
 )

@@ -7,10 +7,10 @@ import pytest
 from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
 
+from behavexplor.data.roadmap import Route
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
-from behavexplor.roadmap import Route
 
 LOGICAL = IntersectionStraightEnv.logical
 

@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
+from behavexplor.data.geometry import box_corners
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.npc import motion_table
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.reward import WEIGHTS
-from behavexplor.geometry import box_corners
-from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.scenario import Scenario
 
 LEFT = IntersectionLeftEnv.logical
 TIME = np.arange(41) / 20

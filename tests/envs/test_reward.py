@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.reward import WEIGHTS, reward_terms, struck_from_behind
-from behavexplor.fuzz.specs import judge
-from behavexplor.scenario import NPC, Scenario, Waypoint
+from behavexplor.judge.specs import judge
 
 S1 = "behavexplor/intersection-straight-v0"
 CONTINUOUS = {"type": "ContinuousAction", "acceleration_range": [-8.0, 4.0], "steering_range": [-0.6, 0.6]}

@@ -15,6 +15,8 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import behavexplor
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.trace import RESOLUTION
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
@@ -25,8 +27,6 @@ from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
 from behavexplor.envs.vector.slots import FRAME
 from behavexplor.errors import InputError
-from behavexplor.scenario import NPC, Scenario, Waypoint
-from behavexplor.trace import RESOLUTION
 
 TOLERANCE = 1e-9
 SCENARIOS = int(os.environ.get("SCENARIOS", "200"))  # of the slow comparison, by environment and action type
@@ -379,7 +379,7 @@ def test_wrong_arguments_are_refused(arguments, message):
         ({"options": {"scenarios": [None]}}, "scenarios: expected a list of 2"),
         ({"options": {"scenarios": 7}}, "scenarios: expected a list of 2"),
         ({"options": {"scenarios": {"a": 1, "b": 2}}}, "scenarios: expected a list of 2"),
-        ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.scenario.Scenario"),
+        ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.data.scenario.Scenario"),
         ({"options": {"scenarios": [None, Scenario("intersection-left", ())]}}, "not of 'lane-follow'"),
         ({"options": {"reset_mask": [True, False]}}, "expected an array of 2 booleans"),
         ({"options": {"reset_mask": np.zeros(2, dtype=bool)}}, "at least one"),

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from highway_env.road.road import RoadNetwork
 
+from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
 from behavexplor.envs.vector.contact import boxes_touch, corners, line_meets_box, touches_line
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, lane_point, next_lane
 from behavexplor.envs.vector.world import make_world
-from behavexplor.geometry import box_corners, boxes_overlap, segment_meets_box
-from behavexplor.logical import EGO_SIZE
 
 ENVS = [IntersectionLeftEnv, LaneChangeEnv]
 

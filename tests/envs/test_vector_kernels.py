@@ -11,6 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import ENDS
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
@@ -24,9 +27,6 @@ from behavexplor.envs.vector.rewards import reward_terms
 from behavexplor.envs.vector.slots import END, LINE_FRAME, N_NPCS, RUNNING, make_slots, move_npcs, put_scenario
 from behavexplor.envs.vector.world import make_world
 from behavexplor.envs.vehicles import MetaEgo, place_ego
-from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.scenario import Scenario
-from behavexplor.trace import ENDS
 
 LEFT, CHANGE = IntersectionLeftEnv(), LaneChangeEnv()
 WORLDS = {env: make_world(env) for env in (LEFT, CHANGE)}

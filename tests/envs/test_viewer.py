@@ -6,11 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs import viewer
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.errors import InputError
-from behavexplor.scenario import Scenario
 
 VIEW = {"screen_width": 600, "screen_height": 300, "scaling": 10.0, "centering_position": [0.5, 0.5]}
 

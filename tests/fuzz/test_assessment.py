@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.assessment import AssessmentOptions, assess
-from behavexplor.fuzz.specs import Verdict, judge
-from behavexplor.roadmap import CURB, DOUBLE_YELLOW
-
-from .fakes import LOGICAL, make_trace, simulate
+from behavexplor.judge.specs import Verdict, judge
+from tests.fakes import LOGICAL, make_trace, simulate
 
 ROADMAP = IntersectionStraightEnv.logical.roadmap
 RELEASED = AssessmentOptions(degree="clipped", box_shrink=0.1, destination_threshold=10.0, retreat=0.06)

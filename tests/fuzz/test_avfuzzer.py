@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.errors import InputError
 from behavexplor.fuzz.avfuzzer import AVFuzzer, AVFuzzerOptions, fitness
-from behavexplor.fuzz.specs import Verdict
-from behavexplor.geometry import box_corners, box_distance
+from behavexplor.judge.specs import Verdict
+from tests.fakes import LOGICAL, make_trace
 from tests.strategies import random_trace
-
-from .fakes import LOGICAL, make_trace
 
 PASSED, COLLIDED = Verdict({"collision": 1.0}, ()), Verdict({"collision": 0.0}, ("collision",))
 

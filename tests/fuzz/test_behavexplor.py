@@ -11,9 +11,8 @@ from behavexplor.errors import InputError
 from behavexplor.fuzz.assessment import AssessmentOptions
 from behavexplor.fuzz.behavexplor import BehAVExplor, BehAVExplorOptions
 from behavexplor.fuzz.search import SearchExhausted
-from behavexplor.fuzz.specs import Verdict
-
-from .fakes import make_trace, simulate
+from behavexplor.judge.specs import Verdict
+from tests.fakes import make_trace, simulate
 
 LOGICAL = IntersectionStraightEnv.logical
 

@@ -3,8 +3,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from behavexplor.data.scenario import Scenario
 from behavexplor.fuzz.corpus import Corpus, Testcase
-from behavexplor.scenario import Scenario
 
 
 def corpus_of(*energies):

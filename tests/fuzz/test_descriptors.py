@@ -3,8 +3,8 @@ import pytest
 
 from behavexplor.errors import InputError
 from behavexplor.fuzz.descriptors import SCALES, check_measures, describe
+from tests.fakes import make_trace, simulate
 
-from .fakes import make_trace, simulate
 from .test_assessment import LOGICAL
 
 

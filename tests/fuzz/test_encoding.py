@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from behavexplor.data.roadmap import Route
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.encoding import ROUTE, START, TYPE, Encoding
-from behavexplor.roadmap import Route
-from behavexplor.scenario import Scenario
 from tests.strategies import seeds
 
 LOGICAL = IntersectionStraightEnv.logical

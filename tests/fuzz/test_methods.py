@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from behavexplor.config import campaign_config, checked, read_config
+from behavexplor.campaign.config import campaign_config, checked, read_config
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
@@ -21,9 +21,8 @@ from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS, describe_method, load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted
-from behavexplor.fuzz.specs import SPECS, Verdict, judge
-
-from .fakes import make_trace, simulate
+from behavexplor.judge.specs import SPECS, Verdict, judge
+from tests.fakes import make_trace, simulate
 
 LOGICAL = IntersectionStraightEnv.logical
 OTHER_PLACES = [IntersectionLeftEnv.logical, LaneFollowEnv.logical, LaneChangeEnv.logical]

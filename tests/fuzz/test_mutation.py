@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.mutation import mutate_routes, mutate_waypoints, shift_waypoints
-from behavexplor.scenario import NPC, Scenario, Waypoint
 
 LOGICAL = IntersectionStraightEnv.logical
 

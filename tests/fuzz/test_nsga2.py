@@ -11,9 +11,8 @@ pytest.importorskip("pymoo")
 
 from behavexplor.errors import InputError
 from behavexplor.fuzz.nsga2 import NSGA2, NSGA2Options
-from behavexplor.fuzz.specs import Verdict
-
-from .fakes import LOGICAL, make_trace
+from behavexplor.judge.specs import Verdict
+from tests.fakes import LOGICAL, make_trace
 
 TRACE = make_trace(np.zeros((1, 3)))
 

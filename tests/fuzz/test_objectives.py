@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from behavexplor.fuzz.objectives import objectives
-from behavexplor.fuzz.specs import Verdict
+from behavexplor.judge.specs import Verdict
 
 
 def of(degree, *, violated=False):

@@ -11,10 +11,9 @@ pytest.importorskip("ribs")
 from behavexplor.errors import InputError
 from behavexplor.fuzz.map_elites import MAPElites, MAPElitesOptions
 from behavexplor.fuzz.novelty_search import NoveltySearch, NoveltySearchOptions
-from behavexplor.fuzz.specs import Verdict
 from behavexplor.fuzz.variation import VariationOptions
-
-from .fakes import LOGICAL, make_trace
+from behavexplor.judge.specs import Verdict
+from tests.fakes import LOGICAL, make_trace
 
 
 def drive(speed, seconds=10.0):

@@ -8,9 +8,8 @@ import pytest
 from behavexplor.errors import InputError
 from behavexplor.fuzz.random_mutation import RandomMutation, RandomMutationOptions
 from behavexplor.fuzz.search import SearchExhausted
-from behavexplor.fuzz.specs import Verdict
-
-from .fakes import LOGICAL, make_trace
+from behavexplor.judge.specs import Verdict
+from tests.fakes import LOGICAL, make_trace
 
 SHORT = make_trace(np.zeros((1, 3)))
 

@@ -7,9 +7,8 @@ import pytest
 
 from behavexplor.errors import InputError
 from behavexplor.fuzz.samota import SAMOTA, SAMOTAOptions
-from behavexplor.fuzz.specs import Verdict
-
-from .fakes import LOGICAL, make_trace
+from behavexplor.judge.specs import Verdict
+from tests.fakes import LOGICAL, make_trace
 
 TRACE = make_trace(np.zeros((1, 3)))
 QUICK = {"generations": 10, "local_generations": 10}

@@ -7,9 +7,9 @@ whatever is near, so behaviours tell how near a violation is, and runs take long
 
 import numpy as np
 
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.trace import Trace
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.trace import Trace
 
 LOGICAL = IntersectionStraightEnv.logical
 

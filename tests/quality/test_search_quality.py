@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from behavexplor.config import checked, read_config
+from behavexplor.campaign.config import checked, read_config
 from behavexplor.fuzz.methods import load_method
-from behavexplor.fuzz.specs import judge
+from behavexplor.judge.specs import judge
 
 from .landscape import LOGICAL, simulate
 

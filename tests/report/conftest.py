@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK, main
-from behavexplor.config import CampaignConfig
-from behavexplor.store import Execution, Store
 
 EVIL = "</script><script>document.title='broken'</script><img src=x onerror=alert(1)>"
 

@@ -12,10 +12,10 @@ from selenium import webdriver
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
 
+from behavexplor.campaign.store import Store
 from behavexplor.report.packing import pack
-from behavexplor.report.page import page
 from behavexplor.report.reading import read_run
-from behavexplor.store import Store
+from behavexplor.report.run_page import page
 from tests.report.test_packing import wandering
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -9,7 +9,7 @@ from behavexplor.bench.curves import curves
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.summaries import Failure, Summary
 from behavexplor.bench.tables import tables
-from behavexplor.report.experiment import bars, experiment_page
+from behavexplor.report.experiment_page import bars, experiment_page
 from tests.report.test_report import plain
 
 METHODS = ("Search", "w/o <it> & \u00e9", "Uniform")

@@ -6,8 +6,8 @@ import zlib
 import numpy as np
 import pytest
 
+from behavexplor.data.trace import Trace
 from behavexplor.report.packing import LENGTH_UNIT, MAX_FRAMES, SPEED_UNIT, TIME_UNIT, TURN, pack
-from behavexplor.trace import Trace
 
 HALF = 0.5 + 1e-6
 

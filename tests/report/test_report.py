@@ -11,13 +11,13 @@ from urllib.parse import unquote
 
 import pytest
 
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.commands.report import PAGE
-from behavexplor.config import CampaignConfig
-from behavexplor.report.page import page
+from behavexplor.data.trace import Trace
 from behavexplor.report.reading import read_run
-from behavexplor.store import DATABASE, Execution, Store
-from behavexplor.trace import Trace
+from behavexplor.report.run_page import page
 from behavexplor.triage.findings import TRIAGE, Triage
 from tests.report.conftest import EVIL, copied
 

@@ -11,7 +11,7 @@ from behavexplor.report.behaviours import LETTERS, behaviours, evenly, scaled
 from behavexplor.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Series, chart, ticks
 from behavexplor.report.gallery import PASSED, cards, replay_values
 from behavexplor.report.reading import read_run, stored
-from behavexplor.report.roads import known_road, road_values
+from behavexplor.report.road_shapes import known_road, road_values
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,10 @@ import math
 import gymnasium
 import numpy as np
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.vector import vector_env
-from behavexplor.logical import LogicalScenario
-from behavexplor.roadmap import CURB, Lane, RoadMap, Route
 
 NAME = "tests/Crossing-v0"
 EGO_START, CROSSED_AT = 20.0, 21.7  # stations on the ego's lane [m]

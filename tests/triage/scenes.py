@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from behavexplor.logical import LogicalScenario
-from behavexplor.scenario import NPC, Scenario, Waypoint
-from behavexplor.simulation import Simulation
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser
 from tests.triage.crossing import NAME as CROSSING
 from tests.triage.crossing import register

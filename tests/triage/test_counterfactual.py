@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
-from behavexplor.fuzz.specs import judge
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
+from behavexplor.data.scenario import Scenario
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import judge
 from behavexplor.triage.counterfactual import UNKNOWN, Cause, find_cause, primary_cause, upstream_first
 from behavexplor.triage.forks import Fork, run_forks, without
 from behavexplor.triage.signatures import signature

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.commands.triage import report
-from behavexplor.config import CampaignConfig
+from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
-from behavexplor.fuzz.specs import judge
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
-from behavexplor.store import Execution, Store
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import judge
 from behavexplor.triage.findings import TRIAGE, Finding, Sighting, Triage, WeaknessRecord, read_witness, witness_path
 from behavexplor.triage.flakiness import repeat
 from behavexplor.triage.witness import replay_witness

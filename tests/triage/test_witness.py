@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from behavexplor.fuzz.moments import violation_moment
-from behavexplor.fuzz.specs import judge
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.events import violation_moment
+from behavexplor.judge.specs import judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.evasion import Evasion, path_straight_on
 from behavexplor.triage.playback import recorded_commands

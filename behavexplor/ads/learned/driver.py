@@ -8,10 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
-from behavexplor.ads.learned.course import Course, make_course
-from behavexplor.ads.learned.features import N_FEATURES, see
-from behavexplor.ads.learned.network import as_network, decide_batch
+from behavexplor.ads.learned.mlp import as_network, decide_batch
+from behavexplor.ads.learned.observation import N_FEATURES, see
+from behavexplor.ads.learned.route_table import Course, make_course
 from behavexplor.ads.learned.tracker import (
     N_ACTIONS,
     N_MEMORIES,
@@ -21,11 +20,12 @@ from behavexplor.ads.learned.tracker import (
     begin,
     track,
 )
-from behavexplor.compiled import kernel_in_place
+from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scene import EGO, PRESENT
+from behavexplor.data.untrusted import read_arrays
 from behavexplor.errors import InputError
-from behavexplor.plain import read_arrays
-from behavexplor.roadmap import RoadMap
-from behavexplor.scene import EGO, PRESENT
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class LearnedDriver:
     """Sees conflicts and gaps, decides by a network for an acceleration and a lane, and tracks these.
 
     Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.scene`.
+        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: 5 Hz.
 
@@ -73,7 +73,7 @@ class LearnedDriver:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
             state: what the last call returned, shape (B, 3); None at first.
             episode_start: whether a row begins an episode, shape (B,); None for no row.
             deterministic: it always is.
@@ -98,8 +98,8 @@ def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
     """What policies see, shape (B, N_FEATURES); rows of the memory that are zero begin an episode.
 
     Args:
-        course: see `behavexplor.ads.learned.course`.
-        scenes: shape (B, 1 + n, 8), see `behavexplor.scene`.
+        course: see `behavexplor.ads.learned.route_table`.
+        scenes: shape (B, 1 + n, 8), see `behavexplor.data.scene`.
         memory: shape (B, 3), changed where an episode begins.
     """
     seen = np.zeros((len(scenes), N_FEATURES))
@@ -111,8 +111,8 @@ def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memo
     """The commands for policies' actions, shape (B, 2), each in [-1, 1] over its range.
 
     Args:
-        course: see `behavexplor.ads.learned.course`.
-        scenes: shape (B, 1 + n, 8), see `behavexplor.scene`.
+        course: see `behavexplor.ads.learned.route_table`.
+        scenes: shape (B, 1 + n, 8), see `behavexplor.data.scene`.
         actions: shape (B,).
         memory: shape (B, 3), changed.
     """

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from behavexplor.ads.learned.driver import LearnedDriver, read_layers
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import unknown_name
-from behavexplor.roadmap import RoadMap
 
 FOLDER = Path(__file__).parent / "policies"
 

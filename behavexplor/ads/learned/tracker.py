@@ -6,12 +6,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACCELERATION_RANGE, STEERING_RANGE
-from behavexplor.ads.learned.course import Course
-from behavexplor.ads.learned.features import lanes_beside
-from behavexplor.ads.rule.path import Path, limit_at, pose_on_path, project_on_path, row_at
-from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+from behavexplor.ads.learned.observation import lanes_beside
+from behavexplor.ads.learned.route_table import Course
+from behavexplor.ads.road.path import limit_at, project_on_path, row_at
+from behavexplor.ads.road.steering import steer
+from behavexplor.ads.scene_io import ACCELERATION_RANGE
+from behavexplor.data.scene import EGO, SPEED, X, Y
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -23,8 +24,6 @@ N_ACTIONS: Final = len(ACCELERATIONS) * N_LANE_CHOICES  # action a is accelerati
 
 SIDEWAYS: Final = 1.5  # speed at which the path moves from one lane to another [m/s]
 LAST_CHANGE: Final = 20.0  # least distance to the end of lanes side by side at which a change begins [m]
-LOOK_AHEAD: Final = 4.0  # of the steering [m],
-LOOK_AHEAD_TIME: Final = 0.3  # and what it grows by with the speed [s]
 
 WANTED: Final = 0  # offset of the wanted lane from the route [m]
 DRIVEN: Final = 1  # offset of the path that is driven, which moves towards it [m]
@@ -45,8 +44,8 @@ def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[f
     """Acceleration [m/s2] and steering [rad] for an action.
 
     Args:
-        course: see `behavexplor.ads.learned.course`.
-        scene: shape (1 + n, 8), see `behavexplor.scene`.
+        course: see `behavexplor.ads.learned.route_table`.
+        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
         action: 0 to `N_ACTIONS` - 1.
         memory: shape (N_MEMORIES,), changed.
     """
@@ -83,15 +82,3 @@ def _accelerate(course: Course, scene: Floats, station: float, wanted: float) ->
     limit: float = limit_at(course.path, station + speed * PERIOD)
     wanted = min(wanted, max((limit - speed) / PERIOD, -3.0))
     return max(wanted, -speed / PERIOD, ACCELERATION_RANGE[0])
-
-
-@kernel_in_place
-def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
-    """Pure pursuit of a point on the path; the circle through it is exact for highway-env's bicycle model."""
-    x, y, along = pose_on_path(path, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
-    dx = x - math.sin(along) * offset - scene[EGO, X]
-    dy = y + math.cos(along) * offset - scene[EGO, Y]
-    bearing = math.atan2(dy, dx) - scene[EGO, HEADING]
-    share = scene[EGO, LENGTH] / math.hypot(dx, dy)
-    wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
-    return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])

@@ -3,10 +3,10 @@
 import math
 from typing import Final, NamedTuple
 
-from behavexplor.ads.rule.lanes import COS, SIN
+from behavexplor.ads.road.lane_arrays import COS, SIN
+from behavexplor.ads.road.path import Path, is_straight, locate_on_path, project_on_path
 from behavexplor.ads.rule.lateral import Profile, offset_at
-from behavexplor.ads.rule.path import Path, is_straight, locate_on_path, project_on_path
-from behavexplor.compiled import kernel_in_place
+from behavexplor.jit import kernel_in_place
 
 PARALLEL: Final = 1e-6  # sine of an angle to the route below which a box is along it
 SLACK: Final = 1.0  # by which a profile may overshoot its ends [m]

@@ -6,14 +6,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACCELERATION_RANGE, STEERING_RANGE
+from behavexplor.ads.road.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.lateral import Profile, offset_at
 from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, SLOW_TURN
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
-from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
+from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
 from behavexplor.ads.rule.control import PERIOD, accelerate, steer
 from behavexplor.ads.rule.decision import (
     CREEP,
@@ -57,14 +58,13 @@ from behavexplor.ads.rule.memory import (
     WEAKENED,
 )
 from behavexplor.ads.rule.option import Option, World, plan_option
-from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
-from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import EGO, HEADING, SPEED, WIDTH, X, Y
-from behavexplor.scene import LENGTH as EGO_LENGTH
+from behavexplor.data.scene import EGO, HEADING, SPEED, WIDTH, X, Y
+from behavexplor.data.scene import LENGTH as EGO_LENGTH
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.memory import CREEPS, RESTARTED, STOOD, WAITED
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.speed import SpeedPlan
 from behavexplor.ads.rule.station_time import (
     HARD_HIGH,
@@ -21,7 +21,7 @@ from behavexplor.ads.rule.station_time import (
     StationTime,
 )
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
-from behavexplor.compiled import kernel_in_place
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

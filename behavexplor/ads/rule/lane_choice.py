@@ -6,12 +6,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.path import Path, has_lane, lane_end, oncoming_lane
 from behavexplor.ads.rule.memory import LANE, SINCE
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, has_lane, lane_end, oncoming_lane
 from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbours, neighbours
 from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
-from behavexplor.compiled import kernel_in_place
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from behavexplor.compiled import kernel_in_place
+from behavexplor.jit import kernel_in_place
 
 
 class Profile(NamedTuple):

@@ -6,12 +6,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.occlusion import hidden_share
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7
-from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import ACCELERATION, EGO, LENGTH, SPEED, WIDTH, X, Y
+from behavexplor.data.scene import ACCELERATION, EGO, LENGTH, SPEED, WIDTH, X, Y
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
+from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
     """Bearing of a vehicle's centre from the ego's, and the least and greatest of its corners relative to that [rad].
 
     Args:
-        scene: see `behavexplor.scene`.
+        scene: see `behavexplor.data.scene`.
         row: the vehicle's.
     """
     dx, dy = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.decision import (
     RESTART_OUTLOOK,
@@ -33,12 +34,11 @@ from behavexplor.ads.rule.memory import (
     RESTARTED,
 )
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed import Nodes, Situation, SpeedPlan, plan_speed
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
 from behavexplor.ads.rule.weaknesses import R1_5, note
-from behavexplor.compiled import kernel_in_place
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class World(NamedTuple):
     Attributes:
         path: the ego's route.
         graph: the map.
-        scene: shape (1 + n, 8), see `behavexplor.scene`.
+        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
         others: room for the table of others, see `behavexplor.ads.rule.traffic`.
         room: for the station-time graph.
         nodes: room for the search of the speed.

@@ -5,6 +5,7 @@ from collections import namedtuple
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
+from behavexplor.ads.road.path import APPROACH_BRAKING, LATERAL_ACCELERATION
 from behavexplor.errors import InputError
 
 
@@ -138,8 +139,8 @@ class Parameters:
     firm_braking: float = 4.0
     clear_time: float = 0.3
     comfortable_acceleration: float = 2.0
-    lateral_acceleration: float = 2.5
-    approach_braking: float = 2.0
+    lateral_acceleration: float = LATERAL_ACCELERATION
+    approach_braking: float = APPROACH_BRAKING
     slow_speed: float = 2.0
     delay_cost: float = 1.0
     acceleration_cost: float = 0.3

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.commands import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
+from behavexplor.ads.road.path import Path, ego_path
 from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.cycle import plan_once
 from behavexplor.ads.rule.memory import (
@@ -23,14 +23,14 @@ from behavexplor.ads.rule.memory import (
 )
 from behavexplor.ads.rule.option import World
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
-from behavexplor.ads.rule.path import Path, ego_path
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed import empty_nodes
 from behavexplor.ads.rule.station_time import empty_station_time
 from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
-from behavexplor.compiled import kernel
-from behavexplor.roadmap import RoadMap
-from behavexplor.scene import EGO, PRESENT
+from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scene import EGO, PRESENT
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class RulePlanner:
     """A planner of rules and search that drives the ego's route of a map among others.
 
     Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.scene`.
+        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: 10 Hz.
     """
@@ -63,7 +63,7 @@ class RulePlanner:
     def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008
         self.roadmap = roadmap
         self.parameters = parameters
-        self._path = ego_path(roadmap, parameters)
+        self._path = ego_path(roadmap, parameters.lateral_acceleration, parameters.approach_braking)
         self._graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
         self._numbers = numbers(parameters)
 
@@ -77,7 +77,7 @@ class RulePlanner:
         """Decide for a batch of egos.
 
         Args:
-            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.scene`.
+            observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
             state: what the last call returned, shape (B, 27); None at first.
             episode_start: whether a row begins an episode, shape (B,); None for no row.
             deterministic: it always is.

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.lanes import (
+from behavexplor.ads.road.lane_arrays import (
     COS,
     CURVATURE,
     HEADING,
@@ -21,8 +21,8 @@ from behavexplor.ads.rule.lanes import (
     project_on_lane,
 )
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.compiled import kernel_in_place
-from behavexplor.roadmap import Lane, Route
+from behavexplor.data.roadmap import Lane, Route
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -38,7 +38,7 @@ class LaneGraph(NamedTuple):
     The last lane and the last tail are spare: straight on, for a vehicle that is on no lane.
 
     Attributes:
-        lanes: shape (lanes + 1, 7), see `behavexplor.ads.rule.lanes`.
+        lanes: shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`.
         tails: the different sequences of lanes that routes end with, shape (tails + 1, depth), -1 behind the last.
         near: whether a vehicle on the lane can be in the ego's way, shape (lanes + 1,).
     """

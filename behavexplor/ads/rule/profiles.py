@@ -15,8 +15,8 @@ from typing import Final
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.ads.rule.planner import RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.roadmap import RoadMap
 
 APOLLO_LIKE = MappingProxyType(
     {

@@ -6,8 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, limit_at
 from behavexplor.ads.rule.station_time import (
     COST,
     HARD_HIGH,
@@ -20,7 +20,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
-from behavexplor.compiled import kernel, kernel_in_place
+from behavexplor.jit import kernel, kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -6,17 +6,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
+from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
+from behavexplor.ads.road.path import Path, project_on_path
 from behavexplor.ads.rule.boxes import Box, box_on_path
-from behavexplor.ads.rule.lanes import CURVATURE, direction_on_lane
-from behavexplor.ads.rule.lanes import LENGTH as LANE_LENGTH
 from behavexplor.ads.rule.lateral import Profile
 from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.path import Path, project_on_path
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
 from behavexplor.ads.rule.weaknesses import R1_8, note
-from behavexplor.compiled import kernel, kernel_in_place
-from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
+from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
+from behavexplor.jit import kernel, kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -102,7 +102,7 @@ def project_obstacles(
         path: the ego's route.
         profile: its offset from that.
         graph: the map.
-        scene: shape (1 + n, 8), see `behavexplor.scene`.
+        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
         station: the ego's [m].
         blind: vehicles in the lane changed to whose centres are less far ahead than this are ignored [m].
         p: the parameters.

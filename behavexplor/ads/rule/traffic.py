@@ -6,9 +6,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.path import Path, pose_on_path, project_on_path
-from behavexplor.compiled import kernel_in_place
-from behavexplor.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
+from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel_in_place
+from behavexplor.jit import kernel_in_place
 
 Ints = NDArray[np.int64]
 

@@ -10,8 +10,8 @@ import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
+from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
-from behavexplor.plain import parse_yaml
 
 MAX_BYTES: Final = 1_000_000  # of a YAML file
 STATISTICS = "vecnormalize.pkl"

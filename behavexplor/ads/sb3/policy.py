@@ -15,7 +15,7 @@ from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.inert import as_array
-from behavexplor.ads.sb3.statistics import Statistics
+from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -1,9 +1,9 @@
 """S1: the ego goes straight through a non-signalised crossing."""
 
+from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import crossing
 from behavexplor.envs.vector import vector_env
-from behavexplor.logical import LogicalScenario
 
 
 class IntersectionStraightEnv(DrivingEnv):

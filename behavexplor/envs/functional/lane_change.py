@@ -1,9 +1,9 @@
 """S4: the ego changes lanes, two to the right, on a straight road of four lanes."""
 
+from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import straight_road
 from behavexplor.envs.vector import vector_env
-from behavexplor.logical import LogicalScenario
 
 
 class LaneChangeEnv(DrivingEnv):

@@ -1,4 +1,4 @@
-"""Contact of boxes with boxes and lines, one pair at a time: `behavexplor.geometry`, compiled."""
+"""Contact of boxes with boxes and lines, one pair at a time: `behavexplor.data.geometry`, compiled."""
 
 import math
 from typing import Final, TypeAlias
@@ -6,8 +6,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
-from behavexplor.logical import EGO_SIZE
+from behavexplor.data.logical import EGO_SIZE
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 

@@ -10,13 +10,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import TERMINAL, DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.npc import motion_table
 from behavexplor.envs.values import COUNT, check_value, shown
-from behavexplor.envs.vector.commands import make_commands
+from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
 from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, SPEED, make_slots, put_scenario
@@ -24,8 +26,6 @@ from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.scenario import Scenario
-from behavexplor.trace import ENDS, Trace
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -254,7 +254,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             if scenario is None:
                 continue
             if not isinstance(scenario, Scenario):
-                raise InputError(f"A scenario must be a behavexplor.scenario.Scenario, got {shown(scenario)}")
+                raise InputError(f"A scenario must be a behavexplor.data.scenario.Scenario, got {shown(scenario)}")
             self.logical.check(scenario)
         return scenarios
 

@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

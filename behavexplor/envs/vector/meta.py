@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.vector.lanes import (
     COUNT,
     FIRST,
@@ -22,7 +22,7 @@ from behavexplor.envs.vector.lanes import (
     next_lane,
     wrap_to_pi,
 )
-from behavexplor.logical import EGO_SIZE
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor import scene
-from behavexplor.compiled import kernel
+from behavexplor.data import scene
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.kinematics import FEATURES, RELATIVE, Kinematics
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, wrap_to_pi
 from behavexplor.envs.vector.slots import (
@@ -22,7 +22,7 @@ from behavexplor.envs.vector.slots import (
     Y,
 )
 from behavexplor.envs.vector.world import World
-from behavexplor.logical import EGO_SIZE
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -74,7 +74,7 @@ def make_view(observation: Kinematics) -> View:
 
 @kernel
 def observe_scene(slots: Slots, chosen: Bools, observations: Floats) -> None:
-    """Fill the chosen slots' `Scene`, shape (B, 1 + N, 8); see `behavexplor.scene`."""
+    """Fill the chosen slots' `Scene`, shape (B, 1 + N, 8); see `behavexplor.data.scene`."""
     for b in range(len(chosen)):
         if not chosen[b]:
             continue

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.trace import ENDS
 from behavexplor.envs.vector.slots import END, MEAN_ACCELERATION, PROGRESS, REAR_END, TOUCHED, Slots
-from behavexplor.trace import ENDS
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.npc import (
     BEGIN,
     N_COLUMNS,
@@ -21,9 +23,7 @@ from behavexplor.envs.npc import (
 from behavexplor.envs.vector.contact import touches_line
 from behavexplor.envs.vector.lanes import closest_lane
 from behavexplor.envs.vector.world import World
-from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
-from behavexplor.roadmap import RoadMap
-from behavexplor.scenario import Scenario
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -36,7 +36,7 @@ N_RECORD = 5
 FRAME, STANDING, LINE_FRAME, END, N_NPCS = range(5)  # columns of `numbers`
 TARGET_LANE, ROUTE_POSITION, SPEED_INDEX = range(5, 8)  # and those of meta-actions
 N_COUNT = 8
-RUNNING, IDLE = -1, -2  # `END` where no episode has ended; else an index of `behavexplor.trace.ENDS`
+RUNNING, IDLE = -1, -2  # `END` where no episode has ended; else an index of `behavexplor.data.trace.ENDS`
 
 ROUTE, N_PHASES, PHASE = range(3)  # columns of `npc_numbers`
 

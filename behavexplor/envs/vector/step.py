@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.compiled import kernel
+from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.trace import ENDS
 from behavexplor.envs.reward import REAR_END_ANGLE
 from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
 from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle
@@ -50,8 +51,7 @@ from behavexplor.envs.vector.world import (
     Rules,
     World,
 )
-from behavexplor.logical import EGO_SIZE
-from behavexplor.trace import ENDS
+from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -200,7 +200,7 @@ def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b
 
 @kernel
 def _station(lanes: Floats, x: float, y: float) -> float:
-    """Station of a point on the ego's route [m]: `behavexplor.roadmap.Route.project`."""
+    """Station of a point on the ego's route [m]: `behavexplor.data.roadmap.Route.project`."""
     best, nearest = 0.0, math.inf
     last = len(lanes) - 1
     for i in range(last + 1):

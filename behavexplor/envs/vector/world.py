@@ -11,11 +11,11 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.envs import driving
 from behavexplor.envs.network import MapNetwork, road_network
 from behavexplor.envs.npc import Routes, route_arrays
 from behavexplor.envs.vector.lanes import Network, lane_row
-from behavexplor.roadmap import RoadMap
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import behavexplor.envs.functional.intersection_left as s2
 import behavexplor.envs.functional.intersection_straight as s1
 import behavexplor.envs.functional.lane_change as s4
 import behavexplor.envs.functional.lane_follow as s3
-from behavexplor.ads.learned.course import make_course
+from behavexplor.ads.learned.route_table import make_course
 
 LOGICALS = {
     env.logical.name: env.logical

@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.ads.interface import ADS, DecisionLog
 from behavexplor.ads.learned.driver import LearnedDriver, read_layers, write_layers
-from behavexplor.ads.learned.features import N_FEATURES
+from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.tracker import N_ACTIONS
 from behavexplor.ads.loading import load_ads
 from behavexplor.errors import InputError

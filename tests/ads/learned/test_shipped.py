@@ -7,10 +7,10 @@ import yaml
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
+from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
 from behavexplor.evaluation import evaluate
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
 from tests.ads.learned.scenes import LOGICALS
 
 EVERYWHERE = pytest.mark.parametrize("name", sorted(FUNCTIONAL_SCENARIOS))

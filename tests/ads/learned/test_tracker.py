@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.commands import STEERING_RANGE
 from behavexplor.ads.learned import tracker
 from behavexplor.ads.learned.tracker import (
     ACCELERATIONS,
@@ -13,6 +12,7 @@ from behavexplor.ads.learned.tracker import (
     begin,
     track,
 )
+from behavexplor.ads.scene_io import STEERING_RANGE
 from tests.ads.learned.scenes import COURSES, LOGICALS, ego
 
 KEEP, LEFT, RIGHT, HOME = (

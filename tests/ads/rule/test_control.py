@@ -5,20 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from behavexplor.ads.commands import ACCELERATION_RANGE, STEERING_RANGE
+from behavexplor.ads.road.path import ego_path, point_beside, pose_on_path
 from behavexplor.ads.rule.control import PERIOD, accelerate, steer
 from behavexplor.ads.rule.lateral import change_profile, keep_profile, offset_at
 from behavexplor.ads.rule.memory import LAST_STEERING, N_MEMORIES
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.path import ego_path, point_beside, pose_on_path
+from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.logical import EGO_SIZE
 from tests.ads.rule.world import scene
 
 AT_ONCE = Parameters(steering_rate=1e3)  # no limit of the change
 PATHS = {
-    "road": ego_path(straight_road(2, 2, 10, 230), Parameters()),
-    "turn": ego_path(crossing("left", 10, 60), Parameters()),
+    "road": ego_path(straight_road(2, 2, 10, 230)),
+    "turn": ego_path(crossing("left", 10, 60)),
 }
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.ads.rule.cycle import SHARP_WAY, STUCK, _remember
 from behavexplor.ads.rule.decision import (
@@ -34,17 +35,14 @@ from behavexplor.ads.rule.memory import (
     WAITED,
 )
 from behavexplor.ads.rule.parameters import numbers
-from behavexplor.ads.rule.path import ego_path
 from behavexplor.ads.rule.speed import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.logical import EGO_SIZE
 from tests.ads.rule.world import scene
 
 P = numbers(Parameters())
-ROAD, JUNCTION = (
-    ego_path(roadmap, Parameters()) for roadmap in (straight_road(2, 2, 10, 230), crossing("left", 10, 60))
-)
+ROAD, JUNCTION = (ego_path(roadmap) for roadmap in (straight_road(2, 2, 10, 230), crossing("left", 10, 60)))
 HALF = EGO_SIZE[0] / 2
 
 

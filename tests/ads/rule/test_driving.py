@@ -6,9 +6,9 @@ import pytest
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.decision import CREEP, CRUISE, STOP, YIELD
 from behavexplor.ads.rule.lane_choice import ABORT
+from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, project_on_polyline
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.geometry import box_corners, box_distance, box_segment_distance, project_on_polyline
-from behavexplor.logical import EGO_SIZE
 from tests.ads.rule.world import SEDAN, drive
 
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)

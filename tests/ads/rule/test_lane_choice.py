@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.lane_choice import (
     Ego,
     beside_lane,
@@ -15,15 +16,14 @@ from behavexplor.ads.rule.lane_choice import (
 )
 from behavexplor.ads.rule.memory import LANE, N_MEMORIES, SINCE
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.path import ego_path
 from behavexplor.ads.rule.traffic import locate
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.logical import EGO_SIZE
 from tests.ads.rule.world import scene
 
 P = numbers(Parameters())
 ROAD, LEFTMOST = straight_road(2, 2, 10, 230), straight_road(0, 0, 10, 230)
-PATH = ego_path(ROAD, Parameters())
+PATH = ego_path(ROAD)
 WIDTH = PATH.lane_width
 
 
@@ -39,7 +39,7 @@ def others(*cars, roadmap=ROAD):
         offset = lane * WIDTH
         rows.append((x - offset * math.sin(heading), y + offset * math.cos(heading), heading, speed, 0.0))
     table = np.empty((len(rows), 6))
-    locate(ego_path(roadmap, Parameters()), scene((0, 0, 0, 0), rows), table)
+    locate(ego_path(roadmap), scene((0, 0, 0, 0), rows), table)
     return table
 
 
@@ -77,7 +77,7 @@ def test_a_fast_leader_is_not_worth_it():
 
 def test_there_is_no_lane_beyond_the_edge():
     slow = others((85.0, 0, 2.0), roadmap=LEFTMOST)
-    assert chosen(slow, ego_at(60.0), path=ego_path(LEFTMOST, Parameters())) == 1
+    assert chosen(slow, ego_at(60.0), path=ego_path(LEFTMOST)) == 1
 
 
 def test_when_the_room_runs_out_it_returns_even_behind_a_slow_one():
@@ -88,7 +88,7 @@ def test_when_the_room_runs_out_it_returns_even_behind_a_slow_one():
 
 def test_nobody_changes_lanes_inside_a_junction_or_into_one():
     roadmap = crossing("straight", 20, 60)
-    path = ego_path(roadmap, Parameters())
+    path = ego_path(roadmap)
     for station in (path.junction_start - 10.0, path.junction_start + 10.0):
         slow = others((station + 12.0, 0, 0.5), roadmap=roadmap)
         assert chosen(slow, ego_at(station), path=path) == 0

@@ -6,8 +6,8 @@ import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.fuzz.specs import judge
-from behavexplor.rollout import rollout
+from behavexplor.execution.rollout import rollout
+from behavexplor.judge.specs import judge
 from tests.ads.rule.world import scene
 
 LOGICAL = IntersectionStraightEnv.logical

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.rule.lanes import pose_on_lane
+from behavexplor.ads.road.lane_arrays import pose_on_lane
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, travelled
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv

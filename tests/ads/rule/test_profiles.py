@@ -12,11 +12,11 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, rule_planner
 from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES, names
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.fuzz.specs import judge
-from behavexplor.scenario import Scenario
-from behavexplor.simulation import Simulation
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import judge
 
 ROADMAP = IntersectionStraightEnv.logical.roadmap
 FROZEN = "e29898fd4b605dab"

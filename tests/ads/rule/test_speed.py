@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.path import ego_path
 from behavexplor.ads.rule.speed import (
     ACCELERATIONS,
     Situation,
@@ -20,8 +20,8 @@ from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_stati
 from behavexplor.envs.roads import crossing, straight_road
 
 NUMBERS = numbers(Parameters())
-ROAD = ego_path(straight_road(2, 2, 10, 230), Parameters())
-TURN = ego_path(crossing("left", 10, 60), Parameters())
+ROAD = ego_path(straight_road(2, 2, 10, 230))
+TURN = ego_path(crossing("left", 10, 60))
 HALF_LENGTH = 2.35
 CROSSES, LEADS = (NUMBERS.crossing_cost, 0.0), (NUMBERS.following_cost, 1.0)
 

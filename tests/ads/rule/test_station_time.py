@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.road.path import ego_path, pose_on_path, project_on_path
 from behavexplor.ads.rule.boxes import Box, box_on_path
 from behavexplor.ads.rule.lateral import change_profile, keep_profile
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.path import ego_path, pose_on_path, project_on_path
 from behavexplor.ads.rule.prediction import lane_graph
 from behavexplor.ads.rule.station_time import (
     HARD_HIGH,
@@ -16,9 +16,9 @@ from behavexplor.ads.rule.station_time import (
     empty_station_time,
     project_obstacles,
 )
+from behavexplor.data.geometry import box_corners, boxes_overlap
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.geometry import box_corners, boxes_overlap
-from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
 from tests.ads.rule.world import SEDAN, scene
 
 KEEP = keep_profile(0.0)
@@ -30,14 +30,14 @@ def graph_of(roadmap, npcs, station=20.0):
     room = empty_station_time(max(len(npcs), 1))
     graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
     ego = (*roadmap.ego_route.pose(station), 5.0)
-    path = ego_path(roadmap, Parameters())
+    path = ego_path(roadmap)
     project_obstacles(path, KEEP, graph, scene(ego, npcs), station, -np.inf, numbers(Parameters()), room)
     return room
 
 
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
 def test_the_path_is_the_centre_line_of_the_route(roadmap):
-    path = ego_path(roadmap, Parameters())
+    path = ego_path(roadmap)
     for station in np.linspace(0, roadmap.ego_route.length, 50):
         pose = pose_on_path(path, station)
         assert pose == pytest.approx(roadmap.ego_route.pose(station), abs=1e-9)
@@ -47,7 +47,7 @@ def test_the_path_is_the_centre_line_of_the_route(roadmap):
 @pytest.mark.parametrize("size", [VEHICLE_SIZES["sedan"], VEHICLE_SIZES["school-bus"]])
 def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
     rng = np.random.default_rng(0)
-    path, half = ego_path(STRAIGHT, Parameters()), 1.3
+    path, half = ego_path(STRAIGHT), 1.3
     touched = 0
     for _ in range(300):
         x, y, heading = rng.uniform(-6, 9), rng.uniform(-20, 60), rng.uniform(-np.pi, np.pi)
@@ -114,7 +114,7 @@ def test_in_a_lane_change_those_in_both_lanes_are_seen_and_those_behind_in_the_n
     def spans(station, lane, speed, profile):
         x, y, heading = roadmap.ego_route.pose(station)
         observation = scene((*roadmap.ego_route.pose(50.0), 8.0), [(x, y + 3.5 * lane, heading, speed, 0.0)])
-        path, graph = ego_path(roadmap, Parameters()), lane_graph(roadmap.npc_routes, roadmap.ego_route)
+        path, graph = ego_path(roadmap), lane_graph(roadmap.npc_routes, roadmap.ego_route)
         room = empty_station_time(1)
         project_obstacles(path, profile, graph, observation, 50.0, -np.inf, numbers(Parameters()), room)
         return room
@@ -141,7 +141,7 @@ def test_those_ahead_lead_those_behind_are_left_out_and_those_far_aside_too():
 def test_an_absent_npc_takes_up_nothing():
     observation = scene((1.75, 85.0, -np.pi / 2, 5.0), [(*STRAIGHT.ego_route.pose(40.0), 0.0, 0.0)])
     room = empty_station_time(1)
-    graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT, Parameters())
+    graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT)
     project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.min() > 0
     observation[1, 0] = 0.0

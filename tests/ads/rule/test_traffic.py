@@ -3,11 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from behavexplor.ads.rule.parameters import Parameters
-from behavexplor.ads.rule.path import ego_path
+from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.traffic import ALONG_SPEED, NOBODY, OFFSET, STATION, TURNED, locate, neighbours
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.logical import EGO_SIZE
 from tests.ads.rule.world import SEDAN, scene
 
 ROAD = straight_road(2, 2, 10, 230)
@@ -17,7 +16,7 @@ HALF = EGO_SIZE[0] / 2, EGO_SIZE[1] / 2
 
 def table(roadmap, npcs):
     others = np.empty((len(npcs), 6))
-    locate(ego_path(roadmap, Parameters()), scene((*roadmap.start_pose, 5.0), npcs), others)
+    locate(ego_path(roadmap), scene((*roadmap.start_pose, 5.0), npcs), others)
     return others
 
 
@@ -58,5 +57,5 @@ def test_absent_vehicles_are_nowhere():
     observation = scene((*ROAD.start_pose, 5.0), [on_road(60, 0)])
     observation[1, 0] = 0.0
     others = np.empty((1, 6))
-    locate(ego_path(ROAD, Parameters()), observation, others)
+    locate(ego_path(ROAD), observation, others)
     assert neighbours(others, 40.0, 0.0, *HALF).ahead == NOBODY

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.control import steer
 from behavexplor.ads.rule.lane_choice import Ego, accepts_gap, choose_lane, gap_share, wrong_side
@@ -17,7 +18,6 @@ from behavexplor.ads.rule.memory import (
 )
 from behavexplor.ads.rule.motion import false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import numbers
-from behavexplor.ads.rule.path import ego_path
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.ads.rule.weaknesses import (
     R1_1,
@@ -34,8 +34,8 @@ from behavexplor.ads.rule.weaknesses import (
     REACHED,
     TRIGGERED,
 )
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
-from behavexplor.logical import EGO_SIZE, VEHICLE_SIZES
 from tests.ads.rule.world import scene
 
 ROAD, CHANGE = straight_road(2, 2, 10, 230), straight_road(1, 3, 10, 230)
@@ -47,7 +47,7 @@ class Situation:
 
     def __init__(self, roadmap, station, speed, npcs, *, lane=0, **weaknesses):
         self.p = numbers(Parameters(**weaknesses))
-        self.path = ego_path(roadmap, Parameters())
+        self.path = ego_path(roadmap)
         rows = []
         for at, beside, v in npcs:
             x, y, heading = roadmap.ego_route.pose(at)
@@ -75,7 +75,7 @@ def motion(npc, size="sedan", others=(), **weaknesses):
     p = numbers(Parameters(**weaknesses))
     view = scene((0.0, 0.0, 0.0, 5.0), [npc, *others])
     view[1, 6:8] = VEHICLE_SIZES[size]
-    true = true_motion(ego_path(ROAD, Parameters()), view, 1, p)
+    true = true_motion(ego_path(ROAD), view, 1, p)
     weak = weaknesses_of_motion(view, 1, true, p)
     return weak, true, false_motion(true, weak, p)
 
@@ -186,7 +186,7 @@ def steering(roadmap, station, speed, profile, turned=0.0, last=0.0, memories=()
     memory[list(memories)] = 1.0
     view = scene((x, y, heading + turned, speed))
     p = numbers(Parameters(**weaknesses))
-    return steer(ego_path(roadmap, Parameters()), profile, view, station, memory, bits, p), bits
+    return steer(ego_path(roadmap), profile, view, station, memory, bits, p), bits
 
 
 def test_r2_1_steers_back_with_less_than_it_takes():

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.logical import EGO_SIZE
-from behavexplor.roadmap import RoadMap
+from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.roadmap import RoadMap
 
 SEDAN = (4.57, 2.08)
 

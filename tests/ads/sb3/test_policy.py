@@ -16,8 +16,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.blocks import ask_in_blocks
+from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
-from behavexplor.ads.sb3.statistics import Statistics
 from behavexplor.errors import InputError
 from tests.ads.sb3.models import ALGORITHMS, BOX, COMMANDS, Payload, Still, make_model, poison
 

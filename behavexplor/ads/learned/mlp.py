@@ -1,0 +1,101 @@
+"""A network of dense layers with tanh between them, compiled: the greatest output is the decision."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.jit import kernel_in_place
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Network(NamedTuple):
+    """The numbers of all layers, one after the other, whatever their count.
+
+    Attributes:
+        weights: of a layer those of its first input to each output, then those of the second, shape (weights,).
+        biases: shape (outputs of all layers,).
+        widths: of the input, and of the output of each layer, shape (layers + 1,).
+    """
+
+    weights: Floats
+    biases: Floats
+    widths: Ints
+
+
+def as_network(layers: Sequence[tuple[Floats, Floats]]) -> Network:
+    """The network of weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer."""
+    widths = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
+    return Network(
+        weights=np.concatenate([weights.T.ravel() for weights, _ in layers], dtype=np.float64),
+        biases=np.concatenate([bias for _, bias in layers], dtype=np.float64),
+        widths=np.array(widths, dtype=np.int64),
+    )
+
+
+def decide_batch(network: Network, seen: Floats) -> Ints:
+    """The number of the greatest output, the first of equal ones, for each row of inputs.
+
+    The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
+
+    Args:
+        network: the layers.
+        seen: shape (B, inputs).
+    """
+    decisions = np.zeros(len(seen), dtype=np.int64)
+    room = np.empty((2, int(network.widths.max())))
+    _decide_all(network, seen, room, decisions)
+    return decisions
+
+
+@kernel_in_place
+def _decide_all(network: Network, seen: Floats, room: Floats, decisions: Ints) -> None:
+    for i in range(len(seen)):
+        decisions[i] = _decide(network, seen[i], room)
+
+
+@kernel_in_place
+def _decide(network: Network, seen: Floats, room: Floats) -> int:
+    values, sums = room[0], room[1]
+    for i in range(len(seen)):
+        values[i] = seen[i]
+    weight, bias = 0, 0
+    for layer in range(len(network.widths) - 1):
+        before, width = network.widths[layer], network.widths[layer + 1]
+        if layer > 0:
+            _squash(values, before)
+        _add_up(network, weight, bias, values, before, sums, width)
+        weight, bias = weight + before * width, bias + width
+        values, sums = sums, values
+    return _greatest(values, network.widths[-1])
+
+
+@kernel_in_place
+def _squash(values: Floats, count: int) -> None:
+    for i in range(count):
+        values[i] = math.tanh(values[i])
+
+
+@kernel_in_place
+def _add_up(network: Network, weight: int, bias: int, values: Floats, before: int, sums: Floats, width: int) -> None:
+    """Fill in the sums of a layer whose numbers begin at `weight` and `bias`; the inner loop runs over its outputs."""
+    sums, biases = sums[:width], network.biases[bias : bias + width]
+    for j in range(len(sums)):
+        sums[j] = biases[j]
+    for i in range(before):
+        value, weights = values[i], network.weights[weight + i * width : weight + (i + 1) * width]
+        for j in range(len(sums)):
+            sums[j] += weights[j] * value
+
+
+@kernel_in_place
+def _greatest(values: Floats, count: int) -> int:
+    best = 0
+    for i in range(1, count):
+        if values[i] > values[best]:
+            best = i
+    return best

@@ -1,0 +1,79 @@
+"""Lanes as plain arrays: where a station lies, and where on a lane a point lies."""
+
+import math
+from collections.abc import Iterable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.roadmap import Lane
+from behavexplor.jit import kernel_in_place
+
+Floats = NDArray[np.float64]
+
+X: Final = 0  # start of the centre line [m]
+Y: Final = 1
+HEADING: Final = 2  # direction there [rad]
+LENGTH: Final = 3  # [m]
+CURVATURE: Final = 4  # [1/m], positive to the right
+COS: Final = 5  # of the heading
+SIN: Final = 6
+N_COLUMNS: Final = 7
+
+
+def lane_array(lanes: Iterable[Lane]) -> Floats:
+    """Shape (lanes, 7), columns as above."""
+    rows = [(lane.x, lane.y, lane.heading, lane.length, lane.curvature) for lane in lanes]
+    return np.array([(*row, math.cos(row[HEADING]), math.sin(row[HEADING])) for row in rows])
+
+
+@kernel_in_place
+def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float]:
+    """Position and heading at a station of a lane, also beyond its ends."""
+    x, y, start, curvature = lanes[lane, X], lanes[lane, Y], lanes[lane, HEADING], lanes[lane, CURVATURE]
+    if curvature == 0.0:
+        return x + station * lanes[lane, COS], y + station * lanes[lane, SIN], start
+    heading = start + curvature * station
+    x += (math.sin(heading) - lanes[lane, SIN]) / curvature
+    y -= (math.cos(heading) - lanes[lane, COS]) / curvature
+    return x, y, heading
+
+
+@kernel_in_place
+def direction_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float, float]:
+    """Position, and cosine and sine of the heading, at a station of a lane, also beyond its ends."""
+    x, y, start_cos, start_sin = lanes[lane, X], lanes[lane, Y], lanes[lane, COS], lanes[lane, SIN]
+    curvature = lanes[lane, CURVATURE]
+    if curvature == 0.0:
+        return x + station * start_cos, y + station * start_sin, start_cos, start_sin
+    heading = lanes[lane, HEADING] + curvature * station
+    cos, sin = math.cos(heading), math.sin(heading)
+    return x + (sin - start_sin) / curvature, y - (cos - start_cos) / curvature, cos, sin
+
+
+@kernel_in_place
+def offset_on_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
+    """Offset (positive to the right) of a point [m], as `project_on_lane` has it, which takes longer on curves."""
+    cos, sin = lanes[lane, COS], lanes[lane, SIN]
+    dx, dy = x - lanes[lane, X], y - lanes[lane, Y]
+    aside: float = dy * cos - dx * sin
+    if lanes[lane, CURVATURE] == 0.0:
+        return aside
+    radius: float = 1 / lanes[lane, CURVATURE]
+    return radius - math.copysign(1.0, radius) * math.hypot(radius - aside, dx * cos + dy * sin)
+
+
+@kernel_in_place
+def project_on_lane(lanes: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
+    """Station and offset (positive to the right) of a point [m]."""
+    cos, sin = lanes[lane, COS], lanes[lane, SIN]
+    dx, dy = x - lanes[lane, X], y - lanes[lane, Y]
+    ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
+    if lanes[lane, CURVATURE] == 0.0:
+        return ahead, aside
+    radius = 1 / lanes[lane, CURVATURE]
+    right = radius - aside  # of the point is the centre of the arc
+    side = math.copysign(1.0, radius)
+    station = math.atan2(side * ahead, side * right) * radius
+    return station, radius - side * math.hypot(right, ahead)

@@ -1,0 +1,225 @@
+"""Path: the ego's route as a reference line with its lanes to the left and right, and places beside it."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.road.lane_arrays import (
+    CURVATURE,
+    LENGTH,
+    lane_array,
+    offset_on_lane,
+    pose_on_lane,
+    project_on_lane,
+)
+from behavexplor.data.roadmap import Lane, RoadMap
+from behavexplor.jit import kernel_in_place
+
+Floats = NDArray[np.float64]
+
+SPACING: Final = 1.0  # of the stations at which speed limit and neighbouring lanes are kept [m]
+LATERAL_ACCELERATION: Final = 2.5  # limit in curves [m/s2]
+APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
+
+
+class Path(NamedTuple):
+    """The ego's route as plain arrays.
+
+    Attributes:
+        lanes: its lanes, those of equal curvature joined, shape (lanes, 7), see `behavexplor.ads.road.lane_arrays`.
+        bounds: stations where they begin, and where the last one ends [m], shape (lanes + 1,).
+        limits: greatest speed every `SPACING` metres [m/s], shape (stations,).
+        left: number of lanes of the same direction to the left of the route's there, shape (stations,).
+        right: and to the right, shape (stations,).
+        oncoming: 1 where a lane of the other direction lies left of them, else 0, shape (stations,).
+        junction_start: station of the stop line [m], infinite without a junction.
+        junction_end: station where the junction ends [m], minus infinity without one.
+        destination: station of the destination [m].
+        lane_width: [m].
+        speed_limit: of the map [m/s].
+    """
+
+    lanes: Floats
+    bounds: Floats
+    limits: Floats
+    left: Floats
+    right: Floats
+    oncoming: Floats
+    junction_start: float
+    junction_end: float
+    destination: float
+    lane_width: float
+    speed_limit: float
+
+
+def ego_path(
+    roadmap: RoadMap,
+    lateral_acceleration: float = LATERAL_ACCELERATION,
+    approach_braking: float = APPROACH_BRAKING,
+) -> Path:
+    """The ego's route and the lanes beside it.
+
+    Args:
+        roadmap: the map with the ego's route.
+        lateral_acceleration: limit that sets the speed in curves [m/s2].
+        approach_braking: deceleration that sets the speed before curves [m/s2].
+    """
+    route = roadmap.ego_route
+    inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
+    lanes = _joined(route.lanes)
+    beside = np.array([_beside(roadmap, lane) for lane in route.lanes], dtype=np.float64)
+    stations = np.arange(0.0, route.length + SPACING, SPACING)
+    left, right, oncoming = beside[np.searchsorted(route.bounds[1:-1], stations, side="right")].T
+    return Path(
+        lanes=lane_array(lanes),
+        bounds=np.concatenate([[0.0], np.cumsum([lane.length for lane in lanes])]),
+        limits=_speed_limits(roadmap, stations, lateral_acceleration, approach_braking),
+        left=np.ascontiguousarray(left),
+        right=np.ascontiguousarray(right),
+        oncoming=np.ascontiguousarray(oncoming),
+        junction_start=float(route.bounds[inside[0]]) if inside else math.inf,
+        junction_end=float(route.bounds[inside[-1] + 1]) if inside else -math.inf,
+        destination=float(roadmap.destination),
+        lane_width=float(route.lanes[0].width),
+        speed_limit=float(roadmap.speed_limit),
+    )
+
+
+def _beside(roadmap: RoadMap, lane: Lane) -> tuple[int, int, bool]:
+    """Number of lanes to the left and right of a lane that run its way, and whether one runs against them."""
+    group = [other for other in roadmap.lanes if (other.origin, other.target) == (lane.origin, lane.target)]
+    left = group.index(lane)
+    x, y, heading = lane.pose(lane.length / 2)
+    aside = -(left + 1) * lane.width
+    x, y = x - aside * math.sin(heading), y + aside * math.cos(heading)
+    oncoming = any(_runs_against(other, x, y, heading) for other in roadmap.lanes if not other.junction)
+    return left, len(group) - 1 - left, oncoming and not lane.junction
+
+
+def _runs_against(lane: Lane, x: float, y: float, heading: float) -> bool:
+    """Whether a lane's centre line runs through a point in the opposite direction."""
+    station, offset = lane.project(x, y)
+    turned = math.remainder(lane.heading - heading, 2 * math.pi)
+    return abs(offset) < 0.1 and 0 <= station <= lane.length and abs(turned) > math.pi / 2
+
+
+def _joined(lanes: Iterable[Lane]) -> list[Lane]:
+    """The lanes with those of equal curvature joined, which makes them quicker to search."""
+    joined: list[Lane] = []
+    for lane in lanes:
+        if joined and joined[-1].curvature == lane.curvature:
+            joined[-1] = replace(joined[-1], length=joined[-1].length + lane.length)
+        else:
+            joined.append(lane)
+    return joined
+
+
+def _speed_limits(roadmap: RoadMap, stations: Floats, lateral_acceleration: float, approach_braking: float) -> Floats:
+    """The map's limit, lower in curves, and before them as far as braking takes."""
+    route = roadmap.ego_route
+    lane = np.searchsorted(route.bounds[1:-1], stations, side="right")
+    curvature = np.abs([route.lanes[i].curvature for i in lane])
+    limits = np.full(len(stations), float(roadmap.speed_limit))
+    curved = curvature > 0
+    limits[curved] = np.minimum(limits[curved], np.sqrt(lateral_acceleration / curvature[curved]))
+    for i in range(len(limits) - 2, -1, -1):
+        limits[i] = min(limits[i], math.sqrt(limits[i + 1] ** 2 + 2 * approach_braking * SPACING))
+    return limits
+
+
+@kernel_in_place
+def row_at(path: Path, station: float) -> int:
+    """The row of the tables of the path, such as `limits`, for a station [m]."""
+    return min(max(int(station / SPACING), 0), len(path.limits) - 1)
+
+
+@kernel_in_place
+def limit_at(path: Path, station: float) -> float:
+    """Greatest speed [m/s] at a station [m]."""
+    limit: float = path.limits[row_at(path, station)]
+    return limit
+
+
+@kernel_in_place
+def has_lane(path: Path, lane: int, station: float) -> bool:
+    """Whether a lane (0 is the route's, 1 the next to the right) runs the ego's way at a station."""
+    i = row_at(path, station)
+    return bool(-path.left[i] <= lane <= path.right[i])
+
+
+@kernel_in_place
+def oncoming_lane(path: Path, station: float) -> int:
+    """The lane of the other direction that is next to the ego's, 0 where there is none."""
+    i = row_at(path, station)
+    return -int(path.left[i]) - 1 if path.oncoming[i] else 0
+
+
+@kernel_in_place
+def lane_end(path: Path, lane: int, station: float) -> float:
+    """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
+    end = station
+    while end < path.destination and (has_lane(path, lane, end) or oncoming_lane(path, end) == lane):
+        end += SPACING
+    return min(end, path.destination)
+
+
+@kernel_in_place
+def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
+    """The lane of the route that is nearest to a point; the point's station on the route, and its offset [m]."""
+    last = len(path.lanes) - 1
+    nearest, best, best_station, best_offset = math.inf, 0, 0.0, 0.0
+    for curved in (False, True):  # curved lanes last: they take longer, and mostly another one is nearer
+        for i in range(last + 1):
+            if (path.lanes[i, CURVATURE] != 0.0) != curved:
+                continue
+            if curved and offset_on_lane(path.lanes, i, x, y) ** 2 > nearest:
+                continue
+            station, offset = project_on_lane(path.lanes, i, x, y)
+            gap = offset * offset + _outside(path, i, station) ** 2
+            if gap < nearest or (gap == nearest and i < best):
+                nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
+    return best, best_station, best_offset
+
+
+@kernel_in_place
+def _outside(path: Path, lane: int, station: float) -> float:
+    """How far a station of one of the route's lanes lies beyond the lane's ends [m]; the outer ones are continued."""
+    if station < 0.0:
+        return -station if lane > 0 else 0.0
+    return max(station - path.lanes[lane, LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
+
+
+@kernel_in_place
+def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
+    """Station and offset (positive to the right) of a point [m]; the outer lanes are continued."""
+    _, station, offset = locate_on_path(path, x, y)
+    return station, offset
+
+
+@kernel_in_place
+def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
+    """Whether the route is straight between two stations about one of its lanes; its ends are continued."""
+    if path.lanes[lane, CURVATURE] != 0.0:
+        return False
+    starts = lane == 0 or low >= path.bounds[lane]
+    return bool(starts and (lane == len(path.lanes) - 1 or high <= path.bounds[lane + 1]))
+
+
+@kernel_in_place
+def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
+    """Position and heading at a station; the outer lanes are continued."""
+    i = 0
+    while i < len(path.lanes) - 1 and station > path.bounds[i + 1]:
+        i += 1
+    return pose_on_lane(path.lanes, i, station - path.bounds[i])
+
+
+@kernel_in_place
+def point_beside(path: Path, station: float, offset: float) -> tuple[float, float]:
+    """The point at a station and offset."""
+    x, y, heading = pose_on_path(path, station)
+    return x - offset * math.sin(heading), y + offset * math.cos(heading)

@@ -1,0 +1,29 @@
+"""Steering along a path by pure pursuit."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.road.path import Path, pose_on_path
+from behavexplor.ads.scene_io import STEERING_RANGE
+from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
+from behavexplor.jit import kernel_in_place
+
+Floats = NDArray[np.float64]
+
+LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
+LOOK_AHEAD_TIME: Final = 0.3  # its growth with the speed [s]
+
+
+@kernel_in_place
+def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
+    """Pure pursuit of a point on the path; the circle through it is exact for highway-env's bicycle model."""
+    x, y, along = pose_on_path(path, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
+    dx = x - math.sin(along) * offset - scene[EGO, X]
+    dy = y + math.cos(along) * offset - scene[EGO, Y]
+    bearing = math.atan2(dy, dx) - scene[EGO, HEADING]
+    share = scene[EGO, LENGTH] / math.hypot(dx, dy)
+    wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
+    return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])

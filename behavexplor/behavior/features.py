@@ -1,0 +1,126 @@
+"""What the ego did, as numbers: states on an even time grid, and statistics of them over sliding windows.
+
+Source: paper section III-B1, state interpolation and state merging.
+"""
+
+from typing import Final, Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from behavexplor.data.geometry import project_on_polyline
+from behavexplor.data.trace import Trace
+
+Floats = NDArray[np.float64]
+Tail = Literal["padded", "cut"]
+HeadingFrame = Literal["route", "world"]
+
+TIME_STEP: Final = 0.1  # of the even grid [s]
+ATTRIBUTES: Final = (  # the paper's M = 8 attributes of a state
+    "speed",  # [m/s]
+    "speed-change",  # signed acceleration [m/s2]
+    "velocity-along",  # the heading [m/s]
+    "velocity-across",  # to the right of the heading [m/s]
+    "acceleration-along",  # [m/s2]
+    "acceleration-across",  # [m/s2]
+    "yaw-rate",  # [rad/s]
+    "heading",  # [rad]
+)
+STATISTICS: Final = (  # the paper's D = 8 statistics of an attribute in a window
+    "mean",
+    "variance",
+    "minimum",
+    "maximum",
+    "mean-change",
+    "mean-abs-change",
+    "non-linearity",
+    "complexity",
+)
+N_FEATURES: Final = len(ATTRIBUTES) * len(STATISTICS)
+
+STILL: Final = 1e-3  # of any attribute, in its unit: a smaller deviation is jitter, not behaviour
+NEGLIGIBLE: Final = np.tile(  # such a deviation, as each feature shows it, shape (64,)
+    [STILL, STILL**2, STILL, STILL, STILL, STILL, STILL**3, STILL], len(ATTRIBUTES)
+)
+
+
+def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray[np.float32]:
+    r"""The ego's states on a grid of `TIME_STEP`, the paper's X-bar.
+
+    Rates of change belong to the frame at which they begin, so T frames give T - 1 states before interpolation.
+
+    Args:
+        trace: of T frames, at any rate.
+        heading_frame: "route": headings are relative to the direction of the ego's route at its nearest place,
+            so that the compass direction of a road does not matter; "world": they are not.
+
+    Returns:
+        Shape (N', 8), columns as in `ATTRIBUTES`, read-only. N' = 0 if the trace has a single frame.
+    """
+    time = trace.time[:-1]
+    if not len(time):
+        return np.zeros((0, len(ATTRIBUTES)), dtype=np.float32)
+    step = np.diff(trace.time)
+    heading = np.unwrap(trace.heading[:, 0])
+    velocity, acceleration = trace.velocity[:, 0], trace.acceleration[:, 0]
+    speed = np.hypot(velocity[:, 0], velocity[:, 1])
+    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
+    columns = [speed[:-1], np.diff(speed) / step]
+    for vector in (velocity[:-1], acceleration):
+        columns += [vector[:, 0] * cos + vector[:, 1] * sin, vector[:, 1] * cos - vector[:, 0] * sin]
+    columns += [np.diff(heading) / step, heading[:-1]]
+
+    grid = np.arange(int((time[-1] + 1e-9) / TIME_STEP) + 1) * TIME_STEP
+    states = np.stack([np.interp(grid, time, column) for column in columns], axis=1)
+    if heading_frame == "route":
+        position = np.stack([np.interp(grid, trace.time, trace.position[:, 0, axis]) for axis in (0, 1)], axis=1)
+        states[:, -1] -= project_on_polyline(position, trace.route)[1]
+    states[:, -1] -= 2 * np.pi * np.rint(states[0, -1] / (2 * np.pi))
+    matrix = states.astype(np.float32)
+    matrix.setflags(write=False)
+    return matrix
+
+
+def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padded") -> Floats:
+    """Statistics of each attribute over each window of consecutive states, the paper's H.
+
+    Every statistic equals tsfresh's feature calculator of that name (non-linearity: `c3` with lag 1; complexity:
+    `cid_ce` of the normalised window, here 0 where the window's deviation is below `STILL`). Those that need more
+    states than the window has are 0.
+
+    Args:
+        states: shape (N', 8).
+        window: the paper's w, in states.
+        tail: "padded": one window begins at every state, beyond the end with repetitions of the last one (paper);
+            "cut": only windows that lie within the trace, N' - w + 1; one padded window if it is too short.
+
+    Returns:
+        Shape (windows, 64): the eight statistics of the first attribute, then of the second, and so on.
+    """
+    x = np.asarray(states, dtype=np.float64)
+    if not len(x):
+        return np.zeros((0, N_FEATURES))
+    padding = window - 1 if tail == "padded" else max(window - len(x), 0)
+    x = np.concatenate([x, np.repeat(x[-1:], padding, axis=0)])
+    seen = _windows(x, window)
+    mean = seen.mean(0)
+    variance = ((seen - mean) ** 2).mean(0)
+    zero = np.zeros_like(mean)
+    change = mean_abs_change = non_linearity = complexity = zero
+    if window > 1:
+        steps = _windows(np.diff(x, axis=0), window - 1)
+        change = (seen[-1] - seen[0]) / (window - 1)
+        mean_abs_change = np.abs(steps).mean(0)
+        deviation = np.sqrt(variance)
+        moving = deviation > STILL
+        complexity = np.where(moving, np.sqrt((steps**2).sum(0)) / np.where(moving, deviation, 1.0), 0.0)
+    if window > 2:
+        non_linearity = _windows(x[2:] * x[1:-1] * x[:-2], window - 2).mean(0)
+    statistics = (mean, variance, seen.min(0), seen.max(0), change, mean_abs_change, non_linearity, complexity)
+    return np.stack(statistics, axis=2).reshape(len(mean), -1)
+
+
+def _windows(rows: Floats, length: int) -> Floats:
+    """All windows of consecutive rows, shape (length, windows, columns)."""
+    return np.moveaxis(sliding_window_view(rows, length, axis=0), -1, 0)

@@ -1,0 +1,305 @@
+"""The campaign: a search method asks, scenarios are executed and judged, the method is told, all is stored.
+
+Results are told in the order in which they were asked for, and candidate i is asked for when exactly the
+results up to i - batch have been told. So a campaign is the same whatever executes it, and going on after an
+interruption is nothing but running it again with the stored traces in place of executions.
+"""
+
+import re
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.campaign.config import Budget, CampaignConfig, checked
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
+from behavexplor.execution.executor import evaluate
+from behavexplor.execution.rollout import ADSError
+from behavexplor.fuzz.methods import load_method
+from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.events import R1, REQUIREMENTS
+from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.specs import SPECS, Verdict, judge
+
+COMMIT_ROWS = 50  # executions that are brought to disk together at most
+COMMIT_SECONDS = 0.25  # and how long one waits for the others at most [s]
+
+
+ERROR = "error"  # violated by an ADS that does something else than driving
+_ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # of an object: it differs from run to run
+
+
+class ExecutionError(Exception):
+    """An execution could not be carried out, though not for anything that the ADS did: no finding."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a campaign has come; every execution counted here is on disk.
+
+    Attributes:
+        executions: how many are stored.
+        failed: how many of them violate a spec.
+        violations: failures by the first spec that they violate, R1 before R2 before R3: a collision keeps
+            the ego from its destination, too; and "error", what else an ADS did than driving.
+        classes: failures by their class, see `behavexplor.judge.classes`; one for each unique violation.
+        novel: how many showed a behaviour that was new to the campaign.
+        elapsed: running time, also before an interruption [s].
+        earlier: part of it before the interruption [s].
+        executing: part of the rest spent waiting for executions [s].
+        resumed: executions that had been stored by an earlier run.
+        method: figures of the search method by name.
+        last: the latest execution that was "novel", of a new "class", or counts for a spec, by that name.
+    """
+
+    executions: int = 0
+    failed: int = 0
+    violations: Mapping[str, int] = field(default_factory=dict)
+    classes: Mapping[str, int] = field(default_factory=dict)
+    novel: int = 0
+    elapsed: float = 0.0
+    earlier: float = 0.0
+    executing: float = 0.0
+    resumed: int = 0
+    method: Mapping[str, float] = field(default_factory=dict)
+    last: Mapping[str, int] = field(default_factory=dict)
+
+
+class Campaign:
+    """One campaign in its run folder.
+
+    Args:
+        config: what it is.
+        method: asks for scenarios, see `search_method`.
+        logical: which scenarios are possible.
+        store: where its executions go; what it holds already is not executed again.
+        executor: runs `behavexplor.execution.executor.evaluate`.
+    """
+
+    def __init__(
+        self,
+        config: CampaignConfig,
+        method: SearchMethod,
+        logical: LogicalScenario,
+        store: Store,
+        executor: Executor,
+    ) -> None:
+        self._config = config
+        self._method = method
+        self._logical = logical
+        self._budget = Budget.parse(config.budget)
+        self._store = store
+        self._executor = executor
+        self._archive = NoveltyArchive()
+        self._stored = store.end  # candidates before this one have been executed, unless the store has lost them
+        self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
+        self._asked = 0
+        self._start = time.monotonic() - store.elapsed
+        self._committed = time.monotonic()
+        self.progress = Progress(violations={spec.name: 0 for spec in SPECS}, earlier=store.elapsed)
+        self.stopping = False
+
+    def stop(self) -> None:
+        """End the campaign after the execution that is being told."""
+        self.stopping = True
+
+    def run(self, observe: Callable[[Progress], None]) -> str | None:
+        """Run to the end of the budget, or until stopped.
+
+        Args:
+            observe: called whenever executions have been stored.
+
+        Returns:
+            Why the search ended before its budget, as a sentence; None if it did not.
+
+        Raises:
+            ExecutionError: if the ADS or its environment failed.
+            InputError: if the stored executions are not those of this configuration.
+        """
+        ended = None
+        try:
+            while not self.stopping:
+                ended = self._ask_all()
+                if not self._pending:
+                    break
+                self._tell(*self._pending.popleft())
+                self._commit(observe, COMMIT_ROWS, COMMIT_SECONDS)
+        finally:
+            self._commit(observe, 1, 0.0)
+        return ended
+
+    @property
+    def elapsed(self) -> float:
+        """Running time, also before an interruption [s]."""
+        return time.monotonic() - self._start
+
+    def _ask_all(self) -> str | None:
+        """Fill the batch; why the method could not, if so."""
+        while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
+            try:
+                candidate = self._method.ask()
+            except SearchExhausted as end:
+                return str(end)
+            self._asked += 1
+            self._pending.append((candidate, self._execute(candidate)))
+        return None
+
+    def _within_budget(self) -> bool:
+        if self._budget.executions is not None:
+            return self._asked < self._budget.executions
+        return self._asked < self._stored or self.elapsed < (self._budget.seconds or 0.0)
+
+    def _execute(self, candidate: Candidate) -> Future[bytes] | Execution:
+        stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
+        if stored is None:
+            with self._waiting():
+                return self._submit(candidate)
+        if stored.scenario != candidate.scenario:
+            raise InputError(
+                f"The run cannot be resumed: execution {candidate.number} would be another scenario now, so the "
+                f"configuration or the program has changed"
+            )
+        return stored
+
+    def _submit(self, candidate: Candidate) -> Future[bytes]:
+        try:
+            return self._executor.submit(evaluate, candidate.scenario.to_json().encode())
+        except RuntimeError as error:  # a worker has died, and the others with it
+            raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
+
+    def _tell(self, candidate: Candidate, result: Future[bytes] | Execution) -> None:
+        if isinstance(result, Execution):
+            self._told(candidate, result.trace, result.record.get(ERROR), result)
+            return
+        data, failure = b"", None
+        try:
+            with self._waiting():
+                data = result.result()
+        except ADSError as error:
+            failure = ads_failure(error)
+            data = self._logical.first_frame(candidate.scenario, ERROR).to_bytes()
+        except Exception as error:
+            message = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
+        self._told(candidate, data, failure, None)
+
+    @contextmanager
+    def _waiting(self) -> Iterator[None]:
+        """Count the time inside as spent on executions."""
+        before = time.monotonic()
+        yield
+        self.progress = replace(self.progress, executing=self.progress.executing + time.monotonic() - before)
+
+    def _told(
+        self, candidate: Candidate, data: bytes, failure: Mapping[str, str] | None, stored: Execution | None
+    ) -> None:
+        """Judge an execution, tell the method, and store the record unless it was stored before."""
+        record = self._record(candidate, Trace.from_bytes(data), failure)
+        if stored is None:
+            self._store.add(Execution(record, data, self.elapsed))
+        elif any(record.get(name) != value for name, value in stored.record.items()):  # old records say less
+            raise InputError(
+                f"The run cannot be resumed: execution {candidate.number} is judged otherwise now, so the "
+                f"configuration or the program has changed"
+            )
+        else:
+            self._count(stored, resumed=1)
+
+    def _record(self, candidate: Candidate, trace: Trace, failure: Mapping[str, str] | None) -> dict[str, Any]:
+        verdict = judge(trace, SPECS)
+        if failure is not None:
+            verdict = replace(verdict, violated=(ERROR,))
+        novelty = self._archive.observe(trace)
+        learned = self._method.tell(candidate, trace, verdict)
+        return {
+            "id": candidate.number,
+            "origin": candidate.origin,
+            "parent": candidate.parent,
+            "end": trace.end,
+            **({ERROR: dict(failure)} if failure is not None else {}),
+            "duration": trace.duration,
+            "violated": list(verdict.violated),
+            **_described(trace, verdict, failure),
+            "degree": verdict.degree,
+            "degrees": dict(verdict.degrees),
+            "novelty": novelty,
+            "novel": novelty > self._archive.options.threshold,
+            "search": dict(learned),
+            "scenario": candidate.scenario.to_dict(),
+        }
+
+    def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:
+        """Bring what was told to disk if it is enough or waited long enough, then count it."""
+        waited = time.monotonic() - self._committed
+        if self._store.pending < rows and waited < seconds:
+            return
+        for execution in self._store.commit():
+            self._count(execution)
+        self._committed = time.monotonic()
+        self.progress = replace(self.progress, elapsed=self.elapsed, method=dict(self._method.status()))
+        observe(self.progress)
+
+    def _count(self, execution: Execution, resumed: int = 0) -> None:
+        record, progress = execution.record, self.progress
+        first = record["violated"][:1]
+        kind = record.get("class")
+        marks = (["novel"] if record["novel"] else []) + first
+        marks += ["class"] if kind is not None and kind not in progress.classes else []
+        self.progress = replace(
+            progress,
+            executions=progress.executions + 1,
+            failed=progress.failed + bool(record["violated"]),
+            violations={**progress.violations, **{name: progress.violations.get(name, 0) + 1 for name in first}},
+            classes=progress.classes if kind is None else {**progress.classes, kind: progress.classes.get(kind, 0) + 1},
+            novel=progress.novel + record["novel"],
+            resumed=progress.resumed + resumed,
+            last={**progress.last, **dict.fromkeys(marks, execution.id)},
+        )
+
+
+def _described(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> dict[str, str | None]:
+    """For the record of a failure: its class, and the verdict on the contact if there is one."""
+    if failure is not None:
+        return {"class": f"{ERROR}/{failure['kind']}"}
+    if not verdict.violated:
+        return {}
+    first, kind = verdict.violated[0], violation_class(trace, verdict)
+    spec = REQUIREMENTS.get(first, first)
+    fault = contact_fault(trace) if spec == R1 else None
+    return {"class": kind.id if kind else spec, **({"fault": fault} if fault is not None else {})}
+
+
+def ads_failure(error: ADSError) -> dict[str, str]:
+    """What an ADS did, for the record: the same whenever it does it again."""
+    return {"kind": error.kind, "message": _ADDRESS.sub("0x...", error.message)}
+
+
+def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMethod:
+    """The search method of a campaign.
+
+    Raises:
+        InputError: if there is none of its name, or its options are wrong.
+    """
+    kind = load_method(config.method)
+    options: Any = checked(kind.Options, config.options, f"options of {config.method}")
+    return kind(logical, config.seed, options)
+
+
+def run_folder(config: CampaignConfig, root: Path) -> Path:
+    """A new folder for a campaign below `root`, named after what it is and when it began."""
+    names = [
+        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1]) for name in (config.env, config.ads, config.method)
+    ]
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    name = "-".join([*names, str(config.seed), stamp])
+    taken = sum(1 for _ in root.glob(f"{name}*"))
+    return root / (f"{name}-{taken + 1}" if taken else name)

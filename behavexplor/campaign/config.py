@@ -1,0 +1,209 @@
+"""What a campaign is: read from a file and from flags, checked, and written into its run folder."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar, get_type_hints
+
+import yaml
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from behavexplor.data.untrusted import parse_yaml
+from behavexplor.errors import InputError, brief, unknown_name
+
+CONFIG = "config.yaml"  # in a run folder
+MAX_FILE_SIZE = 100_000  # bytes; a campaign's file has a few hundred
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long a campaign runs: a number of executions, or a time.
+
+    Attributes:
+        executions: None where it is a time.
+        seconds: None where it is a number of executions.
+    """
+
+    executions: int | None = None
+    seconds: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read "750", "30m" or "1h30m".
+
+        Raises:
+            InputError: if the text is neither, or nothing at all could be executed.
+        """
+        if re.fullmatch(r"\d{1,9}", text) and int(text) > 0:
+            return cls(executions=int(text))
+        parts = re.fullmatch(r"(?:(\d+(?:\.\d+)?)h)?(?:(\d+(?:\.\d+)?)m)?(?:(\d+(?:\.\d+)?)s)?", text)
+        amounts = parts.groups(default="0") if parts else ()
+        seconds = sum(float(amount) * unit for amount, unit in zip(amounts, (3600, 60, 1), strict=False))
+        if not seconds:
+            raise InputError(
+                f"The budget {text!r} is neither a number of executions (750) nor a time (90s, 30m, 1h30m)"
+            )
+        return cls(seconds=seconds)
+
+
+@dataclass(frozen=True)
+class CampaignConfig:
+    """One search method x ADS x environment x seed, with a budget.
+
+    Attributes:
+        env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
+        ads: system under test: "rule", a policy's file, or "package.module:attribute" of anything with a
+            `predict` method.
+        method: search method, see `behavexplor.fuzz.methods`, or "package.module:attribute".
+        budget: executions, such as "750", or a time, such as "30m".
+        seed: the same seed gives the same campaign.
+        batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the
+            paper's sequential loop.
+        time_limit: of one execution [s]; an ADS that takes longer is in a hang.
+        memory_limit: of one worker process [GiB], where the system can set it.
+        unconfined: whether an ADS that is not shipped with this package may write files and use the network. Else
+            its worker processes may not, where the system can prevent it.
+        trust: digests ("sha256:...") of policies' files that may run code of their own while they are loaded.
+        options: of the search method; see its `Options`.
+
+    Raises:
+        InputError: if a value is out of range.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    env: str = "intersection-straight"
+    ads: str = "rule"
+    method: str = "behavexplor"
+    budget: str = "750"
+    seed: int = 0
+    batch: int = 8
+    time_limit: float = 300.0
+    memory_limit: float = 8.0
+    unconfined: bool = False
+    trust: tuple[str, ...] = ()
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        Budget.parse(self.budget)
+        if not 0 <= self.seed < 2**63:
+            raise InputError(f"The seed {self.seed} must be a whole number from 0 to 2^63 - 1")
+        if not 1 <= self.batch <= 10_000:
+            raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
+        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
+            if not 0 < limit < 1e9:
+                raise InputError(f"{name} {limit} must be greater than 0")
+        for digest in self.trust:
+            if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
+                raise InputError(f"--trust {digest!r} must be sha256: and 64 hexadecimal digits, of a policy's file")
+
+    def to_yaml(self) -> str:
+        """The whole configuration; a campaign that is given this file is the same campaign."""
+        return yaml.safe_dump({**asdict(self), "trust": list(self.trust)}, sort_keys=False)
+
+
+def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
+    """A configuration from plain values.
+
+    Raises:
+        InputError: naming the first value that is unknown, of a wrong type or out of range.
+    """
+    budget = values.get("budget")
+    if isinstance(budget, int) and not isinstance(budget, bool):  # as YAML reads `budget: 750`
+        values = {**values, "budget": str(budget)}
+    return checked(CampaignConfig, values, "configuration")
+
+
+def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
+    """An instance of a dataclass from plain values, none of them unknown or of a wrong type.
+
+    Raises:
+        InputError: naming the first value that is wrong.
+    """
+    _refuse_unknown(kind, values, what)
+    try:
+        return TypeAdapter(kind).validate_python(dict(values))
+    except ValidationError as error:
+        first = error.errors()[0]
+        cause = first.get("ctx", {}).get("error")
+        if isinstance(cause, InputError):
+            raise cause from None
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{place} of the {what}: {first['msg']}, got {brief(first['input'])}") from None
+
+
+def _refuse_unknown(kind: type[Any], values: Mapping[str, Any], what: str) -> None:
+    """Refuse a key that is no field of the dataclass, or of the dataclass that a field holds."""
+    kinds = get_type_hints(kind)
+    known = [entry.name for entry in fields(kind)]
+    for key, value in values.items():
+        if key not in known and not known:
+            raise InputError(f"{key!r} is not known: this {what} has no keys")
+        if key not in known:
+            raise unknown_name(f"key of the {what}", str(key), known)
+        if is_dataclass(kinds[key]) and isinstance(value, Mapping):
+            _refuse_unknown(kinds[key], value, f"{key} of the {what}")
+
+
+def read_config(name: str) -> dict[str, Any]:
+    """The values in a campaign's file.
+
+    Args:
+        name: path of a YAML file, or the name of a preset in `configs/`, such as "paper".
+
+    Raises:
+        InputError: if there is no such file, or it holds no mapping.
+    """
+    path = Path(name)
+    if not path.is_file() and "/" not in name and (preset := preset_folder() / f"{name}.yaml").is_file():
+        path = preset
+    if not path.is_file():
+        presets = [preset.stem for preset in preset_folder().glob("*.yaml")]
+        raise unknown_name("configuration (neither a file nor a preset)", name, presets)
+    return read_yaml(path)
+
+
+def stored_config(run: Path) -> CampaignConfig:
+    """The configuration of the campaign in a run folder.
+
+    Raises:
+        InputError: if it is missing or damaged.
+    """
+    path = run / CONFIG
+    if not path.is_file():
+        raise InputError(f"{run} is not a run folder, or has lost its {CONFIG}: put that back, or begin another run")
+    values = read_yaml(path)
+    if not values:
+        raise InputError(f"{path} is empty: the configuration of the run is lost")
+    return campaign_config(values)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The keys and values in a YAML file.
+
+    Raises:
+        InputError: if it cannot be read, is too long, or holds no mapping.
+    """
+    try:
+        data = path.read_bytes()
+        if len(data) > MAX_FILE_SIZE:
+            raise InputError(f"{path} has {len(data)} bytes: no campaign's configuration is that long")
+        values = parse_yaml(data.decode())
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is not a YAML file: {error!s:.300}") from None
+    if values is None:
+        return {}
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise InputError(f"{path} must hold keys and values, such as `env: intersection-straight`")
+    return values
+
+
+def preset_folder() -> Path:
+    """The folder of presets: beside the package in a checkout, inside it when it was installed."""
+    package = Path(__file__).parent.parent
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"

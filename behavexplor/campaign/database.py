@@ -1,0 +1,345 @@
+"""The SQLite file of a run folder: what stands in it, how it is opened, and how what is left of a damaged one is read.
+
+Every row carries two checksums, so that a record can be checked without its trace.
+"""
+
+import os
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+FORMAT = 2  # 1: rows had one checksum, of record and trace together
+READABLE = (1, 2)
+MAX_VALUE = 100_000_000  # bytes of one stored value; a trace has some thousand
+_LEAST_ROW = 64  # bytes that a row takes at least
+_ROWS_AT_ONCE = 500
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last for JSON that is none
+
+_SCHEMA = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE executions (
+    id INTEGER PRIMARY KEY,
+    record TEXT NOT NULL,  -- JSON: what `behavexplor records` prints
+    trace BLOB NOT NULL,  -- npz: behavexplor.data.trace.Trace
+    elapsed REAL NOT NULL,  -- running time of the campaign when the execution was told [s]
+    checksum INTEGER NOT NULL,  -- CRC-32 of id, record and trace
+    violated TEXT AS (json_extract(record, '$.violated')),
+    degree REAL AS (json_extract(record, '$.degree')),
+    novelty REAL AS (json_extract(record, '$.novelty')),
+    "end" TEXT AS (json_extract(record, '$.end')),
+    record_checksum INTEGER  -- CRC-32 of id, elapsed and record; none in a row of format 1
+) STRICT;
+"""
+_BEGINNING = f"BEGIN IMMEDIATE; {_SCHEMA} INSERT INTO meta VALUES ('format', '{FORMAT}'); COMMIT;"  # noqa: S608
+_UPGRADE = (
+    "BEGIN IMMEDIATE; ALTER TABLE executions ADD COLUMN record_checksum INTEGER; "  # noqa: S608 - constants
+    f"UPDATE meta SET value = '{FORMAT}' WHERE key = 'format'; COMMIT;"
+)
+_SELECT = "SELECT id, record, {trace}, elapsed, checksum, {record_checksum} FROM executions"
+_INSERT = (
+    "INSERT OR REPLACE INTO executions (id, record, trace, elapsed, checksum, record_checksum) "
+    "VALUES (?, ?, ?, ?, ?, ?)"
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One execution as it is stored.
+
+    Attributes:
+        id: its number.
+        record: JSON.
+        trace: npz; empty where it was not asked for.
+        elapsed: [s].
+    """
+
+    id: int
+    record: bytes
+    trace: bytes
+    elapsed: float
+
+
+class DamagedError(Exception):
+    """A row is there, and is not what was written; or cannot be read."""
+
+
+def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Open a database.
+
+    Args:
+        path: of the file.
+        mode: "ro" to read it, "rw" to write it, "rwc" to make it where it is missing.
+
+    Raises:
+        sqlite3.Error: if it cannot be opened.
+    """
+    if mode == "ro" and not os.access(path.parent, os.W_OK) and not _wal(path).exists():
+        mode = "ro&immutable=1"  # nobody can write it, and SQLite cannot make the files that it would need beside it
+    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=30)
+    try:
+        _set_up(connection, is_reader=mode.startswith("ro"))
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def _set_up(connection: sqlite3.Connection, *, is_reader: bool) -> None:
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
+    connection.text_factory = bytes  # damaged text is found by its checksum, not by its encoding
+    if is_reader:
+        connection.execute("PRAGMA trusted_schema = OFF")
+        connection.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off as far as it goes
+    else:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+
+
+def begin(connection: sqlite3.Connection) -> None:
+    """Make the tables, all or none."""
+    connection.executescript(_BEGINNING)
+
+
+def is_empty(connection: sqlite3.Connection) -> bool:
+    """Whether a database has no tables yet: its making was interrupted.
+
+    Raises:
+        sqlite3.Error: if it cannot be read.
+    """
+    return bool(connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0] == 0)
+
+
+def read_format(connection: sqlite3.Connection) -> str:
+    """The format that a database says it has, "none" if it does not say.
+
+    Raises:
+        sqlite3.Error: if it cannot be read.
+    """
+    kinds = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name IN ('meta', 'executions')"
+    if connection.execute(kinds).fetchone()[0] != 2:
+        return "none"
+    row = connection.execute("SELECT value FROM meta WHERE key = 'format'").fetchone()
+    return row[0].decode(errors="replace") if row and isinstance(row[0], bytes) else "none"
+
+
+def written_format(path: Path) -> str | None:
+    """The format of a file that is only looked at; None if it does not say, or cannot be read."""
+    try:
+        with closing(connect(path, "ro")) as connection:
+            found = read_format(connection)
+    except sqlite3.Error:
+        return None
+    return None if found == "none" else found
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Bring a database of format 1 to this version's, all or nothing."""
+    connection.executescript(_UPGRADE)
+
+
+def insert(connection: sqlite3.Connection, rows: list[Row]) -> None:
+    """Bring rows to disk, all or none; a row of the same number is replaced."""
+    with connection:
+        connection.executemany(
+            _INSERT,
+            [
+                (row.id, row.record.decode(), row.trace, row.elapsed, _checksum(row), _record_checksum(row))
+                for row in rows
+            ],
+        )
+
+
+class Table:
+    """The executions in a database.
+
+    Args:
+        path: of the file.
+        connection: to it.
+        stored_format: that it has.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, stored_format: str) -> None:
+        self._path = path
+        self._connection = connection
+        extra = "record_checksum" if stored_format != "1" else "NULL"
+        self._whole = _SELECT.format(trace="trace", record_checksum=extra)
+        self._brief = _SELECT.format(trace="NULL", record_checksum=extra)
+
+    def row(self, number: int) -> Row | None:
+        """One row with its trace; None if there is none.
+
+        Raises:
+            DamagedError: if it is damaged.
+        """
+        try:
+            found = self._connection.execute(f"{self._whole} WHERE id = ?", (number,)).fetchone()
+        except sqlite3.DatabaseError as error:
+            raise DamagedError(str(error)) from None
+        return None if found is None else _checked(found)
+
+    def rows(self, *, traces: bool) -> Iterator[tuple[int, Row | None]]:
+        """All numbers in order, each with its row, or None where that is damaged or missing.
+
+        Where nobody can say how many rows there were, the last number is the first of those that are lost.
+
+        Args:
+            traces: whether they are read, too.
+        """
+        lost: list[int] = []
+        for number, found in self._found(self._whole if traces else self._brief):
+            row = self._row(found)
+            if row is None:
+                lost.append(number)
+                continue
+            yield from ((earlier, None) for earlier in lost)
+            lost.clear()
+            yield number, row
+        last = self.last
+        yield from ((number, None) for number in lost if number == lost[0] or (last is not None and number <= last))
+
+    @property
+    def last(self) -> int | None:
+        """The greatest number; -1 without any row, None if nobody can say."""
+        try:
+            return int(self._connection.execute("SELECT coalesce(max(id), -1) FROM executions").fetchone()[0])
+        except sqlite3.DatabaseError:
+            return None
+
+    def _row(self, found: tuple[Any, ...] | None) -> Row | None:
+        try:
+            if found is not None and found[2] is None and found[5] is None:  # only its trace tells whether it is whole
+                return self.row(found[0])
+            return None if found is None else _checked(found)
+        except DamagedError:
+            return None
+
+    def _found(self, query: str) -> Iterator[tuple[int, tuple[Any, ...] | None]]:
+        """What is in the table for each number from 0, None if it is missing or cannot be read."""
+        number = 0
+        try:
+            for found in self._connection.execute(f"{query} WHERE id >= 0 ORDER BY id"):
+                if found[0] < number:  # pages are out of order
+                    break
+                yield from ((missing, None) for missing in range(number, min(found[0], number + self._most)))
+                yield found[0], found
+                number = found[0] + 1
+            else:
+                return
+        except sqlite3.DatabaseError:  # a page is damaged
+            pass
+        yield from self._one_by_one(query, number)  # rows in other pages can be found so
+
+    def _one_by_one(self, query: str, first: int) -> Iterator[tuple[int, tuple[Any, ...] | None]]:
+        last = self.last
+        for number in range(first, self._most if last is None else min(last + 1, first + self._most)):
+            try:
+                yield number, self._connection.execute(f"{query} WHERE id = ?", (number,)).fetchone()
+            except sqlite3.DatabaseError:
+                yield number, None
+
+    @property
+    def _most(self) -> int:
+        """How many rows there can be at most in files of that size."""
+        files = (self._path, _wal(self._path))
+        return sum(file.stat().st_size for file in files if file.exists()) // _LEAST_ROW
+
+
+def is_whole(path: Path) -> bool:
+    """Whether the structure of a database is in order; its rows' checksums tell of the rest.
+
+    Raises:
+        sqlite3.Error: if that cannot be found out.
+    """
+    try:
+        with closing(connect(path, "rw")) as connection:
+            return bool(connection.execute("PRAGMA quick_check(1)").fetchone()[0] == b"ok")
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode & 0xFF in _DAMAGED:
+            return False
+        raise
+
+
+def rebuild(path: Path) -> tuple[int, Path]:
+    """Bring what can be read of a damaged database into a new one, and keep the damaged file.
+
+    Returns:
+        How many rows could be read, and where the damaged file is now.
+
+    Raises:
+        OSError: if the folder cannot be written.
+        sqlite3.Error: likewise.
+    """
+    new, kept = path.with_name(path.name + ".part"), _free_name(path)
+    for leftover in (new, _wal(new)):
+        leftover.unlink(missing_ok=True)
+    with closing(connect(new, "rwc")) as connection:
+        begin(connection)
+        count, rows = 0, _readable(path)
+        while some := list(islice(rows, _ROWS_AT_ONCE)):
+            insert(connection, some)
+            count += len(some)
+        connection.execute("PRAGMA journal_mode = DELETE")
+    os.link(path, kept)
+    if _wal(path).exists():
+        _wal(path).replace(_wal(kept))
+    path.with_name(path.name + "-shm").unlink(missing_ok=True)
+    new.replace(path)
+    return count, kept
+
+
+def _readable(path: Path) -> Iterator[Row]:
+    """The undamaged rows of a database."""
+    try:
+        connection = connect(path, "ro")
+    except sqlite3.DatabaseError:
+        return
+    with closing(connection):
+        try:
+            stored_format = read_format(connection)
+        except sqlite3.DatabaseError:
+            stored_format = str(FORMAT)
+        try:
+            connection.execute("SELECT record_checksum FROM executions LIMIT 0")
+        except sqlite3.DatabaseError:
+            stored_format = "1"
+        yield from (row for _, row in Table(path, connection, stored_format).rows(traces=True) if row is not None)
+
+
+def _free_name(path: Path) -> Path:
+    """Where a damaged file is kept beside those that were damaged before."""
+    taken = len(list(path.parent.glob(f"{path.name}.damaged*")))
+    return path.with_name(f"{path.name}.damaged{taken + 1 if taken else ''}")
+
+
+def _wal(path: Path) -> Path:
+    """The file in which SQLite keeps what was committed last."""
+    return path.with_name(path.name + "-wal")
+
+
+def _checked(found: tuple[Any, ...]) -> Row:
+    """A row whose checksums are right.
+
+    Raises:
+        DamagedError: if one is not.
+    """
+    number, record, trace, elapsed, checksum, record_checksum = found
+    if not isinstance(record, bytes) or not isinstance(trace, bytes | None) or not isinstance(elapsed, float):
+        raise DamagedError("a value is of a wrong type")
+    row = Row(number, record, trace or b"", elapsed)
+    whole = trace is None or _checksum(row) == checksum
+    if not whole or record_checksum not in (None, _record_checksum(row)):
+        raise DamagedError("its checksum is wrong")
+    return row
+
+
+def _checksum(row: Row) -> int:
+    return zlib.crc32(row.trace, zlib.crc32(b"%d\n%b" % (row.id, row.record)))
+
+
+def _record_checksum(row: Row) -> int:
+    return zlib.crc32(b"%d\n%b\n%b" % (row.id, repr(row.elapsed).encode(), row.record))

@@ -1,0 +1,427 @@
+"""A campaign's run folder: one SQLite file with every execution, the configuration, and the failures to replay.
+
+What `commit` has returned from is on disk, against a power cut too. The file can be read while a campaign
+writes it, by any SQLite reader: `pandas.read_sql("SELECT * FROM executions", sqlite3.connect(path))`.
+A damaged folder is read as far as it goes, and what a damaged one has lost is executed again on resuming.
+"""
+
+import json
+import os
+import re
+import sqlite3
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Self
+
+from behavexplor.campaign.config import CONFIG
+from behavexplor.campaign.damage import DATABASE, FAILURES, Losses
+from behavexplor.campaign.database import (
+    FORMAT,
+    READABLE,
+    DamagedError,
+    Row,
+    Table,
+    begin,
+    connect,
+    insert,
+    is_empty,
+    is_whole,
+    read_format,
+    rebuild,
+    upgrade,
+    written_format,
+)
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks
+    fcntl = None  # type: ignore[assignment]
+
+LOCK = "campaign.lock"
+_UNFINISHED = {LOCK, f"{CONFIG}.part"}  # what a run may leave that was ended before it had begun
+
+
+@dataclass(frozen=True)
+class Execution:
+    """One stored execution.
+
+    Attributes:
+        record: its figures as JSON values; `id` counts from 0 in the order in which they were asked for.
+        trace: as bytes, see `behavexplor.data.trace.Trace.from_bytes`.
+        elapsed: running time of the campaign up to it [s].
+    """
+
+    record: dict[str, Any]
+    trace: bytes
+    elapsed: float
+
+    @property
+    def id(self) -> int:
+        """Its number."""
+        return int(self.record["id"])
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was executed."""
+        return Scenario.from_dict(self.record["scenario"])
+
+    def load_trace(self) -> Trace:
+        """What happened."""
+        return Trace.from_bytes(self.trace)
+
+
+class Store:
+    """The executions of one run folder.
+
+    Use `create`, `reopen` or `read`. Rows that were added count only once they are committed.
+
+    Attributes:
+        folder: the run folder.
+        repaired: what was found damaged and has been mended when it was reopened, as a sentence; None if nothing was.
+    """
+
+    def __init__(
+        self, folder: Path, connection: sqlite3.Connection, lock: IO[str] | None = None, repaired: str | None = None
+    ) -> None:
+        self.folder = folder
+        self.repaired = repaired
+        self._connection = connection
+        self._table = Table(folder / DATABASE, connection, read_format(connection))
+        self._lock = lock  # of the one who writes
+        self._pending: list[Execution] = []
+
+    @classmethod
+    def create(cls, folder: Path, config: str) -> Self:
+        """Begin a run in an empty or new folder.
+
+        Args:
+            folder: is made if it does not exist.
+            config: the campaign's configuration as YAML.
+
+        Raises:
+            InputError: if the folder cannot be written, or holds something already.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if {path.name for path in folder.iterdir()} - _UNFINISHED:
+                raise InputError(
+                    f"{folder} is not empty: resume the run in it (--resume {folder}) or choose another --out"
+                )
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        return cls._locked(folder, config)
+
+    @classmethod
+    def reopen(cls, folder: Path) -> Self:
+        """Go on with a run, also with one that was ended before it had begun, or was damaged.
+
+        Raises:
+            InputError: if the folder holds no run that this version can go on with.
+        """
+        if not (folder / CONFIG).is_file() and not (folder / DATABASE).is_file():
+            raise InputError(f"{folder} is not a run folder: it has neither {CONFIG} nor {DATABASE}")
+        return cls._locked(folder, None)
+
+    @classmethod
+    def _locked(cls, folder: Path, config: str | None) -> Self:
+        """Open a folder to write it."""
+        try:
+            lock = _lock(folder)
+        except OSError as error:
+            raise _unwritable(folder, error) from None
+        try:
+            if config is not None:
+                write_durably(folder / CONFIG, config)
+            (folder / FAILURES).mkdir(exist_ok=True)
+            repaired = _repaired(folder)
+            return cls(folder, _prepared(folder), lock, repaired)
+        except (OSError, sqlite3.Error) as error:
+            lock.close()
+            raise _unwritable(folder, error) from None
+        except InputError:
+            lock.close()
+            raise
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Look at a run, also while a campaign writes it.
+
+        Raises:
+            InputError: if the folder holds no run that this version can read.
+        """
+        path = folder / DATABASE
+        if not path.is_file():
+            raise InputError(f"{folder} is not a run folder: it has no {DATABASE}")
+        try:
+            connection = connect(path, "ro")
+        except sqlite3.Error as error:
+            raise InputError(f"{path} cannot be read: {error}") from None
+        try:
+            _check_readable(path, connection)
+            return cls(folder, connection)
+        except sqlite3.Error as error:
+            connection.close()
+            raise InputError(f"{path} cannot be read: {error}") from None
+        except InputError:
+            connection.close()
+            raise
+
+    def write_config(self, config: str) -> None:
+        """Replace the configuration: a resumed campaign may have a larger budget.
+
+        Raises:
+            InputError: if it cannot be written.
+        """
+        try:
+            write_durably(self.folder / CONFIG, config)
+        except OSError as error:
+            raise _unwritable(self.folder, error) from None
+
+    def __len__(self) -> int:
+        """How many executions are committed."""
+        return int(self._ask("SELECT count(*) FROM executions"))
+
+    @property
+    def end(self) -> int:
+        """The number after the greatest that is committed."""
+        return int(self._ask("SELECT coalesce(max(id), -1) FROM executions")) + 1
+
+    @property
+    def elapsed(self) -> float:
+        """Running time of the campaign when the last execution was told [s]."""
+        return float(self._ask("SELECT coalesce(max(elapsed), 0.0) FROM executions"))
+
+    def _ask(self, query: str) -> Any:
+        try:
+            return self._connection.execute(query).fetchone()[0]
+        except sqlite3.DatabaseError as error:
+            raise InputError(f"{self.folder / DATABASE} is damaged: {error}") from None
+
+    def add(self, execution: Execution) -> None:
+        """Take an execution in; it counts from the next `commit`."""
+        self._pending.append(execution)
+
+    @property
+    def pending(self) -> int:
+        """How many were added since the last `commit`."""
+        return len(self._pending)
+
+    def commit(self) -> list[Execution]:
+        """Bring what was added to disk, each failure also as a file of its own.
+
+        Returns:
+            What is on disk now and was not before.
+        """
+        rows = []
+        for execution in self._pending:
+            record = json.dumps(execution.record, allow_nan=False).encode()
+            rows.append(Row(execution.id, record, execution.trace, float(execution.elapsed)))
+            if execution.record["violated"]:
+                self._write_failure(execution)
+        insert(self._connection, rows)
+        committed, self._pending = self._pending, []
+        return committed
+
+    def failure_path(self, number: int) -> Path:
+        """The file of a failed execution."""
+        return self.folder / FAILURES / f"{number:06d}.json"
+
+    def _write_failure(self, execution: Execution) -> None:
+        write_durably(self.failure_path(execution.id), json.dumps(execution.record, indent=1) + "\n")
+
+    def executions(self) -> Iterator[Execution]:
+        """All committed executions in order.
+
+        Raises:
+            InputError: if one is damaged; those before it have been given.
+        """
+        for number, row in self._table.rows(traces=True):
+            if row is None:
+                raise self._damaged(number)
+            yield self._checked(row)
+
+    def records(self, losses: Losses | None = None) -> Iterator[dict[str, Any]]:
+        """The records of all committed executions in order; no trace is read.
+
+        Args:
+            losses: takes in what is lost, and the records go on after it.
+
+        Raises:
+            InputError: if one is damaged and there are no `losses` to say it in.
+        """
+        for number, row in self._table.rows(traces=False):
+            record = None
+            with suppress(DamagedError):
+                record = None if row is None else _record(row)
+            if record is not None:
+                if losses is not None and record["violated"] and not self.failure_path(number).is_file():
+                    losses.files.append(number)
+                yield record
+            elif losses is None:
+                raise self._damaged(number)
+            else:
+                losses.damaged.append(number)
+                losses.cut_off = self._table.last is None
+
+    def failures(self) -> Iterator[tuple[int, str, str | None]]:
+        """Each execution that violates a spec, in order: its number, the first spec that it violates, and its class.
+
+        Old runs have no classes.
+        """
+        first = "json_extract(record, '$.violated[0]')"  # readers do not trust columns that are computed in the file
+        columns = f"id, {first}, json_extract(record, '$.class')"
+        query = f"SELECT {columns} FROM executions WHERE {first} IS NOT NULL ORDER BY id"  # noqa: S608 - all our own
+        for number, name, kind in self._connection.execute(query):
+            yield number, name.decode(), kind and kind.decode()
+
+    def execution(self, number: int) -> Execution:
+        """One execution.
+
+        Raises:
+            InputError: if there is none of that number, or it is damaged.
+        """
+        try:
+            row = self._table.row(number) if abs(number) < 2**63 else None
+        except DamagedError:
+            raise self._damaged(number) from None
+        if row is None:
+            raise InputError(f"{self.folder} has no execution {number}: it has {len(self)}, numbered from 0")
+        return self._checked(row)
+
+    def _checked(self, row: Row) -> Execution:
+        try:
+            return _execution(row)
+        except DamagedError:
+            raise self._damaged(row.id) from None
+
+    def recall(self, number: int) -> Execution | None:
+        """An execution for the campaign that goes on; None if it must be executed again.
+
+        The file of a failure that has been lost is written again.
+        """
+        try:
+            row = self._table.row(number)
+            if row is None:
+                return None
+            execution = _execution(row)
+        except DamagedError:
+            return None
+        if execution.record["violated"] and not self.failure_path(number).is_file():
+            self._write_failure(execution)
+        return execution
+
+    def _damaged(self, number: int) -> InputError:
+        return InputError(
+            f"Execution {number} in {self.folder / DATABASE} is damaged or missing: fuzz --resume executes it again"
+        )
+
+    def close(self) -> None:
+        """Release the file; what was written is then a single one, which needs no writing to be read."""
+        if self._lock is not None:
+            with suppress(sqlite3.Error):  # somebody reads it right now
+                self._connection.execute("PRAGMA journal_mode = DELETE")
+            self._lock.close()
+        self._connection.close()
+
+
+def _execution(row: Row) -> Execution:
+    return Execution(_record(row), row.trace, row.elapsed)
+
+
+def _record(row: Row) -> dict[str, Any]:
+    """What a row says, if a campaign can have said it.
+
+    Raises:
+        DamagedError: if it cannot.
+    """
+    try:
+        record = json.loads(row.record)
+    except (ValueError, RecursionError) as error:
+        raise DamagedError(str(error)) from None
+    if not isinstance(record, dict) or record.get("id") != row.id or not isinstance(record.get("scenario"), dict):
+        raise DamagedError("it is no record")
+    violated = record.get("violated")
+    if not isinstance(violated, list) or not all(isinstance(name, str) for name in violated):
+        raise DamagedError("it is no record")
+    return record
+
+
+def _repaired(folder: Path) -> str | None:
+    """Mend the structure of a damaged database; what was lost, as a sentence."""
+    path = folder / DATABASE
+    if not path.is_file():
+        return None
+    if (found := written_format(path)) is not None:
+        _check_format(path, found)  # before anything is changed
+    if is_whole(path):
+        return None
+    count, kept = rebuild(path)
+    return f"{path} was damaged: {count} executions were saved, the others run again; the old file is now {kept.name}"
+
+
+def _prepared(folder: Path) -> sqlite3.Connection:
+    """A connection that writes, to a database of this version's format."""
+    path = folder / DATABASE
+    connection = connect(path, "rwc")
+    try:
+        if is_empty(connection):
+            begin(connection)
+        found = read_format(connection)
+        _check_format(path, found)
+        if found != str(FORMAT):
+            upgrade(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
+    if is_empty(connection):
+        raise InputError(f"{path} is empty: the run has not begun; fuzz --resume begins it")
+    _check_format(path, read_format(connection))
+
+
+def _check_format(path: Path, found: str) -> None:
+    if found in map(str, READABLE):
+        return
+    known = " and ".join(map(str, READABLE))
+    newer = re.fullmatch(r"[1-9]\d{0,8}", found) and int(found) > FORMAT
+    mend = "a newer behavexplor has written it" if newer else "it is no campaign's, or damaged"
+    raise InputError(f"{path} has format {found:.20}, this version reads {known}: {mend}")
+
+
+def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    return InputError(f"The run folder {folder} cannot be written: {reason}")
+
+
+def _lock(folder: Path) -> IO[str]:
+    """Keep other campaigns out of a run folder until the file that is returned is closed.
+
+    Raises:
+        InputError: if another campaign is in it.
+    """
+    file = (folder / LOCK).open("w")
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            raise InputError(f"{folder} is being written by another campaign: wait for its end, or stop it") from None
+    return file
+
+
+def write_durably(path: Path, text: str) -> None:
+    """Write a whole file or none: a crash leaves no half of one."""
+    partial = path.with_name(path.name + ".part")
+    with partial.open("w") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)

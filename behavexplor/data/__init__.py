@@ -1,0 +1,1 @@
+"""The values that cross every boundary: scenarios, road maps and traces, with the geometry they share."""

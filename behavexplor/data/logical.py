@@ -1,0 +1,207 @@
+"""The logical scenario: which concrete scenarios are possible on a map, checked and sampled.
+
+Source: paper section II-B for what is searched: the NPCs' routes and waypoints.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.geometry import box_corners, boxes_overlap
+from behavexplor.data.roadmap import RoadMap, Route
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError, unknown_name
+
+Floats = NDArray[np.float64]
+
+EGO_SIZE = (4.70, 2.06)  # length and width [m], Lincoln MKZ
+VEHICLE_SIZES: Mapping[str, tuple[float, float]] = MappingProxyType(  # length and width [m]
+    {
+        "sedan": (4.57, 2.08),
+        "suv": (4.71, 2.08),
+        "jeep": (4.24, 1.87),
+        "hatchback": (4.05, 1.89),
+        "school-bus": (9.21, 3.26),
+    }
+)
+
+
+@dataclass(frozen=True)
+class LogicalScenario:
+    """A functional scenario's parameters with their ranges.
+
+    Attributes:
+        name: of the functional scenario, such as "intersection-straight".
+        roadmap: the place.
+        n_npcs: how many NPCs a sampled scenario has, and the most that one may have.
+        waypoints_per_lane: how many waypoints an NPC has on each lane of its route.
+        min_speed: least speed at a waypoint before the last [m/s]; the greatest is the speed limit.
+        end_gap: least distance of a starting NPC's centre from the ends of its first lane [m].
+        npc_gap: least distance between the centres of NPCs starting in one lane [m].
+        ego_gap: least distance between the centres of the ego and a starting NPC [m].
+        vehicle_types: the types that NPCs may have.
+    """
+
+    name: str
+    roadmap: RoadMap
+    n_npcs: int
+    waypoints_per_lane: int
+    min_speed: float = 0.2
+    end_gap: float = 2.5
+    npc_gap: float = 8.0
+    ego_gap: float = 15.0
+    vehicle_types: tuple[str, ...] = field(default=tuple(VEHICLE_SIZES))
+
+    @property
+    def speed_range(self) -> tuple[float, float]:
+        """Least and greatest speed at a waypoint before the last [m/s]."""
+        return self.min_speed, self.roadmap.speed_limit
+
+    def position_ranges(self, route: Route) -> Floats:
+        """Where each waypoint of a route may lie, shape (waypoints, 2) [m]: within its lane.
+
+        The first waypoint, where the vehicle starts, also keeps `end_gap` from both ends of its lane.
+        """
+        lanes = np.stack([route.bounds[:-1], route.bounds[1:]], axis=1)
+        ranges = np.repeat(lanes, self.waypoints_per_lane, axis=0)
+        ranges[0] += self.end_gap, -self.end_gap
+        return ranges
+
+    def check(self, scenario: Scenario) -> None:
+        """Whether the scenario can be run here.
+
+        Raises:
+            InputError: naming the field that is out of range, or the spawn rule that is broken.
+        """
+        if scenario.functional != self.name:
+            raise InputError(f"functional: this is a scenario of {scenario.functional!r}, not of {self.name!r}")
+        if len(scenario.npcs) > self.n_npcs:
+            raise InputError(f"npcs: {len(scenario.npcs)} are too many, {self.name!r} has at most {self.n_npcs}")
+        for i, npc in enumerate(scenario.npcs):
+            try:
+                self._check_npc(npc)
+            except InputError as error:
+                raise InputError(f"npcs[{i}].{error}") from None
+            conflict = self.spawn_conflict(npc, scenario.npcs[:i])
+            if conflict is not None:
+                raise InputError(f"npcs[{i}].waypoints[0].position: the vehicle starts {conflict}")
+
+    def _check_npc(self, npc: NPC) -> None:
+        if npc.type not in self.vehicle_types:
+            raise InputError(f"type: {unknown_name('vehicle type', npc.type, self.vehicle_types)}")
+        if npc.route not in self.roadmap.routes:
+            raise InputError(f"route: {unknown_name('route', npc.route, self.roadmap.routes)}")
+        ranges = self.position_ranges(self.roadmap.routes[npc.route])
+        if len(npc.waypoints) != len(ranges):
+            raise InputError(f"waypoints: route {npc.route!r} takes {len(ranges)}, got {len(npc.waypoints)}")
+        low, high = self.speed_range
+        for i, (waypoint, (start, end)) in enumerate(zip(npc.waypoints, ranges, strict=True)):
+            if not start <= waypoint.position <= end:
+                raise InputError(f"waypoints[{i}].position: {waypoint.position} is not in [{start:g}, {end:g}] m")
+            if i == len(ranges) - 1:
+                low = high = 0.0
+            if not low <= waypoint.speed <= high:
+                raise InputError(f"waypoints[{i}].speed: {waypoint.speed} is not in [{low:g}, {high:g}] m/s")
+
+    def first_frame(self, scenario: Scenario, end: str) -> Trace:
+        """The trace of an episode that ended before anybody moved.
+
+        Args:
+            scenario: one that can be run here.
+            end: how it ended.
+        """
+        roadmap = self.roadmap
+        poses = np.stack([roadmap.start_pose, *map(self._start_pose, scenario.npcs)])
+        speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
+        heading = poses[:, 2]
+        return Trace(
+            time=np.zeros(1),
+            position=poses[None, :, :2],
+            heading=heading[None],
+            velocity=speeds[None, :, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1),
+            size=np.array([EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)]),
+            actions=np.zeros((0, 1)),
+            action_frame=np.zeros(0, dtype=np.int64),
+            route=roadmap.ego_line,
+            destination=roadmap.destination_point,
+            illegal_lines=roadmap.illegal_lines,
+            end=end,
+        )
+
+    def spawn_conflict(self, npc: NPC, others: Sequence[NPC]) -> str | None:
+        """What keeps a vehicle from starting beside others: None, or the end of "the vehicle starts ...".
+
+        Args:
+            npc: with a valid type, route and first position.
+            others: vehicles that have their places already.
+        """
+        start, size = self._start_pose(npc), VEHICLE_SIZES[npc.type]
+        ego = self.roadmap.start_pose
+        ego_gap = math.dist(start[:2], ego[:2])
+        if ego_gap < self.ego_gap:
+            return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
+        if _overlap(start, size, ego, EGO_SIZE):
+            return "where the ego stands"
+        lane = self.roadmap.routes[npc.route].lanes[0]
+        for i, other in enumerate(others):
+            pose = self._start_pose(other)
+            gap = math.dist(start[:2], pose[:2])
+            if lane is self.roadmap.routes[other.route].lanes[0] and gap < self.npc_gap:
+                return f"{gap:.2f} m from NPC {i} in the same lane, closer than {self.npc_gap:g} m"
+            if _overlap(start, size, pose, VEHICLE_SIZES[other.type]):
+                return f"where NPC {i} stands"
+        return None
+
+    def _start_pose(self, npc: NPC) -> Floats:
+        return self.roadmap.routes[npc.route].lanes[0].pose(npc.waypoints[0].position)
+
+    def sample(self, rng: np.random.Generator) -> Scenario:
+        """A scenario with every parameter uniform in its range.
+
+        Raises:
+            InputError: if the vehicles could not be placed by the spawn rules.
+        """
+        npcs: list[NPC] = []
+        for _ in range(self.n_npcs):
+            npcs.append(self.place(lambda: self.sample_npc(rng), npcs))
+        return Scenario(self.name, tuple(npcs))
+
+    def sample_npc(self, rng: np.random.Generator) -> NPC:
+        """A vehicle of uniform type, route and waypoints, wherever others may stand."""
+        kind = self.vehicle_types[rng.integers(len(self.vehicle_types))]
+        route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
+        waypoints = []
+        position = 0.0
+        for low, high in self.position_ranges(route):
+            position = float(rng.uniform(max(low, position), high))
+            waypoints.append(Waypoint(position, float(rng.uniform(*self.speed_range))))
+        waypoints[-1] = Waypoint(position, 0.0)
+        return NPC(kind, route.name, tuple(waypoints))
+
+    def place(self, draw: Callable[[], NPC], others: Sequence[NPC], attempts: int = 1000) -> NPC:
+        """The first drawn vehicle that can start beside the others.
+
+        Raises:
+            InputError: if none of `attempts` draws can.
+        """
+        for _ in range(attempts):
+            npc = draw()
+            if self.spawn_conflict(npc, others) is None:
+                return npc
+        raise InputError(
+            f"{self.name}: none of {attempts} draws could be placed beside {len(others)} NPCs; use fewer NPCs"
+        )
+
+
+def _overlap(pose: Floats, size: tuple[float, float], other_pose: Floats, other_size: tuple[float, float]) -> bool:
+    """Whether two boxes touch; poses of shape (3,)."""
+    if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
+        return False  # their circles are apart: most vehicles are
+    corners = box_corners(pose[:2], pose[2], np.array(size))
+    other_corners = box_corners(other_pose[:2], other_pose[2], np.array(other_size))
+    return bool(boxes_overlap(corners, other_corners))

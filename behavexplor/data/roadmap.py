@@ -1,0 +1,192 @@
+"""The road as plain data: lanes, routes along them, and the lines that must not be touched.
+
+Environments build their simulator's roads from a `RoadMap`, planners read it as their map, and samplers
+take the parameter ranges of scenarios from it. The world frame is that of `behavexplor.data.geometry`.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+DOUBLE_YELLOW, CURB = "double-yellow", "curb"
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A lane: a straight or circular centre line of constant width.
+
+    Lanes with the same `origin` and `target` run side by side and are listed from left to right.
+
+    Attributes:
+        name: unique within the map.
+        origin: the node where the lane begins.
+        target: the node where it ends.
+        x: start of the centre line [m].
+        y: start of the centre line [m].
+        heading: direction at the start [rad].
+        length: [m].
+        width: [m].
+        curvature: [1/m], positive where the lane turns right, 0 where it is straight.
+        junction: whether the lane crosses a junction.
+    """
+
+    name: str
+    origin: str
+    target: str
+    x: float
+    y: float
+    heading: float
+    length: float
+    width: float
+    curvature: float = 0.0
+    junction: bool = False
+
+    def pose(self, station: ArrayLike) -> Floats:
+        """Position and heading at distances from the lane's start, also beyond its ends.
+
+        Args:
+            station: shape (...) [m].
+
+        Returns:
+            x [m], y [m] and heading [rad], shape (..., 3).
+        """
+        s = np.asarray(station, dtype=np.float64)
+        heading = self.heading + self.curvature * s
+        if self.curvature == 0.0:
+            x = self.x + s * np.cos(self.heading)
+            y = self.y + s * np.sin(self.heading)
+        else:
+            x = self.x + (np.sin(heading) - np.sin(self.heading)) / self.curvature
+            y = self.y - (np.cos(heading) - np.cos(self.heading)) / self.curvature
+        return np.stack([x, y, heading], axis=-1)
+
+    def project(self, x: float, y: float) -> tuple[float, float]:
+        """Station and offset (positive to the right) of a point, also beyond the lane's ends [m]."""
+        dx, dy = x - self.x, y - self.y
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
+        if self.curvature == 0.0:
+            return ahead, aside
+        radius = 1 / self.curvature
+        to_centre = radius - aside
+        side = math.copysign(1.0, radius)
+        station = math.atan2(side * ahead, side * to_centre) * radius
+        return station, radius - side * math.hypot(ahead, to_centre)
+
+
+@dataclass(frozen=True)
+class Route:
+    """Lanes driven one after the other; stations are distances from the start of the first.
+
+    Attributes:
+        name: unique among the map's routes.
+        lanes: at least one, each beginning where the one before it ends.
+    """
+
+    name: str
+    lanes: tuple[Lane, ...]
+
+    @cached_property
+    def bounds(self) -> Floats:
+        """Stations where the lanes begin, and where the last one ends [m], shape (lanes + 1,)."""
+        return np.concatenate([[0.0], np.cumsum([lane.length for lane in self.lanes])])
+
+    @property
+    def length(self) -> float:
+        """[m]."""
+        return float(self.bounds[-1])
+
+    def pose(self, station: ArrayLike) -> Floats:
+        """Position and heading along the route; beyond its ends the outer lanes are continued.
+
+        Args:
+            station: shape (...) [m].
+
+        Returns:
+            x [m], y [m] and heading [rad], shape (..., 3).
+        """
+        s = np.asarray(station, dtype=np.float64)
+        index = np.searchsorted(self.bounds[1:-1], s, side="right")
+        poses = np.empty((*s.shape, 3))
+        for i, lane in enumerate(self.lanes):
+            here = index == i
+            poses[here] = lane.pose(s[here] - self.bounds[i])
+        return poses
+
+    def project(self, x: float, y: float) -> tuple[float, float]:
+        """Station and offset (positive to the right) of a point on the nearest lane [m].
+
+        The outer lanes are continued beyond the route's ends.
+        """
+        best = (math.inf, 0.0, 0.0)
+        last = len(self.lanes) - 1
+        for i, (lane, begin) in enumerate(zip(self.lanes, self.bounds, strict=False)):
+            station, offset = lane.project(x, y)
+            before = max(-station, 0.0) if i > 0 else 0.0
+            behind = max(station - lane.length, 0.0) if i < last else 0.0
+            best = min(best, (math.hypot(offset, before + behind), float(begin) + station, offset))
+        return best[1:]
+
+    def polyline(self, start: float, end: float, spacing: float = 1.0) -> Floats:
+        """Points of the centre line from one station to another, shape (P, 2) [m], about `spacing` apart."""
+        count = max(2, int(np.ceil((end - start) / spacing)) + 1)
+        return self.pose(np.linspace(start, end, count))[:, :2]
+
+
+@dataclass(frozen=True, eq=False)
+class RoadMap:
+    """Everything fixed about the place of a functional scenario.
+
+    Attributes:
+        lanes: all lanes; those side by side from left to right.
+        npc_routes: the routes that NPCs may take.
+        ego_route: the route to the ego's destination, running on past it.
+        ego_start: station on the ego's route where the ego starts [m].
+        destination: station on the ego's route that it must reach [m].
+        illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
+        line_kinds: `DOUBLE_YELLOW` or `CURB` for each line.
+        speed_limit: [m/s].
+        ego_offset: how far to the right of its route the ego starts [m]; it is not 0 where it has to change lanes.
+    """
+
+    lanes: tuple[Lane, ...]
+    npc_routes: tuple[Route, ...]
+    ego_route: Route
+    ego_start: float
+    destination: float
+    illegal_lines: Floats
+    line_kinds: tuple[str, ...]
+    speed_limit: float
+    ego_offset: float = 0.0
+
+    @cached_property
+    def routes(self) -> dict[str, Route]:
+        """The NPC routes by name."""
+        return {route.name: route for route in self.npc_routes}
+
+    @cached_property
+    def start_pose(self) -> Floats:
+        """Where the ego starts: x [m], y [m] and heading [rad], shape (3,)."""
+        x, y, heading = self.ego_route.pose(self.ego_start)
+        return np.array([x - self.ego_offset * np.sin(heading), y + self.ego_offset * np.cos(heading), heading])
+
+    @cached_property
+    def ego_line(self) -> Floats:
+        """The centre line of the ego's route from its start past its destination, shape (P, 2) [m]."""
+        return self.ego_route.polyline(self.ego_start, self.ego_route.length)
+
+    @cached_property
+    def destination_point(self) -> Floats:
+        """The ego's destination, shape (2,) [m]."""
+        return self.ego_route.pose(self.destination)[:2]
+
+    @cached_property
+    def destination_direction(self) -> Floats:
+        """The direction of the lane at the destination, a unit vector, shape (2,)."""
+        heading = self.ego_route.pose(self.destination)[2]
+        return np.array([np.cos(heading), np.sin(heading)])

@@ -1,0 +1,223 @@
+"""A trace: what happened in one episode, as arrays."""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.untrusted import read_arrays
+from behavexplor.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+RESOLUTION = 1e-9  # of recorded motion, in m, rad and m/s
+FORMAT = 1
+ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error")
+_MOTION = ("position", "heading", "velocity")
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One episode of T frames with N vehicles, the ego first; what a spec, a miner or a report needs.
+
+    Every step of the simulation is a frame, so that nothing the simulator saw is missing here. Motion is
+    recorded to `RESOLUTION`, so that what is read from a file equals what was recorded. Arrays are read-only.
+
+    Attributes:
+        time: shape (T,) [s], increasing, the first 0; T >= 1.
+        position: centres, shape (T, N, 2) [m].
+        heading: shape (T, N) [rad].
+        velocity: shape (T, N, 2) [m/s].
+        size: length and width, shape (N, 2) [m].
+        actions: the ADS's commands, shape (D, A), in the units of its action space.
+        action_frame: the frame at which each was given, shape (D,).
+        route: centre line of the ego's route from its start past its destination, shape (P, 2) [m].
+        destination: shape (2,) [m].
+        illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
+        end: how the episode ended: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or
+            "error" where the ADS did something else than driving.
+        decisions: the ADS's own log by name, each of shape (D, ...).
+
+    Raises:
+        InputError: naming the field whose shape or values are wrong.
+    """
+
+    time: Floats
+    position: Floats
+    heading: Floats
+    velocity: Floats
+    size: Floats
+    actions: Floats
+    action_frame: Ints
+    route: Floats
+    destination: Floats
+    illegal_lines: Floats
+    end: str
+    decisions: Mapping[str, Floats] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in _ARRAYS:
+            kind = np.int64 if name == "action_frame" else np.float64
+            object.__setattr__(self, name, _frozen(name, getattr(self, name), kind))
+        for name in _MOTION:
+            rounded = np.rint(getattr(self, name) / RESOLUTION) * RESOLUTION
+            object.__setattr__(self, name, _frozen(name, rounded, np.float64))
+        if not isinstance(self.decisions, Mapping):
+            raise InputError(f"decisions: expected arrays by name, got {self.decisions!r:.80}")
+        log = {
+            name: _frozen(f"decisions[{name!r}]", values, np.float64) for name, values in sorted(self.decisions.items())
+        }
+        object.__setattr__(self, "decisions", MappingProxyType(log))
+        self._validate()
+
+    def _validate(self) -> None:
+        frames, vehicles, decisions = (
+            np.atleast_1d(rows).shape[0] for rows in (self.time, self.size, self.action_frame)
+        )
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "time": (frames,),
+            "position": (frames, vehicles, 2),
+            "heading": (frames, vehicles),
+            "velocity": (frames, vehicles, 2),
+            "size": (vehicles, 2),
+            "actions": (decisions, None),
+            "action_frame": (decisions,),
+            "route": (None, 2),
+            "destination": (2,),
+            "illegal_lines": (None, 2, 2),
+        }
+        for name, expected in shapes.items():
+            _check_shape(name, getattr(self, name), expected)
+        for name, values in self.decisions.items():
+            _check_shape(f"decisions[{name!r}]", values, (decisions, *values.shape[1:]))
+        if frames == 0 or vehicles == 0:
+            raise InputError("time: a trace needs at least one frame, and an ego in size")
+        if self.time[0] != 0 or (np.diff(self.time) <= 0).any():
+            raise InputError("time: must begin at 0 and increase")
+        if len(self.route) < 2:
+            raise InputError("route: at least two points are needed")
+        if ((self.action_frame < 0) | (self.action_frame >= frames)).any():
+            raise InputError(f"action_frame: must lie in [0, {frames})")
+        if self.end not in ENDS:
+            raise InputError(f"end: expected one of {', '.join(ENDS)}, got {self.end!r}")
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self  # nothing in it can change
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).from_bytes, (self.to_bytes(),)
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return float(self.time[-1])
+
+    @cached_property
+    def acceleration(self) -> Floats:
+        """Change of velocity from each frame to the next, shape (T - 1, N, 2) [m/s2]."""
+        return np.diff(self.velocity, axis=0) / np.diff(self.time)[:, None, None]
+
+    @property
+    def destination_distance(self) -> float:
+        """Distance of the ego's last position to the destination [m]."""
+        return float(np.hypot(*(self.position[-1, 0] - self.destination)))
+
+    def to_bytes(self) -> bytes:
+        """The trace as a compressed npz file; equal traces give equal bytes, and `from_bytes` restores them."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        for name in _MOTION:
+            arrays[name] = _pack(arrays[name])
+        arrays |= {f"decisions.{name}": values for name, values in self.decisions.items()}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, format=np.int64(FORMAT), end=np.str_(self.end), **arrays)
+        return buffer.getvalue()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """The inverse of `to_bytes`; nothing in the data is ever executed.
+
+        Raises:
+            InputError: if the data is not a trace, or is damaged.
+        """
+        try:
+            values = read_arrays(data)
+        except ValueError as error:
+            raise InputError(f"Not a trace, or a damaged one: {error}") from None
+        missing = {"format", "end", *_ARRAYS} - values.keys()
+        if missing:
+            raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
+        if not np.array_equal(values["format"], FORMAT):
+            raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
+        arrays = {name: values[name] for name in _ARRAYS}
+        for name in _MOTION:
+            arrays[name] = _unpack(arrays[name], arrays["time"].size)
+        log = {name.removeprefix("decisions."): values[name] for name in values if name.startswith("decisions.")}
+        return cls(**arrays, end=str(values["end"]), decisions=log)
+
+    def save(self, path: Path) -> None:
+        """Write the trace as an npz file."""
+        path.write_bytes(self.to_bytes())
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read an npz file written by `save`.
+
+        Raises:
+            InputError: if it is not a trace, or is damaged.
+        """
+        return cls.from_bytes(path.read_bytes())
+
+
+_ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in ("end", "decisions"))
+
+
+def _frozen(name: str, values: Any, kind: type[np.generic]) -> NDArray[Any]:
+    """A read-only copy; what is no number, or would lose its fraction, is refused."""
+    try:
+        given = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        given = np.asarray(None)
+    if given.dtype.kind not in "biuf":
+        raise InputError(f"{name}: expected an array of numbers, got {' '.join(repr(values).split())[:80]}")
+    if kind is np.int64 and not (np.isfinite(given) & (given == np.rint(given))).all():
+        raise InputError(f"{name}: every value must be a whole number")
+    array: NDArray[Any] = given.astype(kind)
+    array.setflags(write=False)
+    return array
+
+
+def _check_shape(name: str, array: NDArray[np.generic], expected: tuple[int | None, ...]) -> None:
+    matches = array.ndim == len(expected) and all(
+        size is None or size == actual for size, actual in zip(expected, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = tuple("any" if size is None else size for size in expected)
+        raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
+    if array.dtype == np.float64 and not np.isfinite(array).all():
+        raise InputError(f"{name}: every value must be finite")
+
+
+def _pack(motion: Floats) -> NDArray[np.uint8]:
+    """Second differences over time in units of `RESOLUTION`, byte by byte: smooth motion becomes zeros."""
+    steps = np.rint(motion / RESOLUTION).astype(np.int64)
+    for _ in range(2):
+        steps = np.diff(steps, axis=0, prepend=0)
+    planes = np.ascontiguousarray(np.moveaxis(steps, 0, -1))
+    return np.moveaxis(planes[..., None].view(np.uint8), -1, 0)
+
+
+def _unpack(planes: NDArray[np.uint8], frames: int) -> Floats:
+    if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] != 8 or planes.shape[-1] != frames:
+        raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
+    steps = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view(np.int64)[..., 0]
+    steps = np.moveaxis(steps, -1, 0)
+    for _ in range(2):
+        steps = np.cumsum(steps, axis=0)
+    return np.asarray(steps * RESOLUTION)

@@ -1,0 +1,264 @@
+"""The configuration of the environments: highway-env's with a few keys of ours, and every value checked."""
+
+import inspect
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from types import MappingProxyType
+from typing import Any
+
+import highway_env.envs.common.action as actions
+import highway_env.envs.common.observation as observations
+
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.envs.kinematics import FEATURES, ORDERS
+from behavexplor.envs.reward import WEIGHTS
+from behavexplor.envs.values import (
+    COUNT,
+    EVEN_NUMBERS,
+    FLAG,
+    IMAGE_SHAPE,
+    NOT_NEGATIVE,
+    NUMBER,
+    NUMBER_RANGES,
+    POSITIVE,
+    RANGE,
+    THREE_NUMBERS,
+    TWO_NUMBERS,
+    TWO_POSITIVE,
+    TWO_RANGES,
+    WHOLE,
+    Kind,
+    check_value,
+    names,
+    one_of,
+    optional,
+    shown,
+)
+from behavexplor.errors import InputError, unknown_name
+
+OBSERVATIONS = MappingProxyType(  # highway-env's types that make sense for one vehicle on its way to a place
+    {
+        "GrayscaleObservation": observations.GrayscaleObservation,
+        "Kinematics": observations.KinematicObservation,
+        "LidarObservation": observations.LidarObservation,
+        "OccupancyGrid": observations.OccupancyGridObservation,
+        "Scene": None,  # ours
+        "TimeToCollision": observations.TimeToCollisionObservation,
+        "TupleObservation": observations.TupleObservation,
+    }
+)
+ACTIONS = MappingProxyType(
+    {
+        "ContinuousAction": actions.ContinuousAction,
+        "DiscreteAction": actions.DiscreteAction,
+        "DiscreteMetaAction": actions.DiscreteMetaAction,
+    }
+)
+MAX_PARTS = 16  # of a TupleObservation
+_UNREAD_KEYS = {
+    "observation": {"flatten"},
+    "action": {"target_speeds"},
+}  # in highway-env's own, though nothing reads them
+_KINDS: Mapping[str, Kind] = {  # of the values of the configuration itself
+    "simulation_frequency": COUNT,
+    "policy_frequency": COUNT,
+    "duration": POSITIVE,
+    "screen_width": COUNT,
+    "screen_height": COUNT,
+    "centering_position": TWO_NUMBERS,
+    "scaling": POSITIVE,
+    "offscreen_rendering": optional(FLAG),
+    "real_time_rendering": FLAG,
+}
+_TYPE_KINDS: Mapping[str, Kind] = {  # of those of observations and actions
+    "absolute": FLAG,
+    "acceleration_range": optional(RANGE),
+    "actions_per_axis": COUNT,
+    "align_to_vehicle_axes": FLAG,
+    "as_image": FLAG,
+    "cells": COUNT,
+    "centering_position": optional(TWO_NUMBERS),
+    "clip": FLAG,
+    "dynamical": FLAG,
+    "features": optional(names(FEATURES)),
+    "features_range": optional(NUMBER_RANGES),
+    "flatten": FLAG,
+    "grid_size": optional(TWO_RANGES),
+    "grid_step": optional(TWO_POSITIVE),
+    "horizon": COUNT,
+    "include_obstacles": FLAG,
+    "lateral": FLAG,
+    "longitudinal": FLAG,
+    "maximum_range": POSITIVE,
+    "normalize": FLAG,
+    "observation_shape": IMAGE_SHAPE,
+    "observe_intentions": FLAG,
+    "order": one_of(ORDERS),
+    "scaling": optional(POSITIVE),
+    "see_behind": FLAG,
+    "speed_range": optional(RANGE),
+    "stack_size": COUNT,
+    "steering_range": optional(RANGE),
+    "target_speeds": optional(EVEN_NUMBERS),
+    "vehicles_count": COUNT,
+    "weights": THREE_NUMBERS,
+    "OccupancyGrid.features": optional(names((*FEATURES, "on_road"))),
+}
+_WITHOUT_EFFECT = {  # of highway-env's keys; in its `config`, since its code reads some of them
+    "manual_control",
+    "neighbour_vehicles_connected_lanes",
+    "render_agent",
+    "show_trajectories",
+}
+_LOGICAL_KEYS = {entry.name for entry in fields(LogicalScenario)} - {"name", "roadmap"}
+
+
+def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> dict[str, Any]:
+    """The configuration of an environment where nothing was changed.
+
+    Args:
+        simulator: highway-env's.
+        logical: the environment's logical scenario.
+    """
+    config = dict(simulator) | {
+        "observation": default_observation(logical),
+        "action": {"type": "ContinuousAction"},
+        "simulation_frequency": 20,  # [Hz]
+        "policy_frequency": 10,  # [Hz]
+        "duration": 200.0,  # [s]
+        "reward": dict(WEIGHTS),
+        "logical": {},
+        "screen_width": 800,
+        "screen_height": 800,
+        "centering_position": [0.5, 0.6],
+        "scaling": 5.5,
+    }
+    del config["other_vehicles_type"]
+    return config
+
+
+def default_observation(logical: LogicalScenario) -> dict[str, Any]:
+    """Kinematics with a row for every vehicle that there may be."""
+    return {"type": "Kinematics", "vehicles_count": 1 + logical.n_npcs}
+
+
+def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration with some values changed; of `reward` and `logical` single keys may be given.
+
+    Raises:
+        InputError: if a key is unknown, naming the nearest match, or a value is out of range.
+    """
+    changes = _mapping("config", changes)
+    for key in changes:
+        if key not in config:
+            raise unknown_name("key of the environment's config", str(key), config)
+    changed = dict(config) | dict(changes)
+    for key in ("reward", "logical"):
+        changed[key] = {**config[key], **_mapping(key, changes.get(key, {}))}
+    _check_keys("reward", changed["reward"], WEIGHTS)
+    _check_keys("logical", changed["logical"], _LOGICAL_KEYS)
+    _check_observation("observation", changed["observation"], OBSERVATIONS)
+    _check_action(changed["action"])
+    if "TimeToCollision" in _types(changed["observation"]) and changed["action"]["type"] != "DiscreteMetaAction":
+        raise InputError("The observation type TimeToCollision needs the action type DiscreteMetaAction")
+    for name, weight in changed["reward"].items():
+        check_value(f"reward.{name}", weight, NUMBER)
+    for key, kind in _KINDS.items():
+        check_value(key, changed[key], kind)
+    for key in _WITHOUT_EFFECT:
+        if changed[key] is not config[key]:
+            raise InputError(f"{key}: {shown(changed[key])} has no effect in these environments; leave it out")
+    _check_times(changed)
+    return changed
+
+
+def changed_logical(logical: LogicalScenario, changes: Mapping[str, Any]) -> LogicalScenario:
+    """A logical scenario with other parameter ranges, such as another number of NPCs.
+
+    Raises:
+        InputError: naming what is out of range.
+    """
+    if not changes:
+        return logical
+    kinds = {"n_npcs": WHOLE, "waypoints_per_lane": COUNT, "vehicle_types": names(logical.vehicle_types)}
+    for name, value in changes.items():
+        check_value(f"logical.{name}", value, kinds.get(name, NOT_NEGATIVE))
+    values: dict[str, Any] = dict(changes)
+    if "vehicle_types" in values:
+        values["vehicle_types"] = tuple(values["vehicle_types"])
+    other = replace(logical, **values)
+    if other.min_speed > other.roadmap.speed_limit:
+        raise InputError(f"logical.min_speed: {other.min_speed} exceeds the speed limit {other.roadmap.speed_limit}")
+    shortest = min(route.lanes[0].length for route in other.roadmap.npc_routes)
+    if 2 * other.end_gap > shortest:
+        raise InputError(f"logical.end_gap: {other.end_gap} leaves no room to start in a lane of {shortest:g} m")
+    return other
+
+
+def _check_times(config: Mapping[str, Any]) -> None:
+    simulation, policy = config["simulation_frequency"], config["policy_frequency"]
+    if simulation % policy:
+        raise InputError(
+            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}, "
+            f"or time would run wrong"
+        )
+
+
+def _check_observation(what: str, config: object, types: Mapping[str, type | None]) -> None:
+    settings = _check_type(what, config, types)
+    if settings["type"] == "OccupancyGrid" and settings.get("absolute"):
+        raise InputError(f"{what}.absolute: an OccupancyGrid is always relative to the ego")
+    if settings["type"] == "TupleObservation":
+        parts = settings["observation_configs"]
+        if not isinstance(parts, list | tuple) or not 1 <= len(parts) <= MAX_PARTS:
+            wanted = f"a list of 1 to {MAX_PARTS} observations"
+            raise InputError(f"{what}.observation_configs: expected {wanted}, got {shown(parts)}")
+        inner = {name: kind for name, kind in types.items() if kind and name != "TupleObservation"}
+        for i, part in enumerate(parts):
+            _check_observation(f"{what}.observation_configs[{i}]", part, inner)
+
+
+def _check_action(config: object) -> None:
+    settings = _check_type("action", config, ACTIONS)
+    if not (settings.get("longitudinal", True) or settings.get("lateral", True)):
+        raise InputError("action: at least one of longitudinal and lateral must be True")
+
+
+def _types(observation: Mapping[str, Any]) -> list[str]:
+    """The types of an observation and of its parts."""
+    parts = observation.get("observation_configs", ()) if observation["type"] == "TupleObservation" else ()
+    return [observation["type"], *(part["type"] for part in parts)]
+
+
+def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
+    """Whether highway-env will read every key of an observation's or an action's configuration, and has all."""
+    settings = _mapping(what, config)
+    name = settings.get("type")
+    if not isinstance(name, str) or name not in types:
+        raise unknown_name(f"{what} type", str(name), types)
+    kind = types[name]
+    parameters = dict(inspect.signature(kind).parameters) if kind else {}
+    for unread in ("env", "args", "kwargs"):
+        parameters.pop(unread, None)
+    _check_keys(what, settings, {"type", *parameters} | _UNREAD_KEYS[what.partition(".")[0]])
+    for key, parameter in parameters.items():
+        if parameter.default is parameter.empty and key not in settings:
+            raise InputError(f"{what}: {name} needs {key!r}")
+    for key, value in settings.items():
+        expected = _TYPE_KINDS.get(f"{name}.{key}", _TYPE_KINDS.get(key))
+        if expected is not None:
+            check_value(f"{what}.{key}", value, expected)
+    return settings
+
+
+def _check_keys(what: str, values: Mapping[str, Any], known: object) -> None:
+    names = set(known)  # type: ignore[call-overload]
+    for key in values:
+        if key not in names:
+            raise unknown_name(f"key of {what}", str(key), names)
+
+
+def _mapping(what: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{what}: expected keys and values, got {shown(value)}")
+    return value

@@ -1,0 +1,1 @@
+"""Execution: an ADS drives scenarios in an environment, in this process, in worker processes or on a cluster."""

@@ -1,0 +1,292 @@
+"""An executor for the nodes of a cluster: a node that is lost costs only that its calls are made again elsewhere."""
+
+import json
+import queue
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from threading import Lock, Thread
+from typing import Any, Final, ParamSpec, Protocol, TypeVar, cast
+
+from behavexplor.errors import InputError
+from behavexplor.execution.executor import FUNCTIONS
+from behavexplor.execution.fingerprint import difference, identify, identify_machine
+from behavexplor.execution.pool import BEGIN_SECONDS
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.worker import ADS_FAILED, RESULT
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+LOSSES: Final = 3  # nodes that may be lost with one call, and in a row before they have begun
+
+
+class ClusterError(RuntimeError):
+    """The cluster has lost nodes again and again, or has none: no finding."""
+
+
+class Cluster(Protocol):
+    """What Ray and Dask differ in. A node is whatever they hand out for a `behavexplor.execution.cluster.node.Node`.
+
+    Attributes:
+        cores: how many the cluster has.
+    """
+
+    cores: int
+
+    def start(self, *arguments: str) -> Any:
+        """Have a `Node` of these arguments started, where and when there is room for it."""
+
+    def ask(self, node: Any, function: str, data: bytes) -> "Future[bytes]":
+        """Call `Node.ask`; whatever the future raises means that the node is lost."""
+
+    def end(self, node: Any) -> None:
+        """Give up a node, which may be lost."""
+
+    def close(self) -> None:
+        """Leave the cluster, with all nodes ended."""
+
+
+@dataclass(eq=False)
+class _Call:
+    """A call that has not been answered.
+
+    Attributes:
+        future: of its result.
+        function: by name.
+        data: that it is called on.
+        losses: how many nodes have been lost with it.
+    """
+
+    future: "Future[Any]"
+    function: str
+    data: bytes
+    losses: int = 0
+
+
+@dataclass(eq=False)
+class _Node:
+    """A node, and what it works on.
+
+    Attributes:
+        handle: the cluster's.
+        is_ready: whether it has loaded the ADS, and gives the results that this machine would give.
+        calls: that it works on.
+    """
+
+    handle: Any
+    is_ready: bool = False
+    calls: list[_Call] = field(default_factory=list)
+
+
+class ClusterExecutor(Executor):
+    """Runs the functions of `behavexplor.execution.executor` on cluster nodes, each with its own supervised worker.
+
+    One thread decides everything; others hand it events. Bytes go out, and what comes back is bytes with a tag.
+
+    Args:
+        cluster: where to.
+        n_nodes: how many; with room for fewer, the others begin when there is some.
+        ads: name of the driving system.
+        arguments: of `behavexplor.execution.cluster.node.Node`.
+        patience: how long there may be no node that is ready [s].
+
+    Raises:
+        InputError: if the first node to answer cannot load the ADS or the environment, or would give other results.
+        ClusterError: if no node can begin.
+    """
+
+    def __init__(
+        self, cluster: Cluster, n_nodes: int, ads: str, arguments: tuple[str, ...], patience: float = BEGIN_SECONDS
+    ) -> None:
+        self._cluster = cluster
+        self._ads, self._arguments = ads.encode(), arguments
+        self._identity = identify_machine(self._ads)
+        self._names = {function: name for name, function in FUNCTIONS.items()}
+        self._patience = patience
+        self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._lock = Lock()  # of whether it is closed
+        self._closed = False
+        self._nodes: list[_Node] = []  # all that follows is the thread's
+        self._waiting: deque[_Call] = deque()
+        self._ending = self._aborted = False
+        self._false_starts = 0  # in a row
+        self._error: Exception | None = None
+        self._ready: Future[None] = Future()
+        for _ in range(n_nodes):
+            self._events.put(self._start)
+        self._thread = Thread(target=self._supervise, daemon=True)
+        self._thread.start()
+        try:
+            self._ready.result()
+        except BaseException:
+            self.shutdown(wait=False, cancel_futures=True)
+            raise
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Call one of the functions on bytes.
+
+        The future's exception is an `ADSError` for what the ADS has done, as that of a `WorkerPool`.
+        """
+        if kwargs or len(args) != 1 or not isinstance(args[0], bytes):
+            raise TypeError("a node's function takes bytes and nothing else")
+        name = self._names[cast("Callable[[bytes], bytes]", fn)]
+        future: Future[T] = Future()
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("the cluster has been left")
+            self._events.put(partial(self._take, [_Call(future, name, args[0])]))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the cluster: after the work if it is waited for, else at once."""
+        with self._lock:
+            first, self._closed = not self._closed, True
+            self._events.put(partial(self._leave, aborted=not wait, cancelling=cancel_futures))
+        self._thread.join()
+        if first:
+            self._cluster.close()
+
+    def _supervise(self) -> None:
+        """Let happen what is due, until all is done."""
+        deadline = time.monotonic() + self._patience
+        while not self._aborted and not (self._ending and not self._waiting and not self._working()):
+            if self._error or any(node.is_ready for node in self._nodes):
+                deadline = time.monotonic() + self._patience
+            try:
+                self._events.get(timeout=max(deadline - time.monotonic(), 0.0))()
+                self._hand_out()
+            except queue.Empty:
+                if not self._error and not any(node.is_ready for node in self._nodes):
+                    self._give_up(ClusterError(f"no node of the cluster has been ready for {self._patience:g} s"))
+            except Exception as error:
+                self._give_up(error)
+        self._give_up(ClusterError("the cluster has been left"))
+        for node in self._nodes:
+            self._end(node)
+
+    def _working(self) -> bool:
+        return any(node.calls for node in self._nodes)
+
+    def _leave(self, *, aborted: bool, cancelling: bool) -> None:
+        self._ending, self._aborted = True, aborted
+        if cancelling:
+            self._waiting = deque(call for call in self._waiting if not call.future.cancel())
+
+    def _take(self, calls: list[_Call]) -> None:
+        """Have calls wait for a node, the first of them before all others."""
+        if self._error is None:
+            self._waiting.extend(calls)
+        else:
+            _fail(calls, self._error)
+
+    def _hand_out(self) -> None:
+        """Give waiting calls to the nodes that have the least to do."""
+        ready = [node for node in self._nodes if node.is_ready]
+        while ready and self._waiting:
+            call = self._waiting.popleft()
+            if not call.future.running() and not call.future.set_running_or_notify_cancel():
+                continue
+            node = min(ready, key=lambda node: len(node.calls))
+            node.calls.append(call)
+            self._ask(node, call.function, call.data, partial(self._answered, node, call))
+
+    def _ask(self, node: _Node, function: str, data: bytes, event: Callable[["Future[bytes]"], None]) -> None:
+        """Call a function of a node; its answer is an event."""
+        try:
+            answer = self._cluster.ask(node.handle, function, data)
+        except Exception as error:
+            answer = Future()
+            answer.set_exception(error)
+        answer.add_done_callback(lambda answer: self._events.put(partial(event, answer)))
+
+    def _start(self) -> None:
+        node = _Node(self._cluster.start(*self._arguments))
+        self._nodes.append(node)
+        self._ask(node, identify.__name__, self._ads, partial(self._introduced, node))
+
+    def _introduced(self, node: _Node, answer: "Future[bytes]") -> None:
+        """Let a node work that has loaded the ADS, if it is of the same mind as this machine."""
+        if node not in self._nodes:
+            return
+        try:
+            tag, content = answer.result()[:1], answer.result()[1:]
+        except (Exception, CancelledError) as error:
+            self._false_starts += 1
+            if self._false_starts >= LOSSES:
+                self._give_up(ClusterError(f"no node of the cluster can begin: {_words(error)}"))
+            self._lost(node, error)
+            return
+        problem = difference(content, self._identity) if tag == RESULT else content.decode()
+        if problem is not None:
+            self._give_up(InputError(problem))
+            return
+        self._false_starts, node.is_ready = 0, True
+        if not self._ready.done():
+            self._ready.set_result(None)
+
+    def _answered(self, node: _Node, call: _Call, answer: "Future[bytes]") -> None:
+        if call not in node.calls:  # the node was lost, and the call is made elsewhere
+            return
+        try:
+            content = answer.result()
+        except (Exception, CancelledError) as error:
+            self._lost(node, error)
+            return
+        node.calls.remove(call)
+        _settle(call.future, content)
+
+    def _lost(self, node: _Node, error: BaseException) -> None:
+        """Have another node in place of one, and its calls made again, before all others."""
+        self._nodes.remove(node)
+        self._end(node)
+        for call in node.calls:
+            call.losses += 1
+        often = [call for call in node.calls if call.losses >= LOSSES]
+        _fail(often, ClusterError(f"{LOSSES} nodes were lost one after the other: {_words(error)}"))
+        self._waiting.extendleft(call for call in reversed(node.calls) if call not in often)
+        node.calls.clear()
+        if self._error is None:
+            self._start()
+
+    def _end(self, node: _Node) -> None:
+        with suppress(Exception):  # it is lost
+            self._cluster.end(node.handle)
+
+    def _give_up(self, error: Exception) -> None:
+        """Fail whatever was and will be submitted."""
+        self._error = self._error or error
+        if not self._ready.done():
+            self._ready.set_exception(self._error)
+        calls = [*self._waiting, *(call for node in self._nodes for call in node.calls)]
+        self._waiting.clear()
+        for node in self._nodes:
+            node.calls.clear()
+        _fail(calls, self._error)
+
+
+def _fail(calls: list[_Call], error: Exception) -> None:
+    for call in calls:
+        if call.future.running() or call.future.set_running_or_notify_cancel():
+            call.future.set_exception(error)
+
+
+def _settle(future: "Future[Any]", answer: bytes) -> None:
+    """Give a future what a node has answered."""
+    tag, content = answer[:1], answer[1:]
+    if tag == RESULT:
+        future.set_result(content)
+    elif tag == ADS_FAILED:
+        future.set_exception(ADSError(**json.loads(content)))
+    else:
+        future.set_exception(RuntimeError(content.decode()))
+
+
+def _words(error: BaseException) -> str:
+    """What an error of Ray's or Dask's says, in a line: its type and the last line, which names the cause."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}: {lines[-1] if lines else ''}"

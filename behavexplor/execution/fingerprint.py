@@ -1,0 +1,108 @@
+"""What results depend on beside the configuration: two machines that agree in it give the same records."""
+
+import hashlib
+import json
+import platform
+import socket
+import sys
+from collections.abc import Iterable, Sequence
+from importlib.machinery import PathFinder
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+from behavexplor.ads.loading import SYSTEMS
+
+NODE: Final = "node"  # key of an identity that says whose it is
+_PACKAGE = Path(__file__).parent.parent
+_LIBRARIES = {  # whose arithmetic results go through, by the module that is imported
+    "gymnasium": "gymnasium",
+    "highway_env": "highway-env",
+    "numba": "numba",
+    "numpy": "numpy",
+    "sb3_contrib": "sb3-contrib",
+    "scipy": "scipy",
+    "stable_baselines3": "stable-baselines3",
+    "torch": "torch",
+}
+
+
+def identify(ads: bytes) -> bytes:
+    """The identity of this process, which has loaded an ADS: a JSON object of texts.
+
+    Args:
+        ads: its name, see `behavexplor.ads.loading.load_ads`.
+    """
+    return _identity(ads.decode(), [name for module, name in _LIBRARIES.items() if module in sys.modules])
+
+
+def identify_machine(ads: bytes) -> bytes:
+    """The same of this machine: of all that a process on it might load; the ADS itself is not loaded."""
+    return _identity(ads.decode(), [name for name in _LIBRARIES.values() if _is_installed(name)])
+
+
+def _identity(ads: str, libraries: Iterable[str]) -> bytes:
+    found = {
+        NODE: socket.gethostname(),
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        "kind of processor": platform.machine(),
+        "behavexplor": _digest(_PACKAGE, [*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.npz")]),
+    }
+    found |= {library: version(library) for library in libraries}
+    return json.dumps(found | _ads_digest(ads)).encode()
+
+
+def _is_installed(library: str) -> bool:
+    try:
+        version(library)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def difference(theirs: bytes, ours: bytes) -> str | None:
+    """Why a node would not give the results that this machine gives, as a sentence; None if there is no reason.
+
+    Args:
+        theirs: what `identify` gives on the node.
+        ours: what `identify_machine` gives here.
+    """
+    found, wanted = json.loads(theirs), json.loads(ours)
+    for name in sorted(found.keys() & wanted.keys() - {NODE}):
+        if found[name] != wanted[name]:
+            other = f"The node {found[NODE]} has another {name} ({found[name]}) than this machine ({wanted[name]})"
+            return f"{other}, so that its results could be others: every node needs the same"
+    return None
+
+
+def _ads_digest(name: str) -> dict[str, str]:
+    """Of the file or folder that an ADS is loaded from, if it is none of this package's."""
+    path, module = Path(name), name.partition(":")[0]
+    if module in SYSTEMS:
+        return {}
+    if path.exists():
+        files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+        return {name: _digest(path.parent, files)}
+    source = _source(module)
+    return {} if source is None else {f"file of {module}": _digest(source.parent, [source])}
+
+
+def _source(module: str) -> Path | None:
+    """The file of a module, found without importing it or its packages."""
+    places: Sequence[str] | None = None
+    origin = None
+    for i in range(len(parts := module.split("."))):
+        spec = PathFinder.find_spec(".".join(parts[: i + 1]), places)
+        if spec is None:
+            return None
+        places, origin = spec.submodule_search_locations, spec.origin
+    return None if origin is None else Path(origin)
+
+
+def _digest(folder: Path, files: Iterable[Path]) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        digest.update(f"{file.relative_to(folder).as_posix()}\0".encode())
+        with file.open("rb") as content:
+            digest.update(hashlib.file_digest(content, "sha256").digest())
+    return digest.hexdigest()[:16]

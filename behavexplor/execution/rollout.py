@@ -1,0 +1,261 @@
+"""Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import islice
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+
+
+class ADSError(Exception):
+    """An ADS did something else than driving.
+
+    Attributes:
+        kind: "raised" an exception, gave an "invalid" answer, called for "exit", ran out of "memory", was in a "hang",
+            or took its process down in a "crash".
+        message: what exactly.
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(f"the ADS failed ({kind}): {message}")
+        self.kind = kind
+        self.message = message
+
+
+def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace:
+    """Run a scenario to its end.
+
+    Args:
+        env: takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
+        ads: see `behavexplor.ads.interface.ADS`; its decision log, if it keeps one, goes into the trace.
+        scenario: the concrete scenario.
+
+    Raises:
+        ADSError: if the ADS fails, or what it answers is no action of the environment.
+    """
+    observation, info = env.reset(options={"scenario": scenario})
+    state, start, log = None, np.ones(1, dtype=bool), _Log(ads)
+    done = False
+    while not done:
+        actions, state = _ask(ads, np.asarray(observation)[None], state, start, env.action_space)
+        observation, _, terminated, truncated, info = env.step(actions[0])
+        log.add(state)
+        start = np.zeros(1, dtype=bool)
+        done = terminated or truncated
+    trace: Trace = info["trace"]
+    return log.completed(trace, 0)
+
+
+class LockStep:
+    """Episodes of one ADS, as many at a time as there are sub-environments; see `rollout`.
+
+    An ADS is asked for all of them at once. Where no episode runs, it is shown zeros, and its answer does not count.
+
+    Args:
+        envs: with autoreset disabled; takes `reset(options={"scenarios": ..., "reset_mask": ...})`.
+        ads: see `behavexplor.ads.interface.ADS`.
+    """
+
+    def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any) -> None:
+        self._envs = envs
+        self._ads = ads
+        self._scenarios: list[Scenario | None] = [None] * envs.num_envs
+        self._keys: list[Any] = [None] * envs.num_envs
+        self._running = np.zeros(envs.num_envs, dtype=bool)
+        self._start = np.zeros(envs.num_envs, dtype=bool)
+        self._observation: NDArray[Any] | None = None
+        self._state: Any = None
+        self._log = _Log(ads)
+
+    @property
+    def running(self) -> list[Any]:
+        """The keys of the episodes that have not ended."""
+        return [self._keys[slot] for slot in np.flatnonzero(self._running)]
+
+    @property
+    def free(self) -> int:
+        """How many more episodes can run."""
+        return len(self._running) - int(self._running.sum())
+
+    def begin(self, key: Any, scenario: Scenario) -> None:
+        """Let an episode begin with the next step; one of the sub-environments must be free.
+
+        Args:
+            key: by which `step` says that it has ended.
+            scenario: the concrete scenario.
+        """
+        slot = int(self._running.argmin())
+        self._keys[slot], self._scenarios[slot] = key, scenario
+        self._running[slot] = self._start[slot] = True
+
+    def give_up(self) -> list[Any]:
+        """End all episodes, and return their keys."""
+        keys = self.running
+        self._running[:] = self._start[:] = False
+        self._observation = self._state = None
+        return keys
+
+    def step(self) -> list[tuple[Any, Trace]]:
+        """Have the ADS asked once for all episodes.
+
+        Returns:
+            Key and trace of each episode that has ended.
+
+        Raises:
+            ADSError: if the ADS fails, or what it answers is no action of the environment. Which episode is to blame
+                is not known; none of them can go on.
+        """
+        observation = self._reset()
+        observation[~self._running] = 0
+        actions, self._state = _ask(
+            self._ads, observation, self._state, self._start, self._envs.single_action_space, self._running
+        )
+        self._start = np.zeros(len(self._running), dtype=bool)
+        self._observation, _, terminated, truncated, infos = self._envs.step(actions)
+        self._log.add(self._state)
+        ended = np.flatnonzero(self._running & (terminated | truncated)).tolist()
+        self._running[ended] = False
+        return [(self._keys[slot], self._log.completed(infos["trace"][slot], slot)) for slot in ended]
+
+    def _reset(self) -> NDArray[Any]:
+        """Begin the episodes that are to begin, and what is seen then."""
+        if self._observation is None:  # those without an episode need any scenario at first
+            anything = self._scenarios[int(self._start.argmax())]
+            scenarios = [scenario or anything for scenario in self._scenarios]
+            observation, _ = self._envs.reset(options={"scenarios": scenarios})
+        elif self._start.any():
+            fresh = [scenario if start else None for scenario, start in zip(self._scenarios, self._start, strict=True)]
+            observation, _ = self._envs.reset(options={"scenarios": fresh, "reset_mask": self._start})
+        else:
+            observation = self._observation
+        self._log.begin(self._start, self._running)
+        return np.asarray(observation)
+
+
+def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
+    """Run scenarios to their ends, as many at a time as there are sub-environments; see `LockStep`.
+
+    Args:
+        envs: see `LockStep`.
+        ads: see `LockStep`.
+        scenarios: the concrete scenarios.
+
+    Yields:
+        The number of a scenario, counted from 0, and its trace, as they end.
+
+    Raises:
+        ADSError: if the ADS fails, or what it answers is no action of the environment.
+    """
+    episodes = LockStep(envs, ads)
+    waiting = enumerate(scenarios)
+    while True:
+        for number, scenario in islice(waiting, episodes.free):
+            episodes.begin(number, scenario)
+        if not episodes.running:
+            return
+        yield from episodes.step()
+
+
+class _Log:
+    """What an ADS says of its decisions, step by step for all sub-environments; nothing if it says nothing."""
+
+    def __init__(self, ads: Any) -> None:
+        self._ads = ads if hasattr(ads, "log") else None
+        self._entries: list[dict[str, NDArray[Any]]] = []
+        self._dropped = 0  # entries from before the running episodes began
+        self._begins: dict[int, int] = {0: 0}
+
+    def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
+        """Let episodes begin in some slots; `running` are those in which there is one then."""
+        if not slots.any():
+            return
+        now = self._dropped + len(self._entries)
+        self._begins |= dict.fromkeys(np.flatnonzero(slots).tolist(), now)
+        oldest = min(self._begins[slot] for slot in np.flatnonzero(running).tolist())
+        del self._entries[: oldest - self._dropped]
+        self._dropped = oldest
+
+    def add(self, state: Any) -> None:
+        """Keep what is said of the latest decisions."""
+        if self._ads is not None:
+            self._entries.append({name: np.array(values) for name, values in self._ads.log(state).items()})
+
+    def completed(self, trace: Trace, slot: int) -> Trace:
+        """A trace with what was said in its episode, each of shape (D, ...)."""
+        entries = self._entries[self._begins[slot] - self._dropped :]
+        if not entries:
+            return trace
+        return replace(
+            trace, decisions={name: np.array([entry[name][slot] for entry in entries]) for name in entries[0]}
+        )
+
+
+_asking: list[Any] = [SimpleNamespace(value=0)]  # whether an ADS is being asked right now
+
+
+def share_asking(flag: Any) -> None:
+    """Let others see whether this process is inside an ADS: `flag.value` is 1 there, and 0 elsewhere."""
+    _asking[0] = flag
+
+
+def _ask(
+    ads: Any,
+    observation: NDArray[Any],
+    state: Any,
+    start: NDArray[np.bool_],
+    space: gymnasium.Space[Any],
+    counts: NDArray[np.bool_] | None = None,
+) -> tuple[NDArray[Any], Any]:
+    """The actions and the state that an ADS answers with, whatever it does; of some rows the answer does not count."""
+    _asking[0].value = 1
+    try:
+        return _checked(ads.predict(observation, state, start, deterministic=True), space, len(start), counts)
+    except _AnswerError as error:
+        raise ADSError("invalid", str(error)) from error
+    except MemoryError as error:
+        raise ADSError("memory", "it ran out of memory") from error
+    except SystemExit as error:
+        raise ADSError("exit", f"it called sys.exit({error.code!r})") from error
+    except Exception as error:
+        raise ADSError("raised", f"{type(error).__name__}: {error}") from error
+    finally:
+        _asking[0].value = 0
+
+
+class _AnswerError(ValueError):
+    """What an ADS answered is no action."""
+
+
+def _checked(
+    answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], Any]:
+    """The actions and the state that an ADS has answered with; those that do not count replaced by one that does.
+
+    Raises:
+        _AnswerError: saying what `predict` must return, if it returned something else.
+    """
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise _AnswerError(f"predict must return a pair (actions, state), got {answer!r:.80}")
+    actions = np.asarray(answer[0])
+    expected = (count, *(space.shape or ()))
+    if actions.shape != expected:
+        raise _AnswerError(
+            f"predict must return actions of shape {expected}, got {actions.shape}: a row for each observation"
+        )
+    if counts is not None and not counts.all():
+        actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
+    if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
+        raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
+    if isinstance(space, gymnasium.spaces.Discrete):
+        for action in actions:
+            if not space.contains(action):
+                raise _AnswerError(f"predict must return actions of {space}, got {action}")
+    return actions, answer[1]

@@ -1,0 +1,221 @@
+"""An environment with an ADS in it: concrete scenarios go in, traces come out."""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+
+import behavexplor
+from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError, unknown_name
+from behavexplor.execution.rollout import LockStep, rollout, rollout_all
+
+_KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
+
+
+def environment_id(name: str) -> str:
+    """The gymnasium id of an environment.
+
+    Args:
+        name: of a functional scenario, such as "intersection-straight", or a full id, also one that another
+            package registers ("package:namespace/name-v0").
+
+    Raises:
+        InputError: if there is no such environment.
+    """
+    if name in behavexplor.FUNCTIONAL_SCENARIOS:
+        return f"{behavexplor.NAMESPACE}/{name}-v0"
+    if "/" not in name and ":" not in name and name not in gymnasium.registry:
+        raise unknown_name("environment", name, behavexplor.FUNCTIONAL_SCENARIOS)
+    return name
+
+
+class Simulation:
+    """Runs concrete scenarios with one ADS in one environment.
+
+    Args:
+        env: see `environment_id`; the environment takes `reset(options={"scenario": ...})`, says by `logical`
+            which scenarios it can run, and ends an episode with `info["trace"]`.
+        ads: see `behavexplor.ads.loading.load_ads`. What it declares (`observation`, `action`,
+            `policy_frequency`, `simulation_frequency`) is the configuration of the environment.
+        trust: digests of files that the ADS may run code from.
+
+    Raises:
+        InputError: if there is no such environment or ADS, or they do not fit each other.
+    """
+
+    def __init__(self, env: str, ads: str, trust: Collection[str] = ()) -> None:
+        name = environment_id(env)
+        self.logical = logical_scenario(env)
+        self.ads = load_ads(ads, self.logical.roadmap, trust)
+        declared = ("observation", "action", "policy_frequency", "simulation_frequency")
+        config = {key: _plain(getattr(self.ads, key)) for key in declared if hasattr(self.ads, key)}
+        try:
+            self.env: gymnasium.Env[Any, Any] = gymnasium.make(name, config=config, disable_env_checker=True)
+        except InputError:
+            raise
+        except Exception as error:
+            message = f"{type(error).__name__}: {error}"
+            raise InputError(
+                f"The environment {name!r} cannot be made as the ADS {ads!r} wants it: {message}"
+            ) from error
+        _check_spaces(self.env, name, self.ads, ads)
+
+    def run(self, scenario: Scenario) -> Trace:
+        """Run a scenario to its end."""
+        return rollout(self.env, self.ads, scenario)
+
+    def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
+        """Run scenarios to their ends, in lock-step where the vector environment can do what the ADS needs.
+
+        Args:
+            scenarios: the concrete scenarios.
+            batch: how many run at a time.
+
+        Yields:
+            The number of a scenario, counted from 0, and its trace, as they end.
+        """
+        envs = self._lock_step(min(batch, len(scenarios)))
+        if envs is None:
+            yield from enumerate(map(self.run, scenarios))
+            return
+        yield from rollout_all(envs, self.ads, scenarios)
+        envs.close()
+
+    def lock_step(self, count: int) -> LockStep | None:
+        """Many episodes at a time; None where only one can run, for the ADS's sake or the environment's.
+
+        Args:
+            count: how many.
+        """
+        envs = self._lock_step(count)
+        return None if envs is None else LockStep(envs, self.ads)
+
+    def close(self) -> None:
+        """Release what the environment holds."""
+        self.env.close()
+
+    def _lock_step(self, count: int) -> VectorEnv[Any, Any, Any] | None:
+        able = count > 1 and getattr(self.ads, "vectorized", False)
+        return self.vector_env(count) if able else None
+
+    def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
+        """As many environments in lock-step, for the ADS's observations and actions.
+
+        Args:
+            count: how many.
+            changes: keys of the environment's config that are to be others than the ADS declares.
+
+        Returns:
+            None if this environment has no such form, or not for what the ADS needs.
+        """
+        spec = self.env.spec
+        if spec is None or spec.vector_entry_point is None:
+            return None
+        try:
+            return gymnasium.make_vec(
+                spec.id,
+                num_envs=count,
+                vectorization_mode="vector_entry_point",
+                autoreset_mode=AutoresetMode.DISABLED,
+                config={**spec.kwargs["config"], **changes},
+            )
+        except InputError:
+            return None
+
+
+def _plain(value: Any) -> Any:
+    """A mapping as a dictionary, which can be copied."""
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: str) -> None:
+    """Whether a policy, which says by its spaces what it observes and commands, can drive in an environment.
+
+    Raises:
+        InputError: saying what would make it fit, where the spaces tell.
+    """
+    if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
+        return
+    spaces = (ads.observation_space, ads.action_space)
+    if _alike(spaces[0], env.observation_space) and _alike(spaces[1], env.action_space):
+        return
+    raise InputError(
+        f"The policy {ads_name!r} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
+        f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. "
+        f"{_where_it_fits(spaces)}{how_to_fit(*spaces)}"
+    )
+
+
+def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) -> str:
+    """Which other environments of this package have a policy's spaces, as a sentence; empty if none has."""
+    fitting = []
+    for other in behavexplor.FUNCTIONAL_SCENARIOS:
+        made = gymnasium.make(environment_id(other), disable_env_checker=True)
+        if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
+            fitting.append(other)
+        made.close()
+    return f"It fits {' and '.join(fitting)} as it is: was --env forgotten? Else: " if fitting else ""
+
+
+def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
+    """Whether values of one space have the form of those of the other."""
+    if isinstance(policy, gymnasium.spaces.Discrete) and isinstance(env, gymnasium.spaces.Discrete):
+        return bool(policy.n == env.n)
+    return type(policy) is type(env) and policy.shape == env.shape
+
+
+def _brief(space: gymnasium.Space[Any]) -> str:
+    return f"Box{space.shape}" if isinstance(space, gymnasium.spaces.Box) else str(space)
+
+
+def compile_kernels(env: str) -> None:
+    """Have the machine code ready that this package executes an environment with, one scenario alone and many together.
+
+    Args:
+        env: see `environment_id`; one of another package is left to that.
+    """
+    if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
+        return
+    simulation = Simulation(env, "constant")
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    simulation.run(scenario)
+    for _ in simulation.run_all([scenario, scenario], 2):
+        pass
+    for changes in _KERNELS_OF_VIEWS:
+        envs = simulation.vector_env(2, **changes)
+        if envs is not None:
+            envs.reset(seed=0)
+            envs.step(envs.action_space.sample())
+            envs.close()
+    simulation.close()
+
+
+def logical_scenario(env: str) -> LogicalScenario:
+    """The logical scenario of an environment.
+
+    Args:
+        env: see `environment_id`.
+
+    Raises:
+        InputError: if there is no such environment, or it has none.
+    """
+    name = environment_id(env)
+    try:
+        made: gymnasium.Env[Any, Any] = gymnasium.make(name, disable_env_checker=True)
+    except Exception as error:  # gymnasium's own errors, and whatever the environment's package raises
+        raise InputError(f"The environment {name!r} cannot be made: {error}") from error
+    logical = getattr(made.unwrapped, "logical", None)
+    made.close()
+    if not isinstance(logical, LogicalScenario):
+        raise InputError(
+            f"The environment {name!r} cannot be fuzzed: it has no attribute `logical` that says which scenarios "
+            f"it can run (a behavexplor.data.logical.LogicalScenario)"
+        )
+    return logical

@@ -1,0 +1,236 @@
+"""What an ADS must not do: specs R1-R3, how near a trace came to breaking them, and the verdict.
+
+Source: paper section II-C (R1, R2, R3) and III-B2 (violation degree O). Specs are judged outside the search
+methods, so that every method is scored by the same code.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
+from behavexplor.data.trace import RESOLUTION, Trace
+from behavexplor.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+NOTHING_NEAR = 1000.0  # degree where there is nothing to hit: no NPC, or no illegal line [m]
+_TOLERANCE = 1e-10  # of bounds [m]; far below the resolution of a trace, so that parallel motion is not a long tie
+_BLOCK = 8  # frames that share one bound in the search for the nearest line
+_FIRST_LOOK = 16  # exact distances that are computed first
+
+
+class Spec(Protocol):
+    """A requirement on a trace."""
+
+    @property
+    def name(self) -> str:
+        """What the requirement is called in records and reports."""
+        ...
+
+    def degree(self, trace: Trace) -> float:
+        """How far the trace is from violating the spec, lower is nearer; finite, in the spec's unit."""
+        ...
+
+    def violated(self, trace: Trace) -> bool:
+        """Whether the trace violates the spec."""
+        ...
+
+
+@dataclass(frozen=True)
+class Collision:
+    """R1: the ego touches no NPC. Degree: D_b, the least distance between their boxes [m] (paper equation 1)."""
+
+    name: str = field(default="collision", init=False)
+
+    def degree(self, trace: Trace) -> float:
+        """D_b [m]; `NOTHING_NEAR` without any NPC."""
+        return _npc_distance(trace)
+
+    def violated(self, trace: Trace) -> bool:
+        """Whether D_b is 0 (paper equation 2)."""
+        return _npc_distance(trace) == 0.0
+
+
+@dataclass(frozen=True)
+class Lines:
+    """R2: the ego touches no illegal line. Degree: D_l, the least distance of its box to one [m] (equation 3)."""
+
+    name: str = field(default="lines", init=False)
+
+    def degree(self, trace: Trace) -> float:
+        """D_l [m]; `NOTHING_NEAR` without any illegal line."""
+        return _line_distance(trace)
+
+    def violated(self, trace: Trace) -> bool:
+        """Whether D_l is 0 (paper equation 4)."""
+        return _line_distance(trace) == 0.0
+
+
+@dataclass(frozen=True)
+class Destination:
+    """R3: the ego ends at its destination.
+
+    The degree rewards runs that end far from it: max(10 - D, 0) (paper section III-B2), where D is the last
+    distance of the ego's centre to the destination [m].
+
+    Attributes:
+        threshold: greatest D of a passed run [m] (paper equation 5).
+        reach: D beyond which the degree is 0 [m].
+    """
+
+    name: str = field(default="destination", init=False)
+    threshold: float = 1.0
+    reach: float = 10.0
+
+    def degree(self, trace: Trace) -> float:
+        """max(reach - D, 0) [m]."""
+        return max(self.reach - trace.destination_distance, 0.0)
+
+    def violated(self, trace: Trace) -> bool:
+        """Whether D exceeds the threshold."""
+        return trace.destination_distance > self.threshold
+
+
+def default_specs() -> tuple[Spec, ...]:
+    """The paper's three specs, R1, R2, R3."""
+    return Collision(), Lines(), Destination()
+
+
+SPECS: tuple[Spec, ...] = default_specs()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What all specs say of one trace.
+
+    Attributes:
+        degrees: violation degree by spec name, in the order of the specs.
+        violated: names of the violated specs, in the same order.
+    """
+
+    degrees: Mapping[str, float]
+    violated: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "degrees", MappingProxyType(dict(self.degrees)))
+
+    @property
+    def degree(self) -> float:
+        """The paper's O: the sum of all violation degrees (paper equation 10)."""
+        return sum(self.degrees.values())
+
+    @property
+    def failed(self) -> bool:
+        """Whether any spec is violated."""
+        return bool(self.violated)
+
+
+def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
+    """What the specs say of a trace.
+
+    Raises:
+        InputError: if two specs have the same name, or a degree is not a finite number.
+    """
+    degrees: dict[str, float] = {}
+    for spec in specs:
+        degree = float(spec.degree(trace))
+        if spec.name in degrees:
+            raise InputError(f"Two specs are named {spec.name!r}: give each its own name")
+        if not np.isfinite(degree):
+            raise InputError(f"Spec {spec.name!r} gave the degree {degree}: it must be a finite number")
+        degrees[spec.name] = degree
+    return Verdict(degrees, tuple(spec.name for spec in specs if spec.violated(trace)))
+
+
+@lru_cache(maxsize=2)
+def _npc_distance(trace: Trace) -> float:
+    """D_b [m]: exact, but boxes are compared only where their circles leave it open which pair is nearest."""
+    if len(trace.size) == 1:
+        return NOTHING_NEAR
+    pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)
+    frames = _changes(pose.reshape(len(pose), -1))
+    position, heading = trace.position[frames], trace.heading[frames]
+    reach = np.hypot(trace.size[:, 0], trace.size[:, 1]) / 2
+    within = trace.size.min(1) / 2
+    apart = position[:, 1:] - position[:, :1]
+    centres = np.hypot(apart[..., 0], apart[..., 1])
+    lower = centres - (reach[0] + reach[1:])
+    upper = np.maximum(centres - (within[0] + within[1:]), 0.0)
+
+    def exact(pairs: Ints) -> Floats:
+        frame, npc = np.divmod(pairs, len(trace.size) - 1)
+        ego_box = box_corners(position[frame, 0], heading[frame, 0], trace.size[0])
+        npc_box = box_corners(position[frame, npc + 1], heading[frame, npc + 1], trace.size[npc + 1])
+        return box_distance(ego_box, npc_box)
+
+    return _least(lower.ravel(), float(upper.min()), exact)
+
+
+@lru_cache(maxsize=2)
+def _line_distance(trace: Trace) -> float:
+    """D_l [m]: exact, but the box is compared only with lines, and at frames, that may hold the least distance."""
+    lines = trace.illegal_lines
+    if not len(lines):
+        return NOTHING_NEAR
+    frames = _changes(np.column_stack([trace.position[:, 0], trace.heading[:, 0]]))
+    position, heading = trace.position[frames, 0], trace.heading[frames, 0]
+    reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2
+
+    first = np.arange(0, len(frames), _BLOCK)  # a block's first position stands for all of it, `spread` around
+    stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
+    spread = np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
+    gap = point_segment_distance(position[first, None], lines[:, 0], lines[:, 1])
+    upper = max(float(gap.min() - within), 0.0)
+    block, line = np.nonzero(gap - spread[:, None] - reach - _TOLERANCE <= upper)
+    frame = (first[block, None] + np.arange(_BLOCK)).ravel()
+    line = np.repeat(line, _BLOCK)[frame < len(frames)]
+    frame = frame[frame < len(frames)]
+    lower = gap_across(position[frame], heading[frame], trace.size[0], lines[line])
+
+    def exact(pairs: Ints) -> Floats:
+        at = frame[pairs]
+        box = box_corners(position[at], heading[at], trace.size[0])
+        return box_segment_distance(box, lines[line[pairs]])
+
+    return _least(lower, upper, exact)
+
+
+def gap_across(position: Floats, heading: Floats, size: Floats, line: Floats) -> Floats:
+    """Gaps between boxes and endless lines through segments, negative where they meet; all of n rows."""
+    along = line[:, 1] - line[:, 0]
+    angle = np.arctan2(along[:, 1], along[:, 0])
+    cos, sin = np.cos(angle), np.sin(angle)
+    offset = position - line[:, 0]
+    across = np.abs(offset[:, 1] * cos - offset[:, 0] * sin)
+    turned = heading - angle
+    return np.asarray(across - (np.abs(np.sin(turned)) * size[0] + np.abs(np.cos(turned)) * size[1]) / 2)
+
+
+def _changes(rows: Floats) -> Ints:
+    """Indices of the first row and of each that differs from the one before it; rows of shape (T, C)."""
+    changed = (rows[1:] != rows[:-1]).any(1)
+    return np.concatenate([[0], np.flatnonzero(changed) + 1])
+
+
+def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
+    """The least of n distances of which only bounds are known cheaply; below a trace's resolution it is 0.
+
+    Args:
+        lower: lower bound of each value, shape (n,).
+        upper: upper bound of the least.
+        exact: the values at some indices.
+    """
+    open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
+    order = open_[np.argsort(lower[open_], kind="stable")]
+    least, start, count = np.inf, 0, _FIRST_LOOK
+    while start < len(order) and lower[order[start]] < least - _TOLERANCE:
+        least = min(least, float(exact(order[start : start + count]).min()))
+        start, count = start + count, 2 * count
+    return least if least > RESOLUTION else 0.0

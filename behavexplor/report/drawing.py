@@ -1,0 +1,178 @@
+"""Pictures of traces, seen from above: single frames and animations."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance
+from behavexplor.data.roadmap import DOUBLE_YELLOW, Lane, RoadMap
+from behavexplor.data.trace import Trace
+
+Floats = NDArray[np.float64]
+Color = tuple[int, int, int]
+
+SIDE = 600  # of a picture [px]
+VIEW = 80.0  # of the world in a picture, the ego in its middle [m]
+MAX_FRAMES = 300  # of an animation; longer ones run faster
+FRAME_TIME = 0.1  # between two pictures of an animation [s]
+
+_SHARPNESS = 2  # pictures are drawn so many times larger, then reduced
+_GROUND, _ASPHALT, _DIVIDER, _CURB, _YELLOW = (
+    (228, 232, 226),
+    (92, 97, 104),
+    (205, 208, 212),
+    (245, 245, 245),
+    (245, 190, 50),
+)
+_EGO, _HIT, _INK, _PAPER = (46, 170, 90), (222, 60, 60), (30, 34, 40), (255, 255, 255)
+_NPCS = ((66, 133, 222), (226, 128, 60), (160, 104, 206), (40, 168, 178), (206, 96, 152), (120, 110, 90))
+_GLASS = (28, 36, 48)
+_COLORS = (_GROUND, _ASPHALT, _DIVIDER, _CURB, _YELLOW, _EGO, _HIT, _INK, _PAPER, _GLASS, *_NPCS)
+
+
+def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
+    """The frame that shows what a verdict says.
+
+    For a touched line that is the first touch, for a collision or a missed destination the last frame, for a
+    passed run the frame in which the ego came nearest to another vehicle.
+    """
+    if "lines" in violated and "collision" not in violated:
+        ego = box_corners(trace.position[:, 0], trace.heading[:, 0], trace.size[0])
+        return int(box_segment_distance(ego[:, None], trace.illegal_lines).min(1).argmin())
+    if violated or len(trace.size) == 1:
+        return len(trace.time) - 1
+    boxes = box_corners(trace.position, trace.heading, trace.size)
+    return int(box_distance(boxes[:, :1], boxes[:, 1:]).min(1).argmin())
+
+
+def save_animation(path: Path, trace: Trace, roadmap: RoadMap, caption: str) -> None:
+    """Write an animation of the whole trace as a GIF; its last frame stays for a moment."""
+    count = min(MAX_FRAMES, max(2, round(trace.duration / FRAME_TIME) + 1))
+    frames = np.unique(np.searchsorted(trace.time, np.linspace(0, trace.duration, count) - 1e-9))
+    pictures = [draw(trace, roadmap, int(frame), caption) for frame in frames]
+    palette = _palette(pictures)
+    pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    times = [int(FRAME_TIME * 1000)] * (len(pictures) - 1) + [2000]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=times, loop=0)
+
+
+def _palette(pictures: list[Image.Image]) -> Image.Image:
+    """One palette for all pictures: what blends in some of them, and every colour for sure."""
+    sample = pictures[:: max(1, len(pictures) // 4)]
+    sheet = Image.new("RGB", (SIDE, SIDE * len(sample)))
+    for i, picture in enumerate(sample):
+        sheet.paste(picture, (0, SIDE * i))
+    swatch = SIDE // len(_COLORS)
+    for i, color in enumerate(_COLORS):
+        sheet.paste(color, (swatch * i, 0, swatch * (i + 1), swatch))
+    return sheet.quantize(colors=255)
+
+
+def draw(trace: Trace, roadmap: RoadMap, frame: int, caption: str) -> Image.Image:
+    """Draw one frame: the road, the illegal lines, the vehicles' paths, and the vehicles.
+
+    Args:
+        trace: what happened.
+        roadmap: where.
+        frame: which frame.
+        caption: a line of text below the time and speed.
+    """
+    canvas = _Canvas(trace.position[frame, 0])
+    for lane in roadmap.lanes:
+        canvas.lane(lane)
+    canvas.dividers(roadmap)
+    for line, kind in zip(trace.illegal_lines, roadmap.line_kinds, strict=True):
+        canvas.illegal_line(line, kind)
+    canvas.path(roadmap.ego_route.polyline(roadmap.ego_start, roadmap.destination), _EGO, 0.25)
+    canvas.circle(trace.destination, 1.0, _EGO)
+    boxes = box_corners(trace.position[frame], trace.heading[frame], trace.size)
+    hit = box_distance(boxes[:1], boxes[1:]) == 0
+    for npc in range(1, len(boxes)):
+        color = _HIT if hit[npc - 1] else _NPCS[(npc - 1) % len(_NPCS)]
+        canvas.path(trace.position[frame:, npc], color, 0.15)
+        canvas.vehicle(boxes[npc], color)
+    canvas.path(trace.position[: frame + 1, 0], _INK, 0.15)
+    canvas.vehicle(boxes[0], _EGO)
+    speed = float(np.hypot(*trace.velocity[frame, 0]))
+    return canvas.finished(f"{trace.time[frame]:.1f} s   {speed:.1f} m/s", caption)
+
+
+class _Canvas:
+    """A picture of the world round a point."""
+
+    def __init__(self, middle: Floats) -> None:
+        self._scale = SIDE * _SHARPNESS / VIEW
+        self._origin = middle - VIEW / 2
+        self._image = Image.new("RGB", (SIDE * _SHARPNESS,) * 2, _GROUND)
+        self._draw = ImageDraw.Draw(self._image)
+
+    def _pixels(self, points: Floats) -> list[tuple[float, float]]:
+        return [(float(x), float(y)) for x, y in (points - self._origin) * self._scale]
+
+    def _width(self, width: float) -> int:
+        return max(1, round(width * self._scale))
+
+    def lane(self, lane: Lane) -> None:
+        """The surface of a lane."""
+        count = 2 if lane.curvature == 0 else 16
+        left, right = (_offset(lane, np.linspace(0, lane.length, count), side * lane.width / 2) for side in (-1, 1))
+        self._draw.polygon(self._pixels(np.concatenate([left, right[::-1]])), fill=_ASPHALT)
+
+    def dividers(self, roadmap: RoadMap) -> None:
+        """Dashes between lanes that run side by side outside junctions."""
+        for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
+            if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):
+                continue
+            for start in np.arange(0.0, lane.length, 6.0):
+                ends = np.array([start, min(start + 3.0, lane.length)])
+                self.path(_offset(lane, ends, lane.width / 2), _DIVIDER, 0.15)
+
+    def illegal_line(self, line: Floats, kind: str) -> None:
+        """A curb, or a double yellow line."""
+        if kind != DOUBLE_YELLOW:
+            self.path(line, _CURB, 0.25)
+            return
+        along = (line[1] - line[0]) / np.hypot(*(line[1] - line[0]))
+        aside = 0.14 * np.array([-along[1], along[0]])
+        self.path(line + aside, _YELLOW, 0.14)
+        self.path(line - aside, _YELLOW, 0.14)
+
+    def path(self, points: Floats, color: Color, width: float) -> None:
+        """A line of some width [m]."""
+        self._draw.line(self._pixels(points), fill=color, width=self._width(width), joint="curve")
+
+    def circle(self, middle: Floats, radius: float, color: Color) -> None:
+        """A circle [m]."""
+        corners = self._pixels(np.array([middle - radius, middle + radius]))
+        self._draw.ellipse([*corners[0], *corners[1]], outline=color, width=self._width(0.3))
+
+    def vehicle(self, corners: Floats, color: Color) -> None:
+        """A vehicle with a windscreen towards its front; corners as `box_corners` gives them."""
+        self._draw.polygon(self._pixels(corners), fill=color, outline=_INK, width=self._width(0.1))
+        right, left, back_left, back_right = corners
+        shares = ((0.25, 0.12), (0.25, 0.88), (0.42, 0.82), (0.42, 0.18))  # backwards and from right to left
+        screen = [
+            right
+            + back * (back_right - right)
+            + across * ((left - right) + back * (back_left - left - back_right + right))
+            for back, across in shares
+        ]
+        self._draw.polygon(self._pixels(np.array(screen)), fill=_GLASS)
+
+    def finished(self, title: str, caption: str) -> Image.Image:
+        """The picture in its final size, with text."""
+        picture = self._image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+        pen = ImageDraw.Draw(picture)
+        pen.rectangle([0, 0, SIDE, 48], fill=_PAPER)
+        pen.text((12, 5), title, fill=_INK, font=ImageFont.load_default(18))
+        pen.text((12, 28), caption, fill=_INK, font=ImageFont.load_default(14))
+        return picture
+
+
+def _offset(lane: Lane, stations: Floats, offset: float) -> Floats:
+    """Points beside the centre line of a lane, positive offsets to its right, shape (n, 2) [m]."""
+    x, y, heading = lane.pose(stations).T
+    return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)

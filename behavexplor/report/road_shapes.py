@@ -1,0 +1,88 @@
+"""The road under the replays, as polygons and lines."""
+
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor import FUNCTIONAL_SCENARIOS, NAMESPACE
+from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
+from behavexplor.data.trace import Trace
+
+Floats = NDArray[np.float64]
+
+_DASH, _GAP = 3.0, 6.0  # length of a dash between lanes, and distance between two [m]
+_CURVE_POINTS: Final = 13  # of a curved lane
+
+
+def known_road(env: str) -> RoadMap | None:
+    """The road of one of this package's environments.
+
+    No other environment is made: what a run folder names is not imported for the sake of a picture.
+
+    Args:
+        env: as the run's configuration has it.
+    """
+    name = env.removeprefix(f"{NAMESPACE}/").removesuffix("-v0") if env.startswith(f"{NAMESPACE}/") else env
+    if name not in FUNCTIONAL_SCENARIOS:
+        return None
+    env_made = gymnasium.make(f"{NAMESPACE}/{name}-v0", disable_env_checker=True)
+    roadmap: RoadMap = env_made.unwrapped.logical.roadmap  # type: ignore[attr-defined]
+    env_made.close()
+    return roadmap
+
+
+def road_values(roadmap: RoadMap | None, trace: Trace) -> dict[str, Any]:
+    """The road as JSON values, lengths in metres.
+
+    Args:
+        roadmap: None if only what a trace has recorded is known.
+        trace: of any execution; its illegal lines and route are those of all.
+    """
+    kinds: tuple[str, ...] = (CURB,) * len(trace.illegal_lines)
+    if roadmap is not None and np.array_equal(roadmap.illegal_lines, trace.illegal_lines):
+        kinds = roadmap.line_kinds
+    return {
+        "lanes": [] if roadmap is None else [_points(_surface(lane)) for lane in roadmap.lanes],
+        "dashes": [] if roadmap is None else [_points(ends) for ends in _dashes(roadmap)],
+        "lines": [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)],
+        "routes": {} if roadmap is None else {route.name: _points(_centre(route)) for route in roadmap.npc_routes},
+        "ego": _points(trace.route[:: max(1, len(trace.route) // 120)]),
+        "destination": [round(float(value), 2) for value in trace.destination],
+    }
+
+
+def _points(points: Floats) -> list[list[float]]:
+    return [[round(float(x), 2), round(float(y), 2)] for x, y in points]
+
+
+def _beside(lane: Lane, stations: Floats, offset: float) -> Floats:
+    """Points beside the centre line of a lane, positive offsets to its right, shape (n, 2) [m]."""
+    x, y, heading = lane.pose(stations).T
+    return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)
+
+
+def _stations(lane: Lane) -> Floats:
+    return np.linspace(0, lane.length, 2 if lane.curvature == 0 else _CURVE_POINTS)
+
+
+def _surface(lane: Lane) -> Floats:
+    left, right = (_beside(lane, _stations(lane), side * lane.width / 2) for side in (-1, 1))
+    return np.concatenate([left, right[::-1]])
+
+
+def _centre(route: Route) -> Floats:
+    return np.concatenate([_beside(lane, _stations(lane), 0.0) for lane in route.lanes])
+
+
+def _dashes(roadmap: RoadMap) -> list[Floats]:
+    """Dashes between lanes that run side by side outside junctions."""
+    dashes = []
+    for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
+        if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):
+            continue
+        starts = np.arange(0.0, lane.length, _GAP)
+        ends = np.stack([starts, np.minimum(starts + _DASH, lane.length)], axis=1)
+        dashes += [_beside(lane, stations, lane.width / 2) for stations in ends]
+    return dashes

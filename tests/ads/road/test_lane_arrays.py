@@ -1,0 +1,31 @@
+import numpy as np
+import pytest
+
+from behavexplor.ads.road.lane_arrays import lane_array, offset_on_lane, pose_on_lane, project_on_lane
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+
+LOGICAL = IntersectionStraightEnv.logical
+
+LANES = LOGICAL.roadmap.lanes
+ARRAY = lane_array(LANES)
+
+
+@pytest.mark.parametrize("index", range(len(LANES)))
+def test_poses_are_those_of_the_map(index):
+    for station in (-2.0, 0.0, 7.3, LANES[index].length + 3):
+        assert pose_on_lane(ARRAY, index, station) == pytest.approx(LANES[index].pose(station), abs=1e-9)
+
+
+@pytest.mark.parametrize("index", range(len(LANES)))
+def test_projection_is_the_inverse_of_the_pose_with_an_offset_to_the_right(index):
+    for station in (0.5, 6.0, 0.9 * LANES[index].length):
+        x, y, heading = LANES[index].pose(station)
+        for offset in (-2.5, 0.0, 1.2):
+            point = x - offset * np.sin(heading), y + offset * np.cos(heading)
+            assert project_on_lane(ARRAY, index, *point) == pytest.approx((station, offset), abs=1e-9)
+
+
+@pytest.mark.parametrize("index", range(len(LANES)))
+def test_the_offset_alone_is_that_of_the_projection_to_the_last_bit(index):
+    for x, y in np.random.default_rng(index).uniform(-60, 60, size=(50, 2)):
+        assert offset_on_lane(ARRAY, index, x, y) == project_on_lane(ARRAY, index, x, y)[1]

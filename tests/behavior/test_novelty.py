@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+from behavexplor.behavior.miner import MinerOptions
+from behavexplor.behavior.novelty import NoveltyArchive, NoveltyOptions
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.errors import InputError
+from tests.fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
+
+TRACES = [simulate(LOGICAL.sample(np.random.default_rng(seed))) for seed in range(30)]
+
+
+def test_the_first_behaviour_is_new_and_the_same_again_is_not():
+    archive = NoveltyArchive()
+    assert archive.observe(TRACES[0]) == 1.0
+    assert archive.observe(TRACES[0]) == 0.0
+    assert len(archive) == 1
+
+
+def test_only_what_is_novel_joins():
+    archive = NoveltyArchive()
+    for trace in TRACES:
+        size = len(archive)
+        novelty = archive.observe(trace)
+        assert 0 <= novelty <= 1
+        assert len(archive) - size == (novelty > 0.4)
+    assert 1 < len(archive) < len(TRACES)
+
+
+@pytest.mark.parametrize(("threshold", "distinct"), [(0.0, 30), (1.0, 1)])
+def test_the_threshold_is_exclusive(threshold, distinct):
+    archive = NoveltyArchive(NoveltyOptions(threshold=threshold))
+    for trace in TRACES:
+        archive.observe(trace)
+        archive.observe(trace)
+    assert len(archive) == distinct
+
+
+def test_the_same_traces_have_the_same_novelty():
+    first, second = ([archive.observe(trace) for trace in TRACES] for archive in (NoveltyArchive(), NoveltyArchive()))
+    assert first == second
+
+
+def test_its_miner_can_be_set():
+    coarse = NoveltyArchive(NoveltyOptions(miner=MinerOptions(clusters=1)))
+    for _ in range(2):
+        for trace in TRACES:
+            coarse.observe(trace)
+    assert len(coarse) < 5  # with one cluster, behaviours differ by their lengths only
+
+
+def test_the_shortest_trace_has_a_novelty():
+    archive = NoveltyArchive()
+    shortest = make_trace(np.zeros((1, 3)))
+    assert archive.observe(shortest) == 1.0
+    assert archive.observe(shortest) == 0.0
+    assert archive.observe(TRACES[0]) == 1.0
+
+
+def test_a_bad_threshold_is_refused():
+    with pytest.raises(InputError, match="threshold"):
+        NoveltyOptions(threshold=1.5)

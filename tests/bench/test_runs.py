@@ -1,0 +1,296 @@
+"""Experiments as a user runs them: to their end, cut off, gone on with, and with campaigns that fail."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from behavexplor.ads.rule.weaknesses import WEAKNESSES
+from behavexplor.bench.experiment import read_experiment
+from behavexplor.bench.forecast import forecast
+from behavexplor.bench.runs import Cells, State, _campaign, _Stop, state
+from behavexplor.bench.summaries import summarise
+from behavexplor.bench.timing import Stopwatch, Timing, read_timing
+from behavexplor.campaign.campaign import Progress
+from behavexplor.campaign.store import Store
+from behavexplor.commands import main
+from behavexplor.errors import InputError
+from behavexplor.judge.fault import NPC_CAUSED, contact_fault
+from behavexplor.triage.signatures import signature
+
+ROOT = Path(__file__).parents[2]
+TEXT = """
+envs: [intersection-straight]
+ads: ["tests.drivers:cruiser"]
+methods:
+  BehAVExplor: {config: paper}
+  Uniform: {method: uniform}
+seeds: 2
+budget: BUDGET
+baseline: Uniform
+"""
+TIMES = ("executing_s", "analysing_s")
+
+
+def write(folder, budget, text=TEXT):
+    path = folder / "small.yaml"
+    path.write_text(text.replace("BUDGET", str(budget)))
+    return path
+
+
+def start(*arguments):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "behavexplor", "bench", *map(str, arguments)]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment
+    )
+
+
+def run(*arguments):
+    process = start(*arguments)
+    out, err = process.communicate(timeout=120)
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """An experiment that was run to its end without interruption."""
+    folder = tmp_path_factory.mktemp("whole")
+    result = run(write(folder, 20), "--out", folder / "out", "--jobs", 2)
+    assert result.returncode == 0, result.stderr
+    return folder, result
+
+
+def summaries(root):
+    """The rows of the campaigns, without what a clock has measured."""
+    with (root / "summaries.csv").open() as file:
+        return [{key: value for key, value in row.items() if key not in TIMES} for row in csv.DictReader(file)]
+
+
+def records(root):
+    found = {}
+    for path in sorted(root.rglob("campaign.db")):
+        store = Store.read(path.parent)
+        found[str(path.parent.relative_to(root))] = [json.dumps(execution.record) for execution in store.executions()]
+        store.close()
+    return found
+
+
+def test_every_cell_is_run_and_everything_is_written(whole):
+    folder, result = whole
+    rows = summaries(folder / "out")
+    assert [(row["method"], row["seed"], row["executions"]) for row in rows] == [
+        ("BehAVExplor", "1", "20"),
+        ("Uniform", "1", "20"),
+        ("BehAVExplor", "2", "20"),
+        ("Uniform", "2", "20"),
+    ]
+    for row in rows:
+        assert int(row["failed"]) == sum(int(row[f"failed_{label}"]) for label in ("R1", "R2", "R3", "error")) > 0
+        assert int(row["R1_npc_caused"]) + int(row["R1_other"]) == int(row["failed_R1"])
+        assert (row["r_BF"] != "") == (row["method"] == "BehAVExplor")
+    assert "4 of 4 campaigns are finished" in result.stdout
+    assert (folder / "out" / "tables.txt").read_text().strip() in result.stdout
+    assert f"As a page: {folder / 'out' / 'report.html'}" in result.stdout
+    assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
+    names = {path.name for path in (folder / "out" / "tables").iterdir()}
+    assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv"} <= names
+
+
+def test_a_summary_counts_what_is_in_the_run_folder(whole):
+    folder, _ = whole
+    row, *_ = summaries(folder / "out")
+    lines = [
+        json.loads(line)
+        for line in records(folder / "out")["runs/intersection-straight/tests.drivers-cruiser/BehAVExplor/1"]
+    ]
+    assert int(row["failed"]) == sum(bool(line["violated"]) for line in lines)
+    assert int(row["failed_R1"]) == sum(line["violated"][:1] == ["collision"] for line in lines)
+    assert float(row["novelty_rate"]) == pytest.approx(sum(line["novel"] for line in lines) / 20, abs=1e-6)
+
+
+def test_what_is_finished_is_not_run_again_and_tables_are_the_same_files(whole):
+    folder, _ = whole
+    out = folder / "out"
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.suffix in {".csv", ".tex", ".txt", ".svg"}}
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("campaign.db")}
+    for flag in ("--tables-only", "--quiet"):
+        assert main(["bench", str(folder / "small.yaml"), "--out", str(out), flag]) == 0
+    assert {path: path.read_bytes() for path in before} == before
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+
+
+def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, capsys):
+    folder, _ = whole
+    command = ["bench", str(folder / "small.yaml"), "--dry-run", "--out"]
+    assert main([*command, str(tmp_path / "new"), "--jobs", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "4 campaigns of 20 executions" in printed
+    assert "0 are finished; 80 executions are left, about 0:" in printed
+    assert not (tmp_path / "new").exists()
+    assert main([*command, str(folder / "out")]) == 0
+    assert "4 are finished; 0 executions are left, about 0:00" in capsys.readouterr().out
+
+
+def test_a_forecast_takes_what_was_measured_and_knows_what_is_left(whole, tmp_path):
+    experiment = read_experiment(str(write(tmp_path, 50)))
+    root = whole[0] / "out"
+    timings = {cell: read_timing(root / cell.folder) for cell in experiment.cells()}
+    seconds = {
+        method: np.mean([(t.executing + t.analysing) / 20 for cell, t in timings.items() if cell.method == method])
+        for method in experiment.methods
+    }
+    assert forecast(experiment, root, 4) == pytest.approx(2 * 30 * sum(seconds.values()) / 4)
+
+
+def stored(root):
+    """How many executions are on disk."""
+    count = 0
+    for path in root.rglob("campaign.db"):
+        try:
+            store = Store.read(path.parent)
+        except InputError:  # it is being made right now
+            continue
+        count += len(store)
+        store.close()
+    return count
+
+
+def wait_for(process, root, executions):
+    deadline = time.monotonic() + 60
+    while stored(root) < executions and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.1)
+
+
+def test_an_interrupted_experiment_goes_on_to_the_same_results(whole, tmp_path):
+    folder, _ = whole
+    process = start(write(tmp_path, 20), "--out", tmp_path / "out", "--jobs", 2)
+    wait_for(process, tmp_path / "out", 5)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert "the same command goes on" in err
+    assert 5 <= stored(tmp_path / "out") < 80
+    result = run(tmp_path / "small.yaml", "--out", tmp_path / "out", "--jobs", 1)
+    assert result.returncode == 0, result.stderr
+    assert records(tmp_path / "out") == records(folder / "out")
+    assert summaries(tmp_path / "out") == summaries(folder / "out")
+
+
+@pytest.mark.slow
+def test_after_sigkill_no_campaign_is_left_running(tmp_path):
+    process = start(write(tmp_path, 2000), "--out", tmp_path / "out", "--jobs", 2)
+    wait_for(process, tmp_path / "out", 5)
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 60
+    counts = [-1, stored(tmp_path / "out")]
+    while counts[-1] != counts[-2] and time.monotonic() < deadline:
+        time.sleep(2)
+        counts.append(stored(tmp_path / "out"))
+    assert counts[-1] == counts[-2] < 8000
+
+
+def test_a_campaign_that_fails_is_named_and_the_others_go_on(tmp_path):
+    text = TEXT.replace('"tests.drivers:cruiser"', '"tests.drivers:cruiser", "tests.drivers:Crashing"')
+    path = write(tmp_path, 3, text.replace("seeds: 2", "seeds: 1").replace("  BehAVExplor: {config: paper}\n", ""))
+    result = run(path, "--out", tmp_path / "out", "--jobs", 2)
+    assert result.returncode == 3
+    assert "Uniform on intersection-straight with tests.drivers:Crashing, seed 1: its process ended" in result.stderr
+    assert "1 of 2 campaigns are finished" in result.stdout
+    assert {row["ads"] for row in summaries(tmp_path / "out")} == {"tests.drivers:cruiser"}
+
+
+def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
+    folder, _ = whole
+    (folder / "other.yaml").write_text((folder / "small.yaml").read_text() + "batch: 3\n")
+    experiment = read_experiment(str(folder / "other.yaml"))
+    with pytest.raises(InputError, match="holds another campaign than the experiment's now"):
+        Cells(experiment.cells(), folder / "out", 1, 0)
+    smaller = read_experiment(str(write(folder / "out", 10)))
+    with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):
+        state(smaller.cells()[0], folder / "out")
+
+
+def test_a_search_that_ends_early_has_finished(tmp_path):
+    text = TEXT.replace("config: paper", "method: tests.bench.methods:Brief").replace(
+        "  Uniform: {method: uniform}\n", ""
+    )
+    experiment = read_experiment(str(write(tmp_path, 20, text.replace("baseline: Uniform\n", ""))))
+    cell, other = experiment.cells()
+    said = []
+    folder = tmp_path / cell.folder
+    assert _campaign(yaml.safe_load(cell.config.to_yaml()), folder, 0, _Stop(), lambda *words: said.append(words))
+    assert ("progress", 5) in said
+    assert read_timing(folder).ended == "Five are enough."
+    assert read_timing(folder).executions == 5
+    assert state(cell, tmp_path) == State(5, finished=True)
+    assert state(other, tmp_path) == State(0, finished=False)
+    assert Cells([cell], tmp_path, 1, 0).run(lambda _: None).finished == 1
+
+
+def test_a_campaign_told_to_stop_before_it_began_does_nothing_and_is_not_finished(tmp_path):
+    cell, *_ = read_experiment(str(write(tmp_path, 20))).cells()
+    stop = _Stop()
+    stop()
+    assert not _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, stop, lambda *_: None)
+    assert state(cell, tmp_path) == State(0, finished=False)
+
+
+def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
+    root = whole[0] / "out"
+    cell, *_ = read_experiment(str(whole[0] / "small.yaml")).cells()
+    summary = summarise(cell, root)
+    assert summary.failures
+    assert summary.classified
+    assert all(kind.startswith(("R1/", "R2/", "R3/")) for kind in summary.kinds())
+    store = Store.read(root / cell.folder)
+    faults = [contact_fault(store.execution(failure.number).load_trace()) for failure in summary.failures]
+    store.close()
+    assert [failure.npc_caused for failure in summary.failures] == [fault in NPC_CAUSED for fault in faults]
+
+
+def test_signatures_are_of_drivers_with_the_planners_log_alone(whole, tmp_path):
+    (cruiser, *_) = read_experiment(str(whole[0] / "small.yaml")).cells()
+    assert {failure.signature for failure in summarise(cruiser, whole[0] / "out").failures} == {None}
+    text = TEXT.replace("tests.drivers:cruiser", "rule")
+    (cell, *_) = read_experiment(str(write(tmp_path, 30, text))).cells()
+    assert _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, _Stop(), lambda *_: None)
+    summary = summarise(cell, tmp_path)
+    store = Store.read(tmp_path / cell.folder)
+    failed = [store.execution(failure.number) for failure in summary.failures]
+    store.close()
+    expected = [signature(execution.load_trace(), tuple(execution.record["violated"])) for execution in failed]
+    assert [failure.signature for failure in summary.failures] == [found or "unexplained" for found in expected]
+    assert summary.weaknesses()
+    assert summary.weaknesses() <= set(WEAKNESSES)
+
+
+def test_a_stopwatch_adds_up_and_leaves_out_what_was_only_looked_at_again(tmp_path):
+    watch = Stopwatch(tmp_path, 0.0)
+    watch.observe(Progress(executions=10, elapsed=5.0, executing=3.0))
+    watch.write()
+    assert read_timing(tmp_path) == Timing(10, 3.0, 2.0)
+    again = Stopwatch(tmp_path, 5.0)
+    again.observe(Progress(executions=10, resumed=10, elapsed=6.0))
+    again.observe(Progress(executions=14, resumed=10, elapsed=9.0, executing=1.0))
+    again.end("nothing to mutate")
+    again.write()
+    assert read_timing(tmp_path) == Timing(14, 4.0, 4.0, "nothing to mutate")
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"executions": "x"}', '{"speed": 1}'])
+def test_a_damaged_timing_is_one_sentence(tmp_path, content):
+    (tmp_path / "timing.json").write_text(content)
+    with pytest.raises(InputError) as error:
+        read_timing(tmp_path)
+    assert "\n" not in str(error.value)

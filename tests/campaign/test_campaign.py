@@ -1,0 +1,265 @@
+"""Campaigns: the same records whatever executes them, nothing counted that is not stored, and resumption."""
+
+import sqlite3
+from collections import Counter
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+
+import pytest
+
+from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.store import Store
+from behavexplor.data.scenario import Scenario
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.errors import InputError
+from behavexplor.execution.rollout import ADSError
+from behavexplor.fuzz.methods import METHODS
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.specs import judge
+from tests.fakes import simulate
+
+LOGICAL = IntersectionStraightEnv.logical
+
+
+class FakeExecutor(Executor):
+    """Runs the ten-line simulator in place of what is submitted."""
+
+    def __init__(self, executed=None, fail_at=None):
+        self.executed = [] if executed is None else executed
+        self.fail_at = fail_at
+
+    def submit(self, _evaluate, scenario):
+        future = Future()
+        self.executed.append(scenario)
+        if len(self.executed) - 1 == self.fail_at:
+            future.set_exception(RuntimeError("the ADS has lost its mind\nand more"))
+        else:
+            future.set_result(simulate(Scenario.from_json(scenario.decode())).to_bytes())
+        return future
+
+
+class FakeThreads(ThreadPoolExecutor):
+    """The same in threads, which finish in any order."""
+
+    def submit(self, _evaluate, scenario):
+        return super().submit(lambda: simulate(Scenario.from_json(scenario.decode())).to_bytes())
+
+
+def run(folder, executor=None, observe=lambda _: None, **config):
+    config = CampaignConfig(**{"budget": "40", "seed": 3, **config})
+    method = search_method(config, LOGICAL)
+    store = Store.reopen(folder) if folder.exists() else Store.create(folder, config.to_yaml())
+    campaign = Campaign(config, method, LOGICAL, store, executor or FakeExecutor())
+    try:
+        campaign.run(observe)
+    finally:
+        records = [execution.record for execution in store.executions()]
+        store.close()
+    return records
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_seed_gives_the_same_records(tmp_path, method):
+    records = run(tmp_path / "a", method=method)
+    assert [record["id"] for record in records] == list(range(40))
+    assert run(tmp_path / "b", method=method) == records
+    assert run(tmp_path / "c", method=method, seed=4) != records
+
+
+def test_records_do_not_depend_on_the_executor(tmp_path):
+    records = run(tmp_path / "a")
+    with FakeThreads(4) as threads:
+        assert run(tmp_path / "b", threads) == records
+
+
+def test_each_record_says_what_happened(tmp_path):
+    for record in run(tmp_path / "a"):
+        assert {"id", "origin", "parent", "end", "violated", "degree", "degrees", "novelty", "novel"} <= record.keys()
+        assert 0 <= record["novelty"] <= 1
+        assert record["degree"] == pytest.approx(sum(record["degrees"].values()))
+        assert set(record["violated"]) <= set(record["degrees"])
+        LOGICAL.check(Scenario.from_dict(record["scenario"]))
+
+
+def test_failures_are_recorded_with_their_class_and_fault(tmp_path):
+    seen = []
+    records = run(tmp_path / "a", observe=seen.append, method="uniform", budget="60")
+    store = Store.read(tmp_path / "a")
+    kinds = Counter()
+    for execution in store.executions():
+        record, trace = execution.record, execution.load_trace()
+        if not record["violated"]:
+            assert not {"class", "fault"} & record.keys()
+            continue
+        kind = violation_class(trace, judge(trace))
+        assert record["class"] == (kind.id if kind else "R1")  # the fake goes on driving after a contact
+        assert record.get("fault") == (contact_fault(trace) if record["class"].startswith("R1") else None)
+        kinds[record["class"]] += 1
+    assert list(store.failures()) == [(r["id"], r["violated"][0], r["class"]) for r in records if r["violated"]]
+    store.close()
+    assert len(kinds) > 1
+    assert seen[-1].classes == kinds
+    newest = max(min(r["id"] for r in records if r.get("class") == kind) for kind in kinds)
+    assert seen[-1].last["class"] == newest
+
+
+def test_an_error_is_a_class_of_its_own(tmp_path):
+    class Failing(FakeExecutor):
+        def submit(self, evaluate, scenario):
+            future = super().submit(evaluate, scenario)
+            if len(self.executed) % 5:
+                return future
+            failed = Future()
+            failed.set_exception(ADSError("invalid", "predict must return numbers"))
+            return failed
+
+    records = run(tmp_path / "a", Failing(), method="uniform", budget="20")
+    assert [record["class"] for record in records if "error" in record] == ["error/invalid"] * 4
+
+
+def test_a_longer_budget_only_adds(tmp_path):
+    short = run(tmp_path / "a", budget="20")
+    assert run(tmp_path / "b", budget="40")[:20] == short
+
+
+def test_candidates_in_flight_are_bounded_by_the_batch(tmp_path):
+    """With a batch of 1 the second candidate is asked for after the first was told, as in the paper's loop."""
+    in_flight = []
+
+    class Watched(FakeExecutor):
+        def submit(self, evaluate, scenario):
+            in_flight.append(len(self.executed) - told[0])
+            return super().submit(evaluate, scenario)
+
+    for batch in (1, 5):
+        in_flight.clear()
+        told = [0]
+        folder = tmp_path / str(batch)
+        config = CampaignConfig(budget="30", batch=batch)
+        store = Store.create(folder, "")
+        campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, Watched())
+        tell = campaign._method.tell
+
+        def counted(*arguments, tell=tell, told=told):
+            told[0] += 1
+            return tell(*arguments)
+
+        campaign._method.tell = counted
+        campaign.run(lambda _: None)
+        store.close()
+        assert max(in_flight) == batch - 1
+
+
+def test_what_is_counted_is_stored(tmp_path):
+    folder = tmp_path / "a"
+
+    def observe(progress):
+        reader = Store.read(folder)
+        assert len(reader) >= progress.executions
+        assert progress.failed == sum(bool(execution.record["violated"]) for execution in reader.executions())
+        reader.close()
+
+    assert len(run(folder, observe=observe)) == 40
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("stop_after", [1, 11])
+def test_an_interrupted_campaign_goes_on_as_if_nothing_had_happened(tmp_path, method, stop_after):
+    whole = run(tmp_path / "whole", method=method)
+    folder = tmp_path / "part"
+    config = CampaignConfig(budget="40", seed=3, method=method)
+    store = Store.create(folder, config.to_yaml())
+    campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor())
+    tell = campaign._method.tell
+
+    def tell_and_stop(candidate, *rest):
+        if candidate.number == stop_after - 1:
+            campaign.stop()
+        return tell(candidate, *rest)
+
+    campaign._method.tell = tell_and_stop
+    campaign.run(lambda _: None)
+    assert len(store) == stop_after
+    store.close()
+    executed = []
+    assert run(folder, FakeExecutor(executed), method=method) == whole
+    assert len(executed) == 40 - stop_after
+
+
+def test_resuming_holds_no_more_traces_than_are_in_flight(tmp_path, monkeypatch):
+    run(tmp_path / "a", budget="30", batch=4)
+    recalled, most = [0], [0]
+    recall, observe = Store.recall, NoveltyArchive.observe
+
+    def counting_recall(store, number):
+        recalled[0] += 1
+        most[0] = max(most[0], recalled[0])
+        return recall(store, number)
+
+    def counting_observe(archive, trace):
+        recalled[0] -= 1
+        return observe(archive, trace)
+
+    monkeypatch.setattr(Store, "recall", counting_recall)
+    monkeypatch.setattr(NoveltyArchive, "observe", counting_observe)
+    run(tmp_path / "a", budget="30", batch=4)
+    assert (recalled[0], most[0]) == (0, 4)
+
+
+def test_what_the_store_has_lost_is_executed_again(tmp_path):
+    whole = run(tmp_path / "a", budget="30")
+    with sqlite3.connect(tmp_path / "a" / DATABASE) as connection:
+        connection.execute("UPDATE executions SET trace = zeroblob(9) WHERE id IN (3, 29)")
+        connection.execute("DELETE FROM executions WHERE id = 17")
+    connection.close()
+    executed = []
+    assert run(tmp_path / "a", FakeExecutor(executed), budget="30") == whole
+    assert len(executed) == 3
+
+
+def test_earlier_running_time_is_told_apart(tmp_path):
+    last = []
+    run(tmp_path / "a", budget="20", observe=last.append)
+    first = last[-1]
+    run(tmp_path / "a", budget="30", observe=last.append)
+    assert first.earlier == 0.0
+    assert 0.0 < last[-1].earlier <= first.elapsed < last[-1].elapsed
+    assert last[-1].executing <= last[-1].elapsed - last[-1].earlier
+
+
+def test_an_execution_that_fails_is_no_finding(tmp_path):
+    with pytest.raises(ExecutionError, match="Execution 17 could not be carried out: RuntimeError: the ADS has lost"):
+        run(tmp_path / "a", FakeExecutor(fail_at=17))
+    reader = Store.read(tmp_path / "a")
+    assert len(reader) == 17
+    assert len(run(tmp_path / "a")) == 40
+    reader.close()
+
+
+def test_another_program_or_configuration_is_noticed_on_resuming(tmp_path):
+    run(tmp_path / "a", budget="10")
+    with pytest.raises(InputError, match="execution 0 would be another scenario"):
+        run(tmp_path / "a", seed=9)
+
+
+def test_progress_counts_each_failure_once(tmp_path):
+    last = []
+    records = run(tmp_path / "a", observe=last.append, budget="60", method="uniform")
+    progress = last[-1]
+    assert progress.executions == 60
+    assert progress.failed == sum(progress.violations.values()) == sum(bool(r["violated"]) for r in records)
+    assert progress.novel == sum(r["novel"] for r in records)
+    assert progress.elapsed > 0
+
+
+def test_a_time_budget_ends(tmp_path):
+    records = run(tmp_path / "a", budget="1s")
+    assert len(records) > 1
+
+
+def test_options_reach_the_method(tmp_path):
+    with pytest.raises(InputError, match="'thet_c'"):
+        run(tmp_path / "a", options={"thet_c": 0.3})

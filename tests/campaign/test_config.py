@@ -1,0 +1,128 @@
+"""Configurations: one sentence for whatever is wrong, and a file that makes the same campaign again."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, checked, read_config
+from behavexplor.errors import InputError
+from behavexplor.fuzz.methods import METHODS, load_method
+
+PRESETS = sorted((Path(__file__).parents[2] / "configs").glob("*.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "budget"),
+    [
+        ("750", Budget(executions=750)),
+        ("90s", Budget(seconds=90)),
+        ("30m", Budget(seconds=1800)),
+        ("1h30m", Budget(seconds=5400)),
+        ("0.5h", Budget(seconds=1800)),
+    ],
+)
+def test_budgets(text, budget):
+    assert Budget.parse(text) == budget
+
+
+@pytest.mark.parametrize("text", ["", "0", "-3", "0m", "ten", "30x", "m", "1.5", "9" * 20, "30m1h"])
+def test_budgets_that_are_none(text):
+    with pytest.raises(InputError, match="neither a number of executions"):
+        Budget.parse(text)
+
+
+@given(st.builds(CampaignConfig, seed=st.integers(0, 2**63 - 1), batch=st.integers(1, 100), budget=st.just("30m")))
+def test_yaml_makes_the_same_campaign(config):
+    assert campaign_config(yaml.safe_load(config.to_yaml())) == config
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"enw": "x"}, "Unknown key of the configuration 'enw': did you mean 'env'?"),
+        ({"seed": "many"}, "seed of the configuration"),
+        ({"seed": -1}, "The seed -1"),
+        ({"batch": 0}, "The batch 0"),
+        ({"budget": "soon"}, "The budget 'soon'"),
+        ({"options": 3}, "options of the configuration"),
+    ],
+)
+def test_wrong_values_are_named(values, message):
+    with pytest.raises(InputError) as error:
+        campaign_config(values)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("path", PRESETS, ids=lambda path: path.stem)
+def test_presets_are_campaigns(path):
+    values = read_config(path.stem)
+    assert values == read_config(str(path))
+    config = campaign_config(values)
+    checked(load_method(config.method).Options, config.options, "options")
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_unknown_options_are_refused(name):
+    with pytest.raises(InputError, match="'widnow'"):
+        checked(load_method(name).Options, {"widnow": 5}, f"options of {name}")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"miner": {"widnow": 5}},
+            "Unknown key of the miner of the options of behavexplor 'widnow': did you mean 'window'",
+        ),
+        ({"assessment": {"retreta": 5}}, "did you mean 'retreat'"),
+        ({"miner": 5}, "miner of the options of behavexplor"),
+        ({"selection": "energetic"}, "selection of the options of behavexplor"),
+        ({"assessment": {"retreat": -1.0}}, "retreat: must be a number from 0 to 100000"),
+    ],
+)
+def test_wrong_options_are_named_however_deep(options, message):
+    with pytest.raises(InputError) as error:
+        checked(load_method("behavexplor").Options, options, "options of behavexplor")
+    assert message in str(error.value)
+
+
+def test_missing_files_name_the_presets():
+    with pytest.raises(InputError, match="did you mean 'paper'"):
+        read_config("papr")
+
+
+@pytest.mark.parametrize(
+    "text", ["a: [", "- 1\n- 2", "3", "? [a]\n: b", "\x00", "!!python/object:os.system {}", "1: 2"]
+)
+def test_files_that_hold_no_configuration(tmp_path, text):
+    path = tmp_path / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as error:
+        read_config(str(path))
+    assert "\n" not in str(error.value)
+
+
+def test_an_empty_file_is_the_defaults(tmp_path):
+    (tmp_path / "c.yaml").write_text("# nothing\n")
+    assert campaign_config(read_config(str(tmp_path / "c.yaml"))) == CampaignConfig()
+
+
+def test_a_huge_file_is_not_read(tmp_path):
+    (tmp_path / "c.yaml").write_text("a: " + "x" * 200_000)
+    with pytest.raises(InputError, match="200003 bytes"):
+        read_config(str(tmp_path / "c.yaml"))
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=60))
+def test_any_bytes_are_read_or_refused(tmp_path_factory, data):
+    path = tmp_path_factory.getbasetemp() / "any.yaml"
+    path.write_bytes(data)
+    try:
+        campaign_config(read_config(str(path)))
+    except InputError as error:
+        assert "\n" not in str(error)

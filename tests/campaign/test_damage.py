@@ -1,0 +1,310 @@
+"""Damaged, unfinished, foreign and full run folders: read as far as they go, mended on resuming, and named."""
+
+import json
+import os
+import resource
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from behavexplor.campaign.config import CONFIG
+from behavexplor.campaign.damage import DATABASE, FAILURES, Losses
+from behavexplor.campaign.store import LOCK, Store
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.errors import InputError
+from tests.campaign.test_store import execution
+
+ROOT = Path(__file__).parents[2]
+OLD = ROOT / "tests" / "stored" / "format-1"
+CAMPAIGN = ["fuzz", "--ads", "constant:1", "--env", "lane-follow", "--method", "uniform", "--seed", "7", "--quiet"]
+COUNT = 120
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A run folder of many executions, every third a failure."""
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    store = Store.create(folder, "env: lane-follow\n")
+    for number in range(COUNT):
+        store.add(execution(number, ["collision"] if number % 3 == 0 else []))
+    store.commit()
+    store.close()
+    return folder
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    return Path(shutil.copytree(whole, tmp_path / "copy"))
+
+
+def change(folder, statement):
+    with sqlite3.connect(folder / DATABASE) as connection:
+        connection.execute(statement)
+    connection.close()
+
+
+def read(folder):
+    """The numbers of the records that can be read, and what is said to be lost."""
+    store, losses = Store.read(folder), Losses()
+    numbers = [record["id"] for record in store.records(losses)]
+    store.close()
+    return numbers, losses.sentences(folder)
+
+
+def test_a_whole_folder_has_lost_nothing(whole):
+    assert read(whole) == (list(range(COUNT)), [])
+
+
+def test_records_are_checked_without_their_traces(folder):
+    change(folder, "UPDATE executions SET record = replace(record, 'arrived', 'timeout') WHERE id = 5")
+    change(folder, "UPDATE executions SET elapsed = 1e9 WHERE id = 6")
+    change(folder, "UPDATE executions SET trace = zeroblob(9) WHERE id = 7")
+    numbers, said = read(folder)
+    assert set(range(COUNT)) - set(numbers) == {5, 6}
+    assert said == [f"Damaged or missing in {folder / DATABASE}: executions 5 to 6; fuzz --resume executes that again"]
+    store = Store.read(folder)
+    with pytest.raises(InputError, match=r"Execution 7 in .* is damaged"):
+        store.execution(7)
+    with pytest.raises(InputError, match=r"Execution 5 in .* is damaged"):
+        list(store.records())
+    store.close()
+
+
+def test_missing_rows_and_files_are_named(folder):
+    change(folder, "DELETE FROM executions WHERE id IN (0, 50, 51)")
+    for number in (3, 6, 9, 30):
+        (folder / FAILURES / f"{number:06d}.json").unlink()
+    (folder / CONFIG).unlink()
+    numbers, said = read(folder)
+    assert len(numbers) == COUNT - 3
+    assert [sentence.partition(": ")[2] for sentence in said[:2]] == [
+        "executions 0, 50 to 51; fuzz --resume executes that again",
+        "files of executions 3, 6, 9, 30; fuzz --resume writes them",
+    ]
+    assert said[2].startswith(f"{folder / CONFIG} is missing")
+
+
+@pytest.mark.parametrize("left", [0.98, 0.6, 0.3])
+def test_a_database_that_was_cut_off_is_read_as_far_as_it_goes(folder, left):
+    size = int((folder / DATABASE).stat().st_size * left)
+    os.truncate(folder / DATABASE, size)
+    numbers, said = read(folder)
+    assert COUNT * left * 0.8 <= len(numbers) < COUNT
+    assert len(said) == 1
+    store = Store.reopen(folder)
+    assert [stored.id for stored in store.executions()] == numbers
+    assert f"{len(numbers)} executions were saved" in store.repaired
+    assert (folder / f"{DATABASE}.damaged").stat().st_size == size
+    store.close()
+    again = Store.reopen(folder)
+    assert again.repaired is None
+    again.close()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_overwritten_bytes_are_noticed_and_no_other_row_is_lost_for_them(folder, seed):
+    """What is read is what was written, whatever page is hit; a page holds a handful of rows, an inner one many."""
+    rng = np.random.default_rng(seed)
+    data = bytearray((folder / DATABASE).read_bytes())
+    place = int(rng.integers(4096, len(data) - 64))
+    data[place : place + 64] = rng.bytes(64)
+    (folder / DATABASE).write_bytes(data)
+    store, losses = Store.read(folder), Losses()
+    records = {record["id"]: record for record in store.records(losses)}
+    store.close()
+    assert all(record == execution(n, ["collision"] if n % 3 == 0 else []).record for n, record in records.items())
+    assert len(records) + len(losses.damaged) == COUNT or losses.cut_off
+    mended = Store.reopen(folder)
+    recalled = [number for number in range(COUNT) if mended.recall(number) is not None]
+    mended.close()
+    assert len(recalled) >= COUNT * 0.5
+    assert set(recalled) <= set(records)
+
+
+def test_what_is_no_database_is_kept_and_begun_anew(folder):
+    (folder / DATABASE).write_bytes(b"rubbish" * 1000)
+    with pytest.raises(InputError, match="cannot be read: file is not a database"):
+        Store.read(folder)
+    store = Store.reopen(folder)
+    assert (len(store), store.repaired.partition(": ")[2][:25]) == (0, "0 executions were saved, ")
+    store.close()
+    assert (folder / f"{DATABASE}.damaged").read_bytes() == b"rubbish" * 1000
+
+
+def test_a_newer_format_is_left_alone(folder):
+    change(folder, "UPDATE meta SET value = '10'")
+    before = (folder / DATABASE).read_bytes()
+    for opening in (Store.read, Store.reopen):
+        with pytest.raises(InputError, match=r"has format 10, this version reads 1 and 2: a newer behavexplor"):
+            opening(folder)
+    assert (folder / DATABASE).read_bytes() == before
+
+
+def test_a_table_that_is_none_is_refused(folder):
+    """A view could compute for ever."""
+    change(folder, "ALTER TABLE executions RENAME TO rows")
+    change(folder, "CREATE VIEW executions AS SELECT * FROM rows")
+    with pytest.raises(InputError, match="has format none"):
+        Store.read(folder)
+
+
+@pytest.mark.parametrize("left", ["nothing", "database", "header", "tables"])
+def test_a_run_that_was_ended_while_it_was_made_can_be_resumed(tmp_path, left):
+    store = Store.create(tmp_path / "run", "env: lane-follow\n")
+    store.close()
+    if left == "nothing":
+        (tmp_path / "run" / DATABASE).unlink()
+        (tmp_path / "run" / FAILURES).rmdir()
+    elif left == "database":
+        (tmp_path / "run" / DATABASE).write_bytes(b"")
+    elif left == "header":
+        (tmp_path / "run" / DATABASE).unlink()
+        with sqlite3.connect(tmp_path / "run" / DATABASE) as connection:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA user_version = 0")
+        connection.close()
+    if left in ("database", "header"):
+        with pytest.raises(InputError, match="the run has not begun; fuzz --resume begins it"):
+            Store.read(tmp_path / "run")
+    again = Store.reopen(tmp_path / "run")
+    again.add(execution(0, ["collision"]))
+    again.commit()
+    assert (len(again), again.repaired) == (1, None)
+    again.close()
+
+
+def test_a_folder_in_which_only_a_lock_was_made_is_empty(tmp_path):
+    for name in (LOCK, f"{CONFIG}.part"):
+        (tmp_path / name).write_text("en")
+    store = Store.create(tmp_path, "env: lane-follow\n")
+    assert (tmp_path / CONFIG).read_text() == "env: lane-follow\n"
+    store.close()
+
+
+def test_a_run_of_format_1_stays_readable(tmp_path, capsys):
+    """It was written by the first version; whoever changes what is stored keeps this passing."""
+    old = Path(shutil.copytree(OLD, tmp_path / "old"))
+    assert main(["records", str(old)]) == OK
+    lines = capsys.readouterr().out.splitlines()
+    assert [json.loads(line)["id"] for line in lines] == list(range(6))
+    assert main(["replay", str(old), "1", "--out", str(tmp_path)]) == OK
+    assert "gave the same trace" in capsys.readouterr().out
+    assert main(["fuzz", "--resume", str(old), "--budget", "8", "--workers", "0", "--quiet"]) == OK
+    assert main([*CAMPAIGN, "--budget", "8", "--workers", "0", "--out", str(tmp_path / "new")]) == OK
+    capsys.readouterr()
+    extended, fresh = read_records(old), read_records(tmp_path / "new")
+    assert extended[:6] == [json.loads(line) for line in lines]
+    assert extended[6:] == fresh[6:]
+    for before, now in zip(extended, fresh, strict=True):  # records of format 1 say less
+        assert before == {name: now[name] for name in before}
+
+
+def test_damage_in_a_run_of_format_1_is_named(tmp_path):
+    old = Path(shutil.copytree(OLD, tmp_path / "old"))
+    change(old, "UPDATE executions SET trace = zeroblob(9) WHERE id = 2")
+    assert read(old)[0] == [0, 1, 3, 4, 5]
+    store = Store.reopen(old)
+    assert [store.recall(number) is None for number in range(6)] == [False, False, True, False, False, False]
+    store.close()
+
+
+def read_records(folder):
+    store = Store.read(folder)
+    records = list(store.records())
+    store.close()
+    return records
+
+
+def test_what_a_run_has_lost_is_executed_again(tmp_path, capsys):
+    run = [*CAMPAIGN, "--budget", "6", "--workers", "0", "--out", str(tmp_path / "run")]
+    assert main(run) == OK
+    before = read_records(tmp_path / "run")
+    change(tmp_path / "run", "DELETE FROM executions WHERE id = 1")
+    change(tmp_path / "run", "UPDATE executions SET trace = zeroblob(9) WHERE id = 4")
+    shutil.rmtree(tmp_path / "run" / FAILURES)
+    capsys.readouterr()
+    assert main(["records", str(tmp_path / "run")]) == BAD_INPUT
+    shown = capsys.readouterr()
+    assert len(shown.out.splitlines()) == 5
+    assert [" ".join(line.partition(": ")[2].split()[:2]) for line in shown.err.splitlines()] == [
+        "Damaged or",
+        "Missing in",
+    ]
+    assert main(["fuzz", "--resume", str(tmp_path / "run"), "--workers", "0", "--quiet"]) == OK
+    capsys.readouterr()
+    assert main(["records", str(tmp_path / "run")]) == OK
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == before
+    failed = [record["id"] for record in before if record["violated"]]
+    assert sorted(path.name for path in (tmp_path / "run" / FAILURES).iterdir()) == [f"{n:06d}.json" for n in failed]
+
+
+def fuzz(*arguments, file_size=None, prefix=()):
+    """The program in a process of its own, whose files may grow to a size."""
+    limit = None if file_size is None else lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
+    command = [*prefix, sys.executable, "-m", "behavexplor", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=120, check=False, preexec_fn=limit
+    )
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_full_disk_ends_the_campaign_and_keeps_what_was_recorded(tmp_path, workers):
+    run = tmp_path / "run"
+    result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", workers, "--out", run, file_size=150_000)
+    assert result.returncode == EXECUTION_FAILED
+    assert "Traceback" not in result.stderr
+    assert "The run folder cannot be written any more: " in result.stderr.splitlines()[-1]
+    kept = read_records(run)
+    assert 0 < len(kept) < 40
+    assert f"{len(kept)} executions in " in result.stdout
+    assert main(["fuzz", "--resume", str(run), "--workers", "0", "--quiet"]) == OK
+    assert main([*CAMPAIGN, "--budget", "40", "--workers", "0", "--out", str(tmp_path / "whole")]) == OK
+    assert read_records(run) == read_records(tmp_path / "whole")
+
+
+def test_a_disk_that_is_full_from_the_beginning_is_one_sentence(tmp_path):
+    result = fuzz(*CAMPAIGN, "--budget", 4, "--workers", 0, "--out", tmp_path / "run", file_size=100)
+    assert (result.returncode, result.stderr.count("\n")) == (BAD_INPUT, 1)
+    assert "The run folder" in result.stderr
+    assert "cannot be written" in result.stderr
+
+
+MOUNT = ["unshare", "--user", "--map-root-user", "--mount", "--fork"]
+CAN_MOUNT = (
+    shutil.which("unshare") and not subprocess.run([*MOUNT, "true"], check=False, capture_output=True).returncode
+)
+
+
+@pytest.mark.skipif(not CAN_MOUNT, reason="needs namespaces of its own to mount in")
+def test_a_real_disk_that_runs_full(tmp_path):
+    (tmp_path / "disk").mkdir()
+    prefix = [*MOUNT, "sh", "-c", f'mount -t tmpfs -o size=300k none {tmp_path}/disk && "$@"; code=$?; '
+              f"cp -r {tmp_path}/disk/run {tmp_path}/kept; exit $code", "sh"]  # fmt: skip
+    result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", 0, "--out", tmp_path / "disk" / "run", prefix=prefix)
+    assert result.returncode == EXECUTION_FAILED, result.stderr
+    assert "Traceback" not in result.stderr
+    assert "database or disk is full" in result.stderr or "No space left" in result.stderr
+    kept = read_records(tmp_path / "kept")
+    assert f"{len(kept)} executions in " in result.stdout
+
+
+@pytest.mark.skipif(not CAN_MOUNT, reason="needs namespaces of its own to mount in")
+def test_a_folder_that_cannot_be_written_can_be_read(tmp_path, whole):
+    shutil.copytree(whole, tmp_path / "run")
+    here = tmp_path / "run"
+    prefix = [*MOUNT, "sh", "-c", f'mount --bind -o ro {here} {here} && mount -o remount,ro,bind {here} && "$@"', "sh"]
+    result = fuzz("records", here, prefix=prefix)
+    assert (result.returncode, len(result.stdout.splitlines())) == (OK, COUNT)
+    resumed = fuzz("fuzz", "--resume", here, prefix=prefix)
+    assert resumed.returncode == BAD_INPUT
+    assert resumed.stderr.splitlines()[-1].endswith("cannot be written: Read-only file system")
+    begun = fuzz("fuzz", "--out", here / "new", prefix=prefix)
+    assert begun.returncode == BAD_INPUT
+    assert begun.stderr.splitlines()[-1].endswith("cannot be written: Read-only file system")
+    assert [path.name for path in here.iterdir()] == [path.name for path in whole.iterdir()]

@@ -1,0 +1,142 @@
+"""Run folders: durable, readable while written, and honest about damage."""
+
+import json
+import sqlite3
+
+import pytest
+
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.scenario import Scenario
+from behavexplor.errors import InputError
+from tests.strategies import random_trace
+
+TRACES = [random_trace(seed).to_bytes() for seed in range(3)]
+
+
+def execution(number, violated=()):
+    record = {
+        "id": number,
+        "violated": list(violated),
+        "degree": 0.1 * number,
+        "degrees": {"collision": 0.1 * number},
+        "novelty": 0.5,
+        "end": "arrived",
+        "scenario": Scenario("intersection-straight", ()).to_dict(),
+    }
+    return Execution(record, TRACES[number % 3], 1.5 * number)
+
+
+@pytest.fixture
+def store(tmp_path):
+    store = Store.create(tmp_path / "run", "env: x\n")
+    yield store
+    store.close()
+
+
+def filled(store, count=3):
+    for number in range(count):
+        store.add(execution(number))
+    store.commit()
+    return store
+
+
+def test_executions_come_back_as_they_were(store):
+    filled(store)
+    assert list(store.executions()) == [execution(0), execution(1), execution(2)]
+    assert store.execution(1) == execution(1)
+    assert store.execution(1).load_trace().to_bytes() == TRACES[1]
+    assert (store.folder / "config.yaml").read_text() == "env: x\n"
+
+
+def test_what_is_not_committed_does_not_count(store):
+    store.add(execution(0))
+    assert (len(store), store.pending) == (0, 1)
+    assert store.commit() == [execution(0)]
+    assert (len(store), store.pending) == (1, 0)
+    assert store.commit() == []
+
+
+def test_a_reader_sees_the_committed_while_a_campaign_writes(store):
+    filled(store)
+    reader = Store.read(store.folder)
+    store.add(execution(3))
+    assert len(reader) == 3
+    store.commit()
+    assert len(reader) == 4
+    reader.close()
+
+
+def test_ordinary_tools_can_read_it(store):
+    filled(store)
+    with sqlite3.connect(store.folder / DATABASE) as connection:
+        rows = connection.execute('SELECT id, degree, novelty, "end", violated FROM executions').fetchall()
+    connection.close()
+    assert rows[1] == (1, 0.1, 0.5, "arrived", "[]")
+
+
+def test_each_failure_has_a_file(store):
+    store.add(execution(0))
+    store.add(execution(1, ["collision"]))
+    store.commit()
+    assert json.loads(store.failure_path(1).read_text()) == execution(1, ["collision"]).record
+    assert [path.name for path in (store.folder / "failures").iterdir()] == ["000001.json"]
+
+
+def test_a_folder_that_holds_something_is_not_overwritten(tmp_path):
+    (tmp_path / "mine.txt").write_text("precious")
+    with pytest.raises(InputError, match="is not empty"):
+        Store.create(tmp_path, "")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        Store.create(tmp_path / "file", "")
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    with pytest.raises(InputError, match="is not a run folder"):
+        Store.read(tmp_path)
+
+
+def test_a_file_that_is_no_database_is_refused(tmp_path):
+    (tmp_path / DATABASE).write_bytes(b"rubbish" * 1000)
+    with pytest.raises(InputError, match="cannot be read"):
+        Store.read(tmp_path)
+
+
+def test_another_format_is_refused(store):
+    with sqlite3.connect(store.folder / DATABASE) as connection:
+        connection.execute("UPDATE meta SET value = '99'")
+    connection.close()
+    with pytest.raises(InputError, match="has format 99"):
+        Store.read(store.folder)
+
+
+@pytest.mark.parametrize("change", ["trace = zeroblob(10)", "record = replace(record, 'arrived', 'crashed')", "id = 7"])
+def test_damage_is_named(store, change):
+    filled(store)
+    with sqlite3.connect(store.folder / DATABASE) as connection:
+        connection.execute(f"UPDATE executions SET {change} WHERE id = 2")
+    connection.close()
+    executions = store.executions()
+    assert [next(executions).id, next(executions).id] == [0, 1]
+    with pytest.raises(InputError, match=r"Execution 2 in .* is damaged or missing"):
+        next(executions)
+
+
+def test_a_missing_execution_is_named(store):
+    with pytest.raises(InputError, match="has no execution 9: it has 3"):
+        filled(store).execution(9)
+
+
+def test_a_run_can_be_reopened(store):
+    filled(store)
+    store.close()
+    again = Store.reopen(store.folder)
+    again.add(execution(3))
+    again.commit()
+    assert len(again) == 4
+    again.close()

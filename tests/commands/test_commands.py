@@ -1,0 +1,403 @@
+"""The commands as a user runs them: what they print, their exit codes, and what is left after an interruption."""
+
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from behavexplor.campaign.campaign import run_folder
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.store import Store
+from behavexplor.commands import main
+from behavexplor.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0"]
+
+
+def run(*arguments, cwd=ROOT):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "behavexplor", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=120, check=False)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run with failures, and what fuzzing printed."""
+    folder = tmp_path_factory.mktemp("runs") / "finished"
+    result = run(*FUZZ, "--budget", 12, "--seed", 5, "--method", "uniform", "--out", folder)
+    assert result.returncode == 0, result.stderr
+    return folder, result
+
+
+def records(folder):
+    result = run("records", folder)
+    assert result.returncode == 0
+    return [json.loads(line) for line in result.stdout.splitlines()]
+
+
+def test_the_summary_says_what_failed_and_how_to_look_at_it(finished):
+    folder, result = finished
+    failed = [record["id"] for record in records(folder) if record["violated"]]
+    assert result.stdout.startswith("12 executions in ")
+    assert f"{len(failed)} failed" in result.stdout
+    assert f"Everything is kept in {folder}" in result.stdout
+    assert f"replay {folder} {failed[0]}" in result.stdout
+
+
+def test_records_are_one_json_object_a_line(finished):
+    folder, _ = finished
+    lines = records(folder)
+    assert [record["id"] for record in lines] == list(range(12))
+    assert all({"violated", "degree", "novelty", "end"} <= record.keys() for record in lines)
+
+
+@pytest.mark.parametrize("extra", [["--workers", "2"], ["--quiet"]])
+def test_the_same_seed_prints_the_same_records(finished, tmp_path, extra):
+    folder, _ = finished
+    result = run(*FUZZ, "--budget", 12, "--seed", 5, "--method", "uniform", "--out", tmp_path / "again", *extra)
+    assert result.returncode == 0
+    assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
+
+
+def test_the_stored_configuration_makes_the_same_run(finished, tmp_path):
+    folder, _ = finished
+    result = run("fuzz", "--config", folder / "config.yaml", "--workers", 1, "--out", tmp_path / "again")
+    assert result.returncode == 0
+    assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
+
+
+def test_the_fuzz_package_is_the_fuzz_command(tmp_path):
+    command = [sys.executable, "-m", "behavexplor.fuzz", *FUZZ[1:], "--budget", "2", "--out", str(tmp_path / "a")]
+    result = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=120, check=False)
+    assert result.returncode == 0
+    assert len(records(tmp_path / "a")) == 2
+
+
+def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
+    folder, _ = finished
+    number = next(record["id"] for record in records(folder) if "collision" in record["violated"])
+    result = run("replay", folder, number, "--out", tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "violates collision and destination, ended by a collision" in result.stdout
+    assert "gave the same trace" in result.stdout
+    with Image.open(tmp_path / f"{number:06d}.gif") as animation:
+        store = Store.read(folder)
+        duration = store.execution(number).load_trace().duration
+        store.close()
+        assert animation.n_frames == pytest.approx(duration / 0.1, abs=3)
+    with Image.open(tmp_path / f"{number:06d}.png") as picture:
+        assert picture.size == (600, 600)
+
+
+def test_a_replay_that_differs_is_said_to(finished, tmp_path):
+    folder, _ = finished
+    copy = tmp_path / "copy"
+    store = Store.read(folder)
+    other = Store.create(copy, (folder / "config.yaml").read_text().replace("cruiser", "Swerver"))
+    other.add(store.execution(0))
+    other.commit()
+    other.close()
+    store.close()
+    result = run("replay", copy, 0)
+    assert result.returncode == 1
+    assert "ANOTHER trace" in result.stderr
+
+
+def test_violations_fail_a_check_only_when_asked(tmp_path):
+    arguments = [*FUZZ, "--ads", "tests.drivers:Swerver", "--budget", "2"]
+    assert run(*arguments, "--out", tmp_path / "a").returncode == 0
+    assert run(*arguments, "--out", tmp_path / "b", "--fail-on-violation").returncode == 1
+
+
+@pytest.mark.parametrize("ads", ["tests.drivers:Cruiser", "tests.drivers:make_cruiser", "tests.drivers:Settable"])
+def test_a_class_or_function_makes_the_ads(tmp_path, ads):
+    result = run(*FUZZ, "--ads", ads, "--budget", 2, "--out", tmp_path / "a")
+    assert result.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fuzz", "--env", "intersection-strait"], "did you mean 'intersection-straight'?"),
+        (["fuzz", "--env", "nowhere/x-v0"], "The environment 'nowhere/x-v0' cannot be made"),
+        (["fuzz", "--env", "CartPole-v1"], "cannot be fuzzed"),
+        (["fuzz", "--ads", "rules"], "did you mean 'rule'?"),
+        (["fuzz", "--env", "intersection"], "did you mean 'intersection-left' or 'intersection-straight'?"),
+        (["fuzz", "--ads", "tests.nothing:here"], "in this folder and on PYTHONPATH"),
+        (["fuzz", "--ads", "tests/drivers.py"], "is a module of Python: name what drives in it, such as"),
+        (["fuzz", "--ads", "tests.drivers:make_nothing"], "has no predict method"),
+        (["fuzz", "--ads", "tests.drivers:np.pi"], "cannot be imported"),
+        (["fuzz", "--method", "unifrom"], "did you mean 'uniform'?"),
+        (["fuzz", "--budget", "0"], "neither a number of executions"),
+        (["fuzz", "--batch", "0"], "The batch 0"),
+        (["fuzz", "--workers", "-1"], "--workers -1 must lie between"),
+        (["fuzz", "--seed", "-1"], "The seed -1"),
+        (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
+        (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
+        (["fuzz", "--resume", "tests"], "is not a run folder"),
+        (["fuzz", "--resume", "tests", "--config", "paper"], "--config and --out cannot be given with --resume"),
+        (["records", "nowhere"], "is not a run folder"),
+        (["replay", "nowhere", "0"], "is not a run folder"),
+        (["fuzz", "--env", ":"], "cannot be made"),
+        (["fuzz", "--ads", "tests.broken_driver:ads"], "cannot be imported: ZeroDivisionError"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(ROOT)
+    if arguments[0] == "fuzz" and "--resume" not in arguments:
+        arguments = [*arguments, "--out", str(tmp_path / "run")]
+    assert main(arguments) == 2
+    output = capsys.readouterr()
+    lines = [line for line in output.err.splitlines() if not line.startswith(("Fuzzing ", "Waiting "))]
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert output.out == ""
+    assert not (tmp_path / "run").exists()
+
+
+def test_names_of_files_need_not_be_text(tmp_path, monkeypatch):
+    printed = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, "utf-8"))
+    page = tmp_path / "\udcff.html"
+    assert main(["report", str(ROOT / "tests" / "stored" / "format-1"), "--out", str(page)]) == 0
+    sys.stdout.flush()
+    assert printed.getvalue() == f"Report: {tmp_path}/\\udcff.html\n".encode()
+    assert page.is_file()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["fuzz", "--enw", "x"], ["fuzz", "--budget"], ["fuzz", "--seed", "x"], ["fuss"], []]
+)
+def test_bad_flags_exit_with_2_and_no_traceback(arguments):
+    result = run(*arguments)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+
+
+def test_a_driver_in_the_working_directory_is_found(tmp_path):
+    (tmp_path / "own_driver.py").write_text("from tests.drivers import cruiser\n")
+    program = Path(sys.executable).with_name("behavexplor")
+    command = [program, "evaluate", "--env", "lane-follow", "--ads", "own_driver:cruiser", "--scenarios", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_a_driver_that_cannot_be_loaded_leaves_no_run_behind(tmp_path):
+    (tmp_path / "own_driver.py").write_text("import os\nos._exit(3)\n")
+    result = run("fuzz", "--ads", "own_driver:driver", "--workers", "1", "--env", "lane-follow", cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.endswith("The ADS cannot be loaded: its process ended with exit code 3\n")
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_folder_that_is_not_empty_is_kept(tmp_path):
+    (tmp_path / "mine").write_text("precious")
+    result = run(*FUZZ, "--budget", 2, "--out", tmp_path)
+    assert result.returncode == 2
+    assert "is not empty" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize(
+    ("driver", "kind", "message", "workers"),
+    [
+        ("Faulty", "raised", "ZeroDivisionError: no gap to divide by", 2),
+        ("Leaver", "exit", "it called sys.exit(0)", 0),
+        ("Crashing", "crash", "its process was ended by SIGKILL", 1),
+    ],
+)
+def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, workers, tmp_path):
+    (tmp_path / "limits.yaml").write_text("time_limit: 2\nmemory_limit: 3\n")
+    flags = ["--method", "uniform", "--budget", 3, "--workers", workers, "--config", tmp_path / "limits.yaml"]
+    result = run(*FUZZ, *flags, "--ads", f"tests.drivers:{driver}", "--out", tmp_path / "a")
+    assert result.returncode == 0, result.stderr
+    assert "Traceback" not in result.stderr
+    assert "Beware" in result.stderr or kind in {"crash", "hang"}
+    failed = [record for record in records(tmp_path / "a") if "error" in record]
+    assert f"error        {len(failed):5}   executions {failed[0]['id']}" in result.stdout
+    for record in failed:
+        assert record["violated"] == ["error"]
+        assert record["end"] == "error"
+        assert record["error"]["kind"] == kind
+        assert message in record["error"]["message"]
+    again = run("replay", tmp_path / "a", failed[0]["id"])
+    assert again.returncode == 0, again.stderr
+    assert f"the ADS failed ({kind}): " in again.stdout
+    assert "it failed in the same way" in again.stdout
+
+
+def test_workers_use_one_thread_each(tmp_path):
+    result = run(*FUZZ, "--ads", "tests.drivers:Threads", "--budget", 4, "--workers", 2, "--out", tmp_path / "a")
+    assert result.returncode == 0, result.stderr
+
+
+def start(folder, *arguments):
+    """A campaign in the background, once it has stored something."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "behavexplor", *FUZZ, "--budget", "400", "--out", str(folder), *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and process.poll() is None:
+        if (folder / "campaign.db").exists() and stored(folder) >= 10:
+            return process
+        time.sleep(0.05)
+    process.kill()
+    raise AssertionError(process.communicate()[1])
+
+
+def stored(folder):
+    try:
+        store = Store.read(folder)
+    except InputError:  # it is being made right now
+        return 0
+    count = len(store)
+    store.close()
+    return count
+
+
+@pytest.mark.parametrize(("number", "workers"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
+def test_an_interruption_ends_cleanly_and_can_be_resumed(tmp_path, number, workers):
+    folder = tmp_path / "a"
+    process = start(folder, "--workers", workers)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    counted = int(out.split()[0])
+    assert counted == stored(folder) >= 10
+    assert f"fuzz --resume {folder}" in err
+    resumed = run("fuzz", "--resume", folder, "--workers", 1, "--budget", counted + 5)
+    assert resumed.returncode == 0, resumed.stderr
+    assert len(records(folder)) == counted + 5
+
+
+def test_after_sigkill_nothing_counted_is_lost_and_the_campaign_goes_on(tmp_path):
+    folder = tmp_path / "killed"
+    process = start(folder)
+    process.kill()
+    process.communicate()
+    kept = records(folder)
+    assert [record["id"] for record in kept] == list(range(len(kept)))
+    total = len(kept) + 10
+    assert run("fuzz", "--resume", folder, "--workers", 1, "--budget", total).returncode == 0
+    whole = tmp_path / "whole"
+    assert run(*FUZZ, "--budget", total, "--out", whole).returncode == 0
+    assert records(folder) == records(whole)
+
+
+def test_workers_end_with_the_campaign(tmp_path):
+    process = start(tmp_path / "a", "--workers", "2")
+    group = subprocess.run(["pgrep", "-f", str(tmp_path)], capture_output=True, text=True, check=False).stdout.split()
+    assert str(process.pid) in group
+    children = _descendants(process.pid)
+    assert len(children) >= 2
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 15
+    while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+
+
+def _descendants(pid):
+    listed = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False).stdout.split()
+    return [*listed, *(grandchild for child in listed for grandchild in _descendants(child))]
+
+
+def test_a_run_folder_belongs_to_one_campaign_at_a_time(tmp_path):
+    folder = tmp_path / "a"
+    process = start(folder)
+    process.send_signal(signal.SIGSTOP)  # or it might be done before the other has begun
+    result = run("fuzz", "--resume", folder)
+    process.kill()
+    process.communicate()
+    assert result.returncode == 2
+    assert "is being written by another campaign" in result.stderr
+
+
+def test_a_smaller_budget_is_refused_on_resuming(finished):
+    folder, _ = finished
+    result = run("fuzz", "--resume", folder, "--budget", 5)
+    assert result.returncode == 2
+    assert "--budget 5 is less than the 12 executions" in result.stderr
+    assert "budget: '12'" in (folder / "config.yaml").read_text()
+
+
+def test_a_smaller_budget_ends_a_run_earlier_and_is_not_kept(tmp_path):
+    folder = tmp_path / "a"
+    assert run(*FUZZ, "--budget", 4, "--out", folder).returncode == 0
+    config = folder / "config.yaml"
+    config.write_text(config.read_text().replace("budget: '4'", "budget: '9'"))
+    earlier = run("fuzz", "--resume", folder, "--budget", 6, "--workers", 0)
+    assert earlier.stdout.startswith("6 executions")
+    assert "budget: '9'" in config.read_text()
+    assert run("fuzz", "--resume", folder, "--workers", 0).stdout.startswith("9 executions")
+    assert run("fuzz", "--resume", folder, "--budget", 10, "--workers", 0).stdout.startswith("10 executions")
+    assert "budget: '10'" in config.read_text()
+    again = run("fuzz", "--resume", folder, "--workers", 0)
+    assert again.returncode == 0
+    assert "nothing left to do: a larger --budget extends the run" in again.stderr
+
+
+@pytest.mark.parametrize("text", ["{{{", "", "[1, 2]", "env: 3"])
+def test_a_damaged_configuration_is_one_sentence(finished, tmp_path, text):
+    folder, _ = finished
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    (copy / "config.yaml").write_text(text)
+    for arguments in (["replay", copy, 0], ["fuzz", "--resume", copy]):
+        result = run(*arguments)
+        assert "Traceback" not in result.stderr
+        assert result.returncode == 2
+
+
+def test_only_the_budget_changes_on_resuming(finished):
+    folder, _ = finished
+    result = run("fuzz", "--resume", folder, "--seed", 6)
+    assert result.returncode == 2
+    assert "--seed cannot be changed on --resume: the run has 5" in result.stderr
+
+
+def test_help_is_quick_and_says_what_matters():
+    result = run("fuzz", "--help")
+    assert result.returncode == 0
+    for flag in ("env", "ads", "method", "config", "budget", "seed", "workers", "batch", "out", "resume", "quiet"):
+        assert f"--{flag}" in result.stdout
+    words = " ".join(result.stdout.replace("│", " ").split())
+    assert "lane-change, lane-follow, or a gymnasium id. (default: intersection-straight)" in words
+
+
+def test_records_can_be_cut_off_by_head(finished):
+    folder, _ = finished
+    command = f"{sys.executable} -m behavexplor records {folder} | head -n 1"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60, check=False)
+    assert result.stderr == ""
+    assert json.loads(result.stdout)["id"] == 0
+
+
+def test_the_version_is_told(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"behavexplor \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+def test_every_campaign_has_a_folder_of_its_own(tmp_path):
+    config = CampaignConfig(ads="models/best one.zip", env="behavexplor/lane-follow-v0")
+    folders = set()
+    for _ in range(4):
+        folder = run_folder(config, tmp_path)
+        folder.mkdir()
+        folders.add(folder)
+    assert len(folders) == 4
+    assert all(folder.name.startswith("lane-follow-v0-best-one.zip-behavexplor-0-") for folder in folders)

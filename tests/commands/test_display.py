@@ -1,0 +1,130 @@
+"""What a campaign shows on a terminal and elsewhere."""
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from behavexplor.campaign.campaign import Progress
+from behavexplor.campaign.config import Budget
+from behavexplor.commands.display import Display, clock, summary
+from tests.campaign.test_store import execution, filled, store  # noqa: F401 - a fixture
+
+PROGRESS = Progress(
+    executions=50,
+    failed=6,
+    violations={"collision": 4, "lines": 0, "destination": 2},
+    classes={"R1/going-straight/leading/car-sized": 4, "R3/going-straight/passed": 2},
+    novel=10,
+    elapsed=20.0,
+    executing=15.0,
+    method={"corpus": 12, "mean_energy": 0.75},
+    last={"novel": 39, "collision": 48},
+)
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def shown(stream, budget, progress=PROGRESS, quiet=False):
+    with Display(stream, budget, quiet=quiet) as display:
+        display.show(progress)
+        if display._last_line is not None:
+            display._last_line -= 60
+        display.show(progress)
+    return stream.getvalue()
+
+
+def test_a_plain_line():
+    line = shown(io.StringIO(), Budget(executions=100))
+    assert "50 of 100 executions, 2.5/s, 6 failed (collision 4, lines 0, destination 2) in 2 classes" in line
+    assert "20.0% novel, 0:20 left" in line
+
+
+def test_a_time_budget_is_left_over_in_time():
+    assert "50 executions, 2.5/s" in shown(io.StringIO(), Budget(seconds=80))
+    assert "1:00 left" in shown(io.StringIO(), Budget(seconds=80))
+
+
+def test_lines_do_not_come_too_often():
+    stream = io.StringIO()
+    display = Display(stream, Budget(executions=100), quiet=False)
+    for _ in range(10):
+        display.show(PROGRESS)
+    assert stream.getvalue() == ""
+
+
+def test_quiet_shows_nothing():
+    assert shown(io.StringIO(), Budget(executions=100), quiet=True) == ""
+    assert shown(Terminal(), Budget(executions=100), quiet=True) == ""
+
+
+def test_the_screen_of_a_terminal(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "120")
+    screen = shown(Terminal(), Budget(executions=100))
+    for part in ("50 of 100 executions", "2.5 per second", "75% of the time", "12.0%", "mean energy", "0.75", "corpus"):
+        assert part in screen
+    assert "last 10 ago" in screen
+
+
+def test_the_share_of_executing_is_that_of_the_time_since_resuming(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "120")
+    resumed = replace(PROGRESS, elapsed=1020.0, earlier=1000.0)
+    assert "75% of the time" in shown(Terminal(), Budget(executions=100), resumed)
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0, "0:00"), (59.6, "1:00"), (61, "1:01"), (3661, "1:01:01")])
+def test_clock(seconds, text):
+    assert clock(seconds) == text
+
+
+def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811 - the fixture
+    filled(store)
+    for number in range(3, 8):
+        store.add(execution(number, ["collision", "destination"] if number < 7 else ["destination"]))
+    store.commit()
+    text = summary(PROGRESS, store, "behavexplor")
+    assert "collision        4   executions 3, 4, 5, ..." in text
+    assert "destination      1   executions 7\n" in text
+    assert f"behavexplor replay {store.folder} 3" in text
+
+
+def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
+    failed = execution(0, ["collision"])
+    failed.record["class"] = "R1/kind"
+    store.add(failed)
+    store.commit()
+    assert "in 1 class; each counts once" in summary(PROGRESS, store, "behavexplor")
+
+
+def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
+    for number in range(30):
+        failed = execution(number, ["collision"])
+        failed.record["class"] = f"R1/kind-{min(number // 2, 10):02}"
+        store.add(failed)
+    store.commit()
+    text = summary(PROGRESS, store, "behavexplor")
+    assert "6 failed (12.0%) in 11 classes; each counts once, for the first of these:" in text
+    assert "The 8 most frequent classes:\n  R1/kind-10    10   first 20\n  R1/kind-00     2   first 0\n" in text
+    assert "kind-07" not in text
+
+
+def test_the_summary_of_a_campaign_without_failures(store):  # noqa: F811 - the fixture
+    text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor")
+    assert "None failed." in text
+    assert "replay" not in text
+
+
+def test_markup_in_names_is_not_obeyed():
+    stream = io.StringIO()
+    Display(stream, Budget(executions=1), quiet=False).say("Fuzzing [red]x[/red]:y")
+    assert stream.getvalue() == "Fuzzing [red]x[/red]:y\n"
+
+
+def test_the_terminal_is_recognised():
+    assert Console(file=Terminal(), force_terminal=None).is_terminal

@@ -1,0 +1,139 @@
+"""A confined process can neither write files nor use the network, and says what the system cannot prevent."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from behavexplor.execution import executor
+from behavexplor.execution.confinement import confine
+from behavexplor.execution.executor import make_executor, warm_up
+from tests.confining import confines
+
+pytestmark = pytest.mark.skipif(not confines(), reason="this system cannot confine a process")
+ROOT = Path(__file__).parents[2]
+
+
+def confined(code, tmp_path):
+    """What a Python program prints after its process has been confined, to a folder `own` for temporary files."""
+    own, victim = tmp_path / "own", tmp_path / "victim"
+    own.mkdir()
+    victim.write_text("untouched")
+    begin = f"""
+        import os, socket, sys, tempfile, threading
+        from pathlib import Path
+        tempfile.tempdir, victim = {str(own)!r}, Path({str(victim)!r})
+        from behavexplor.execution.confinement import confine
+        assert confine() == ()
+
+        def outcome(call):
+            try:
+                call()
+            except OSError as error:
+                return type(error).__name__
+            return "done"
+    """
+    program = textwrap.dedent(begin) + textwrap.dedent(code)
+    environment = {**os.environ, "TMPDIR": str(own)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
+    assert victim.read_text() == "untouched"
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "victim.write_text('x')",
+        "victim.unlink()",
+        "victim.rename(victim.with_name('other'))",
+        "os.truncate(victim, 0)",
+        "os.link(victim, victim.with_name('other'))",
+        "victim.with_name('new').mkdir()",
+        "victim.with_name('new').symlink_to(victim)",
+        "(Path(tempfile.gettempdir()) / '..' / 'new').write_text('x')",
+        "(Path('/proc/self/cwd') / 'new').write_text('x')",
+        "socket.create_connection(('127.0.0.1', 9))",
+        "socket.socket(socket.AF_INET, socket.SOCK_DGRAM)",
+        "socket.socket(socket.AF_INET6)",
+        "socket.socket(socket.AF_UNIX)",
+    ],
+)
+def test_a_confined_process_may_not(call, tmp_path):
+    assert confined(f"print(outcome(lambda: {call}))", tmp_path) == ["PermissionError"]
+
+
+def test_nor_may_its_threads_and_children(tmp_path):
+    code = """
+        threading.Thread(target=lambda: print(outcome(lambda: victim.write_text('x')))).start()
+        child = f"open({str(victim)!r}, 'w')"
+        import subprocess
+        print(subprocess.run([sys.executable, "-c", child], stderr=subprocess.DEVNULL).returncode)
+    """
+    assert sorted(confined(code, tmp_path)) == ["1", "PermissionError"]
+
+
+def test_it_cannot_end_the_process_that_began_it(tmp_path):
+    assert confined("print(outcome(lambda: os.kill(os.getppid(), 0)))", tmp_path) == ["PermissionError"]
+
+
+def test_it_may_read_compute_and_have_temporary_files(tmp_path):
+    code = """
+        print(victim.read_text())
+        print(outcome(lambda: tempfile.NamedTemporaryFile("w").write("x")))
+        print(outcome(lambda: open(os.devnull, "w").write("x")))
+        import numpy
+        print((numpy.ones((300, 300)) @ numpy.ones((300, 300))).sum())
+    """
+    assert confined(code, tmp_path) == ["untouched", "done", "done", "27000000.0"]
+
+
+def test_kernels_can_be_compiled_though_nothing_can_be_kept(tmp_path):
+    (tmp_path / "fresh.py").write_text(
+        "from behavexplor.jit import kernel\n\n\n@kernel\ndef doubled(x: float) -> float:\n    return 2.0 * x\n"
+    )
+    code = f"""
+        from behavexplor.jit import keep_no_code
+        keep_no_code()
+        sys.path.insert(0, {str(tmp_path)!r})
+        import fresh
+        print(fresh.doubled(21.0))
+    """
+    assert confined(code, tmp_path) == ["42.0"]
+    assert not list(tmp_path.rglob("*.nbi"))
+
+
+def test_an_ads_that_writes_is_stopped_unless_it_may(tmp_path, monkeypatch):
+    diary = tmp_path / "diary"
+    (tmp_path / "diarist.py").write_text(
+        "from pathlib import Path\n"
+        "from tests.drivers import Cruiser\n"
+        "class Diarist(Cruiser):\n"
+        "    def predict(self, observation, *arguments, **keywords):\n"
+        f"        Path({str(diary)!r}).open('a').write('x')\n"
+        "        return super().predict(observation, *arguments, **keywords)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with make_executor(1, "lane-follow", "diarist:Diarist") as workers:
+        warnings = warm_up(workers)
+    assert "PermissionError" in warnings[0]
+    assert "--unconfined" in warnings[0]
+    assert not diary.exists()
+    with make_executor(1, "lane-follow", "diarist:Diarist", unconfined=True) as workers:
+        assert warm_up(workers) == []
+    assert diary.stat().st_size > 0
+
+
+def test_what_a_system_cannot_prevent_is_said(monkeypatch):
+    for library in ("landlockpy", "pyseccomp"):
+        monkeypatch.setitem(sys.modules, library, None)
+    assert confine() == ("write files", "use the network")
+    monkeypatch.setattr(executor, "_loose", ["write files"])
+    monkeypatch.setattr(executor, "_simulation", [])
+    monkeypatch.setattr(executor, "health_warnings", lambda _: [])
+    executor.begin("lane-follow", "constant")
+    assert b"write files" in executor.examine(b"")

@@ -1,0 +1,169 @@
+"""From a scenario to its trace: rollout, simulation, executors."""
+
+import re
+
+import gymnasium
+import numpy as np
+import pytest
+
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.errors import InputError
+from behavexplor.execution.executor import InProcessExecutor, begin, evaluate, evaluations, make_executor
+from behavexplor.execution.rollout import ADSError, rollout
+from behavexplor.execution.simulation import Simulation, environment_id
+from tests.drivers import Cruiser
+
+LOGICAL = IntersectionStraightEnv.logical
+
+SCENARIOS = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(4)]
+
+
+class Diary(Cruiser):
+    """Counts its decisions in its state, and keeps a log of them."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        actions, _ = super().predict(observation)
+        count = np.where(episode_start, 0, 0 if state is None else state) + 1
+        return actions, count
+
+    def log(self, state):
+        return {"count": state}
+
+
+def test_the_state_and_the_log_of_an_ads():
+    env = gymnasium.make(
+        environment_id("intersection-straight"), config={"observation": {"type": "Scene"}, "action": Diary.action}
+    )
+    ads = Diary()
+    for scenario in SCENARIOS[:2]:
+        trace = rollout(env, ads, scenario)
+        assert trace.decisions["count"].tolist() == list(range(1, len(trace.actions) + 1))
+        assert trace.actions.shape == (len(trace.action_frame), 2)
+
+
+def test_recorded_actions_give_the_same_trace():
+    simulation = Simulation("intersection-straight", "tests.drivers:cruiser")
+    trace = simulation.run(SCENARIOS[0])
+
+    class Recorded(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            step = 0 if state is None else state
+            return trace.actions[step][None], step + 1
+
+    assert rollout(simulation.env, Recorded(), SCENARIOS[0]).to_bytes() == trace.to_bytes()
+    simulation.close()
+
+
+def test_all_executors_give_the_same_traces():
+    arguments = ("intersection-straight", "tests.drivers:cruiser")
+    simulation = begin(*arguments)
+    expected = [simulation.run(scenario).to_bytes() for scenario in SCENARIOS]
+    for workers in (0, 1, 2):
+        with make_executor(workers, *arguments) as executor:
+            futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
+            assert [future.result() for future in futures] == expected
+
+
+def test_errors_come_back_from_the_executor():
+    for together in (None, evaluations(begin("intersection-straight", "tests.drivers:cruiser"))):
+        future = InProcessExecutor(together).submit(evaluate, b"{}")
+        with pytest.raises(InputError, match="functional: missing"):
+            future.result()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(workers):
+    arguments = ("intersection-straight", "tests.drivers:Timid")
+    simulation = begin(*arguments)
+    scenarios = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(12)]
+    expected = []
+    for scenario in scenarios:
+        try:
+            expected.append(simulation.run(scenario).to_bytes())
+        except ADSError as error:
+            expected.append(str(error))
+    assert {type(outcome) for outcome in expected} == {bytes, str}
+    with make_executor(workers, *arguments) as executor:
+        futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in scenarios]
+        for future, outcome in zip(futures, expected, strict=True):
+            if isinstance(outcome, bytes):
+                assert future.result() == outcome
+            else:
+                with pytest.raises(ADSError, match=re.escape(outcome)):
+                    future.result()
+
+
+def test_what_is_not_vectorized_runs_alone():
+    assert evaluations(begin("intersection-straight", "tests.drivers:Hermit")) is None
+    with make_executor(0, "intersection-straight", "tests.drivers:Hermit") as executor:
+        futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
+        assert all(Trace.from_bytes(future.result()).end for future in futures)
+
+
+def test_waiting_evaluations_can_be_cancelled_or_finished():
+    begin("intersection-straight", "tests.drivers:cruiser")
+    request = SCENARIOS[0].to_json().encode()
+    executor = make_executor(0, "intersection-straight", "tests.drivers:cruiser")
+    futures = [executor.submit(evaluate, request) for _ in range(3)]
+    executor.shutdown(wait=False, cancel_futures=True)
+    assert all(future.cancelled() for future in futures)
+    with make_executor(0, "intersection-straight", "tests.drivers:cruiser") as executor:
+        future = executor.submit(evaluate, request)
+    assert future.done()
+
+
+@pytest.mark.parametrize("name", ["intersection-straight", "behavexplor/intersection-straight-v0"])
+def test_environment_names(name):
+    assert environment_id(name) == "behavexplor/intersection-straight-v0"
+
+
+def test_an_environment_of_another_package():
+    """It is registered elsewhere, says what it can run, and takes highway-env's config."""
+    gymnasium.register(
+        "elsewhere/crossing-v3", "behavexplor.envs.functional.intersection_straight:IntersectionStraightEnv"
+    )
+    try:
+        trace = Simulation("elsewhere/crossing-v3", "tests.drivers:cruiser").run(Scenario("intersection-straight", ()))
+    finally:
+        del gymnasium.registry["elsewhere/crossing-v3"]
+    assert isinstance(trace, Trace)
+    assert trace.end == "arrived"
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (np.zeros((1, 2)), "must return a pair"),
+        ((np.zeros(2), None), r"of shape \(1, 2\), got \(2,\)"),
+        ((np.zeros((1, 3)), None), r"of shape \(1, 2\), got \(1, 3\)"),
+        ((np.array([[np.nan, 0.0]]), None), "must return finite numbers"),
+        ((np.array([["a", "b"]]), None), "must return finite numbers"),
+    ],
+)
+def test_an_answer_that_is_no_action_is_named_at_once(answer, message):
+    class Odd(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return answer
+
+    env = gymnasium.make(environment_id("intersection-straight"), config={"action": Odd.action})
+    with pytest.raises(ADSError, match=message):
+        rollout(env, Odd(), SCENARIOS[0])
+
+
+def test_a_meta_action_out_of_range_is_named():
+    class Wild(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.array([7]), state
+
+    env = gymnasium.make(environment_id("lane-follow"), config={"action": {"type": "DiscreteMetaAction"}})
+    with pytest.raises(ADSError, match=r"actions of Discrete\(5\), got 7"):
+        rollout(env, Wild(), env.unwrapped.logical.sample(np.random.default_rng(0)))
+
+
+def test_an_ads_that_exits_is_an_error_of_its_execution():
+    begin("intersection-straight", "tests.drivers:Leaver")
+    future = InProcessExecutor().submit(evaluate, SCENARIOS[0].to_json().encode())
+    with pytest.raises(ADSError, match=r"called sys.exit\(0\)"):
+        future.result()

@@ -1,0 +1,73 @@
+"""What is said of a driver before it is tested."""
+
+import numpy as np
+import pytest
+
+from behavexplor.execution.preflight import SCENARIOS, health_warnings
+from behavexplor.execution.simulation import Simulation
+from tests.drivers import Cruiser, Lost
+
+
+class Parked(Cruiser):
+    """Neither brakes nor goes."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.tile([1 / 3, 0.0], (len(observation), 1)), state
+
+
+class Trained(Cruiser):
+    """The same, and it knows what it was trained on."""
+
+    def __init__(self, last_trained_on=None):
+        self.last_trained_on = last_trained_on
+
+
+def warnings_about(driver):
+    simulation = Simulation("lane-follow", f"tests.drivers:{Cruiser.__name__}")
+    simulation.ads = driver
+    try:
+        return health_warnings(simulation)
+    finally:
+        simulation.close()
+
+
+def seen_by(driver):
+    """Some of what a driver sees."""
+    scenes = []
+
+    class Watching(Cruiser):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            scenes.append(observation[0])
+            return driver.predict(observation, state)
+
+    warnings_about(Watching())
+    return np.array(scenes[:: len(scenes) // 16])
+
+
+def test_a_driver_that_drives_is_fit():
+    assert warnings_about(Cruiser()) == []
+
+
+def test_a_constant_driver_is_named_and_so_is_one_that_never_moves():
+    constant, motionless = warnings_about(Parked())
+    assert f"in {SCENARIOS} scenarios: it is constant" in constant
+    assert motionless == f"The ego never moved in {SCENARIOS} scenarios"
+
+
+def test_a_driver_that_answers_no_number_is_named():
+    (warning,) = warnings_about(Lost())
+    assert "failed (invalid): predict must return finite numbers" in warning
+
+
+def test_a_policy_trained_on_what_it_sees_is_fit():
+    assert warnings_about(Trained(seen_by(Cruiser()))) == []
+
+
+@pytest.mark.parametrize("scale", [0.01, 30.0])
+def test_a_policy_trained_on_something_else_is_named(scale):
+    (warning,) = warnings_about(Trained(scale * seen_by(Cruiser())))
+    assert "statistics of VecNormalize missing" in warning
+
+
+def test_observations_of_another_shape_are_not_compared():
+    assert warnings_about(Trained(np.full((4, 3, 3), 1e9))) == []

@@ -1,0 +1,122 @@
+"""Classes of violations, on traces made by hand: the ego drives along the x axis."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from behavexplor.data.trace import Trace
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.events import first_line_touch, violation_moment
+from behavexplor.judge.specs import judge
+from tests.judge.test_fault import BEHIND, SIZE, trace
+
+BUS = np.array([SIZE[0], [9.21, 3.26]])
+RIGHT_OF_IT = np.array([[[-300.0, 1.75 + 1.75], [300.0, 1.75 + 1.75]]])  # a line beside the ego's lane
+
+
+def class_of(recorded):
+    found = violation_class(recorded, judge(recorded))
+    return None if found is None else found.id
+
+
+@pytest.mark.parametrize(
+    ("recorded", "expected", "detail"),
+    [
+        (trace(5.0, BEHIND, 9.0), "from-behind/car-sized", "rear, driving"),
+        (trace(5.0, (4.6, 0.2), 1.0), "leading/car-sized", "front, the other creeping, driving"),
+        (trace(5.0, (4.6, 0.2), 0.0), "leading/car-sized", "front, the other standing, driving"),
+        (trace(5.0, (4.6, 0.0), 6.0, np.pi), "oncoming/car-sized", "front, driving"),
+        (trace(0.0, (0.0, 3.2), 6.0, -np.pi / 2), "crossing-from-right/car-sized", "right, standing"),
+        (trace(1.0, (0.0, -3.2), 6.0, np.pi / 2), "crossing-from-left/car-sized", "left, creeping"),
+        (replace(trace(5.0, (6.5, 0.0), 3.0), size=BUS), "leading/large", "front, driving"),
+    ],
+)
+def test_collisions_are_told_apart_by_what_a_person_would_say(recorded, expected, detail):
+    assert class_of(recorded) == f"R1/going-straight/{expected}"
+    assert violation_class(recorded, judge(recorded)).detail == f"touched at its {detail}"
+
+
+def test_lane_changes_are_a_manoeuvre():
+    assert class_of(trace(5.0, (0.5, 2.0), 6.0, swerve=0.5)) == "R1/changing-right/on-the-right/car-sized"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_little_otherwise_is_the_same_class(seed):
+    rng = np.random.default_rng(seed)
+    dx, dy, dv, turned = rng.uniform(-1, 1, 4) * (0.1, 0.15, 0.4, 0.05)
+    other = trace(5.0 + dv, (4.5 + dx / 2, 0.2 + dy), 1.0 + dv / 2, turned)
+    assert class_of(other) == class_of(trace(5.0, (4.6, 0.2), 1.0))
+
+
+def test_the_decision_log_is_not_looked_at():
+    recorded = trace(5.0, BEHIND, 9.0)
+    logged = replace(recorded, actions=np.zeros((1, 2)), action_frame=np.zeros(1), decisions={"reached": np.ones(1)})
+    assert class_of(logged) == class_of(recorded)
+
+
+def test_a_class_is_a_value_with_a_line_of_words():
+    first, again = (violation_class(t, judge(t)) for t in (trace(5.0, BEHIND, 9.0), trace(5.2, BEHIND, 9.0)))
+    assert first == again
+    assert first.words == (
+        "Collision with a car sized vehicle from behind; the ego was going straight, touched at its rear, driving"
+    )
+
+
+def braking(recorded):
+    """The same, but the ego has come from twice its speed in the last two seconds."""
+    time = recorded.time
+    speed = 5.0 + 2.5 * np.clip(time[-1] - time, 0, 2)
+    x = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(time))])
+    position, velocity = recorded.position.copy(), recorded.velocity.copy()
+    position[:, 0, 0], velocity[:, 0, 0] = x - x[-1], speed
+    return replace(recorded, position=position, velocity=velocity)
+
+
+def test_who_brakes_is_told_from_who_drives():
+    slower = braking(trace(5.0, (4.6, 0.2), 3.0))
+    assert violation_class(slower, judge(slower)).detail == "touched at its front, braking"
+
+
+def test_a_touched_line_is_to_a_side():
+    apart = {"end": "passed", "illegal_lines": RIGHT_OF_IT}
+    drifting = trace(9.0, (-60.0, 30.0), 9.0, swerve=0.0)
+    shifted = drifting.position + np.array([0.0, 2.6]) * (np.arange(drifting.position.shape[1]) == 0)[:, None]
+    touching = replace(drifting, position=shifted, **apart)
+    assert class_of(touching) == "R2/changing-right/right/fast"
+    mirrored = replace(touching, position=shifted * (1, -1), velocity=touching.velocity * (1, -1))
+    mirrored = replace(mirrored, illegal_lines=RIGHT_OF_IT * (1, -1))
+    assert class_of(mirrored) == "R2/changing-left/left/fast"
+
+
+def test_the_first_touch_is_the_first_frame_that_the_spec_would_call_one():
+    drifting = trace(9.0, (-60.0, 30.0), 9.0, swerve=0.0)
+    shifted = drifting.position + np.array([0.0, 2.6])
+    touching = replace(drifting, position=shifted, illegal_lines=RIGHT_OF_IT, end="passed")
+    moment = first_line_touch(touching)
+    assert "lines" in judge(upto(touching, moment.frame)).violated
+    assert "lines" not in judge(upto(touching, moment.frame - 1)).violated
+    assert first_line_touch(upto(touching, moment.frame - 1)) is None
+
+
+def upto(recorded: Trace, frame: int) -> Trace:
+    motion = {name: getattr(recorded, name)[: frame + 1] for name in ("time", "position", "heading", "velocity")}
+    return replace(recorded, **motion)
+
+
+def test_missed_destinations_by_how_it_ended_and_behind_whom():
+    standing = trace(0.0, (9.0, 0.0), 0.0)
+    ended = replace(standing, end="standstill")
+    assert class_of(ended) == "R3/going-straight/ended-by-standstill/behind-a-standing-vehicle"
+    alone = trace(0.0, (40.0, 0.0), 0.0)
+    assert class_of(replace(alone, end="timeout")) == "R3/going-straight/ended-by-timeout/nobody-ahead"
+    beside = replace(standing, end="passed", destination=np.array([-1.0, -3.5]))
+    assert class_of(beside) == "R3/going-straight/passed-it-on-the-right/having-left-its-lane"
+
+
+def test_a_collision_goes_before_the_missed_destination_and_nothing_has_no_class():
+    recorded = trace(5.0, BEHIND, 9.0)
+    assert judge(recorded).violated == ("collision", "destination")
+    assert violation_moment(recorded, judge(recorded).violated).spec == "R1"
+    arrived = replace(trace(5.0, (50.0, 9.0), 0.0), destination=np.zeros(2), end="arrived")
+    assert class_of(arrived) is None

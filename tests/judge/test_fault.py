@@ -1,0 +1,101 @@
+"""Whose fault a contact was, on traces made by hand: the ego drives along the x axis."""
+
+import numpy as np
+import pytest
+
+from behavexplor.data.trace import Trace
+from behavexplor.judge.fault import contact_fault
+
+STEP = 0.1
+SIZE = np.array([[4.7, 2.06], [4.57, 2.08]])
+
+
+def trace(ego_speed, npc_end, npc_speed, npc_heading=0.0, swerve=None, seconds=6.0, extra=()):
+    """A trace at the end of which the ego is at the origin, heading along x.
+
+    Args:
+        ego_speed: [m/s].
+        npc_end: where the NPC is in the end.
+        npc_speed: [m/s].
+        npc_heading: [rad].
+        swerve: seconds before the end at which the ego came over from 3.5 m aside, for 2 s.
+        seconds: of the whole trace.
+        extra: last positions of NPCs that stand.
+    """
+    time = np.arange(0, seconds + STEP / 2, STEP)
+    left = seconds - time
+    ego = np.stack([-ego_speed * left, np.zeros_like(time)], -1)
+    if swerve is not None:
+        ego[:, 1] = -3.5 * np.clip((left - swerve) / 2, 0, 1)
+    direction = np.array([np.cos(npc_heading), np.sin(npc_heading)])
+    npc = np.array(npc_end) - npc_speed * left[:, None] * direction
+    others = [np.broadcast_to(np.array(place, dtype=float), ego.shape) for place in extra]
+    position = np.stack([ego, npc, *others], 1)
+    heading = np.zeros(position.shape[:2])
+    heading[:, 1] = npc_heading
+    return Trace(
+        time=time,
+        position=position,
+        heading=heading,
+        velocity=np.gradient(position, STEP, axis=0),
+        size=np.vstack([SIZE, *[SIZE[1]] * len(extra)]),
+        actions=np.zeros((0, 2)),
+        action_frame=np.zeros(0, dtype=int),
+        route=np.array([[-200.0, 0.0], [200.0, 0.0]]),
+        destination=np.array([100.0, 0.0]),
+        illegal_lines=np.empty((0, 2, 2)),
+        end="collision",
+    )
+
+
+BEHIND = (-4.6, 0.3)
+
+
+def test_a_faster_vehicle_that_drives_into_the_ego_from_behind_is_at_fault():
+    assert contact_fault(trace(5.0, BEHIND, 9.0)) == "npc_rear_end"
+    assert contact_fault(trace(0.0, BEHIND, 9.0)) == "npc_rear_end"
+
+
+@pytest.mark.parametrize(("swerve", "verdict"), [(0.5, "ego_cut_in"), (2.8, "ego_cut_in"), (3.3, "npc_rear_end")])
+def test_for_three_seconds_after_its_own_lane_change_the_ego_is(swerve, verdict):
+    assert contact_fault(trace(5.0, BEHIND, 9.0, swerve=swerve)) == verdict
+
+
+def test_a_lane_change_does_not_excuse_who_is_struck_from_elsewhere():
+    assert contact_fault(trace(5.0, (4.6, 0.0), 1.0, swerve=0.5)) == "other"
+
+
+@pytest.mark.parametrize(
+    ("npc_end", "npc_speed", "npc_heading"),
+    [((0.0, 3.0), 6.0, -np.pi / 2), ((4.6, 0.0), 3.0, np.pi), ((2.0, 2.0), 6.0, 0.0)],
+    ids=["from the side", "head on", "alongside"],
+)
+def test_a_standing_ego_is_struck_and_a_moving_one_leaves_it_open(npc_end, npc_speed, npc_heading):
+    assert contact_fault(trace(0.0, npc_end, npc_speed, npc_heading)) == "struck_stationary"
+    assert contact_fault(trace(2.0, npc_end, npc_speed, npc_heading)) == "other"
+
+
+def test_an_ego_that_backs_no_slower_than_the_one_behind_was_not_struck_from_behind():
+    assert contact_fault(trace(9.0, BEHIND, 5.0)) == "other"
+
+
+def test_one_that_comes_from_behind_but_across_is_no_rear_end():
+    assert contact_fault(trace(2.0, (-3.4, 0.5), 6.0, npc_heading=1.0)) == "other"
+
+
+def test_without_contact_there_is_no_verdict():
+    assert contact_fault(trace(5.0, (-9.0, 0.0), 9.0)) is None
+    assert contact_fault(trace(5.0, (0.0, 3.5), 9.0)) is None
+
+
+def test_of_several_the_nearest_is_judged_and_those_apart_do_not_matter():
+    assert contact_fault(trace(5.0, BEHIND, 9.0, extra=[(0.0, 6.0), (30.0, 0.0)])) == "npc_rear_end"
+    assert contact_fault(trace(5.0, BEHIND, 9.0, extra=[(3.0, 1.8)])) == "other"
+
+
+def test_the_ego_alone_has_no_contact():
+    alone = trace(5.0, BEHIND, 9.0)
+    fields = {name: getattr(alone, name) for name in ("time", "actions", "action_frame", "route", "destination")}
+    motion = {name: getattr(alone, name)[:, :1] for name in ("position", "heading", "velocity")}
+    rest = {"size": SIZE[:1], "illegal_lines": alone.illegal_lines, "end": "arrived"}
+    assert contact_fault(Trace(**fields, **motion, **rest)) is None

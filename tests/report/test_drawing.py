@@ -1,0 +1,71 @@
+"""Pictures show what the trace says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.report import drawing
+from behavexplor.report.drawing import MAX_FRAMES, SIDE, decisive_frame, draw, save_animation
+from tests.fakes import make_trace, simulate
+
+LOGICAL = IntersectionStraightEnv.logical
+
+ROADMAP = LOGICAL.roadmap
+SCENARIO = LOGICAL.sample(np.random.default_rng(0))
+
+
+def colors(picture):
+    return {tuple(color) for color in np.asarray(picture).reshape(-1, 3).tolist()}
+
+
+def meeting():
+    """The ego drives north; an NPC comes towards it, is nearest in frame 5, and touches it in none."""
+    y = np.linspace(40, 20, 11)
+    ego = np.stack([np.full(11, 1.75), y, np.full(11, -np.pi / 2)], axis=1)
+    npc = np.stack([np.full(11, -1.75), 60 - y, np.full(11, np.pi / 2)], axis=1)
+    return make_trace(ego, [npc], lines=ROADMAP.illegal_lines)
+
+
+def test_a_frame_shows_the_road_and_the_vehicles():
+    trace = meeting()
+    picture = draw(trace, ROADMAP, 5, "meeting")
+    assert picture.size == (SIDE, SIDE)
+    assert {drawing._EGO, drawing._NPCS[0], drawing._ASPHALT, drawing._GROUND} <= colors(picture)
+    middle = picture.getpixel((SIDE // 2, SIDE // 2))
+    assert middle == drawing._EGO
+
+
+def test_a_vehicle_that_is_hit_is_red():
+    trace = meeting()
+    position = np.array(trace.position)
+    position[:, 1] = position[:, 0] + (0.0, -4.0)
+    assert drawing._HIT in colors(draw(replace(trace, position=position), ROADMAP, 5, ""))
+    assert drawing._HIT not in colors(draw(trace, ROADMAP, 5, ""))
+
+
+def test_the_decisive_frame():
+    trace = meeting()
+    assert decisive_frame(trace, []) == 5
+    assert decisive_frame(trace, ["destination"]) == 10
+    assert decisive_frame(trace, ["collision", "destination"]) == 10
+    drifted = np.array(trace.position)
+    drifted[3:, 0, 0] = 0.5  # over the double yellow line from frame 3 on
+    assert decisive_frame(replace(trace, position=drifted), ["lines", "destination"]) == 3
+    alone = make_trace(np.stack([np.zeros(4), np.arange(4.0), np.zeros(4)], axis=1))
+    assert decisive_frame(alone, []) == 3
+
+
+@pytest.mark.parametrize("frames", [1, 2, 7, 900])
+def test_an_animation_shows_the_whole_trace(tmp_path, frames):
+    trace = simulate(SCENARIO)
+    trace = make_trace(
+        np.column_stack([np.resize(trace.position[:, 0], (frames, 2)), np.zeros(frames)]), lines=ROADMAP.illegal_lines
+    )
+    save_animation(tmp_path / "a.gif", trace, ROADMAP, "caption")
+    with Image.open(tmp_path / "a.gif") as animation:
+        assert 1 <= animation.n_frames <= MAX_FRAMES
+        if frames == 900:
+            assert animation.n_frames == MAX_FRAMES
