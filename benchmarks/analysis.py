@@ -21,7 +21,7 @@ POOL = 1000  # traces that are told again and again: the search is not steered, 
 def analysis_rows(env: str, method: str, sizes: tuple[int, ...]) -> list[Row]:
     """CPU milliseconds for each execution around some numbers of executions, and the process's memory there.
 
-    The traces are real, of scenarios drawn uniformly and driven by the rule planner. A campaign that finds behaviour
+    The traces are real, of scenarios drawn uniformly and driven by the rule planner. A campaign that finds behavior
     new as often as on its first day has the most to do: here every trace counts as new as it was once.
     """
     simulation = Simulation(env, "rule:hardened")

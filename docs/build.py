@@ -13,7 +13,7 @@ from behavexplor.data.roadmap import RoadMap
 
 FOLDER = Path(__file__).parent / "environments"
 SEED = 4  # of the scenario in the pictures
-VIEWS = {"intersection": (900, 900, 4.4, [0.5, 0.88]), "lane": (1500, 260, 5.6, [0.05, 0.5])}  # size, scale, centre
+VIEWS = {"intersection": (900, 900, 4.4, [0.5, 0.88]), "lane": (1500, 260, 5.6, [0.05, 0.5])}  # size, scale, center
 OTHER_VIEW = (900, 900, 3.0, [0.5, 0.5])
 
 
@@ -63,8 +63,8 @@ def page(name: str) -> str:
 
 def picture(name: str) -> Image.Image:
     """A sampled scenario at its start, the NPCs' routes drawn."""
-    width, height, scaling, centre = VIEWS.get(name.partition("-")[0], OTHER_VIEW)
-    config = {"screen_width": width, "screen_height": height, "scaling": scaling, "centering_position": centre}
+    width, height, scaling, center = VIEWS.get(name.partition("-")[0], OTHER_VIEW)
+    config = {"screen_width": width, "screen_height": height, "scaling": scaling, "centering_position": center}
     env = gymnasium.make(f"{behavexplor.NAMESPACE}/{name}-v0", config=config, render_mode="rgb_array")
     env.reset(seed=SEED)
     image = Image.fromarray(env.render())

@@ -23,7 +23,7 @@ class Fault:
     """A fault.
 
     Attributes:
-        does: what the system does after some metres.
+        does: what the system does after some meters.
         ads: the system's name in this module.
         outcome: kind of the recorded error, or `DROVE` where the records are those of a system without the fault.
         message: part of the recorded message.

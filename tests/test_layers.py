@@ -29,7 +29,7 @@ ALLOWED = {
     "envs.sb3": GROUND | {"envs"},
     "__init__": set(),
 }
-APART = {("fuzz", "__main__"), ("envs", "sb3")}  # modules that may import what their neighbours may not
+APART = {("fuzz", "__main__"), ("envs", "sb3")}  # modules that may import what their neighbors may not
 HEAVY = {  # where the heavy libraries may be imported
     "highway_env": {"envs"},
     "pygame": {"envs"},

@@ -30,7 +30,7 @@ PERIOD: Final = 0.1  # between decisions [s]
 
 
 class IDMDriver:
-    """Follows the centre line of its route at the speed that the model gives.
+    """Follows the center line of its route at the speed that the model gives.
 
     Attributes:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.

@@ -1,4 +1,4 @@
-"""How different two behaviours are: the distance between abstract traces (paper section III-B1, equation 9)."""
+"""How different two behaviors are: the distance between abstract traces (paper section III-B1, equation 9)."""
 
 from typing import Final
 

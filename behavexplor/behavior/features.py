@@ -39,7 +39,7 @@ STATISTICS: Final = (  # the paper's D = 8 statistics of an attribute in a windo
 )
 N_FEATURES: Final = len(ATTRIBUTES) * len(STATISTICS)
 
-STILL: Final = 1e-3  # of any attribute, in its unit: a smaller deviation is jitter, not behaviour
+STILL: Final = 1e-3  # of any attribute, in its unit: a smaller deviation is jitter, not behavior
 NEGLIGIBLE: Final = np.tile(  # such a deviation, as each feature shows it, shape (64,)
     [STILL, STILL**2, STILL, STILL, STILL, STILL, STILL**3, STILL], len(ATTRIBUTES)
 )
@@ -86,7 +86,7 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     """Statistics of each attribute over each window of consecutive states, the paper's H.
 
     Every statistic equals tsfresh's feature calculator of that name (non-linearity: `c3` with lag 1; complexity:
-    `cid_ce` of the normalised window, here 0 where the window's deviation is below `STILL`). Those that need more
+    `cid_ce` of the normalized window, here 0 where the window's deviation is below `STILL`). Those that need more
     states than the window has are 0.
 
     Args:

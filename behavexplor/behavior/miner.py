@@ -1,7 +1,7 @@
 """BehaviorMiner: traces become sequences of abstract states, which can be compared.
 
-Source: paper section III-B1. A refit of the clusters would cost more with every behaviour; here it starts from the
-centres of the last one, looks at a bounded sample of merged states, and comes at growing intervals.
+Source: paper section III-B1. A refit of the clusters would cost more with every behavior; here it starts from the
+centers of the last one, looks at a bounded sample of merged states, and comes at growing intervals.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MinerOptions:
-    """How behaviours are abstracted; the defaults are the paper's where it says.
+    """How behaviors are abstracted; the defaults are the paper's where it says.
 
     Attributes:
         window: the paper's w, states of 0.1 s merged into one.
@@ -31,7 +31,7 @@ class MinerOptions:
         clusters: the paper's K, number of abstract states.
         scaling: "zscore": every feature is scaled to deviation 1 before clustering, unless it hardly varies at
             all; "none": a few features with large values decide alone.
-        refit_growth: the clusters are fitted anew once there are this share more behaviours; 0: whenever asked
+        refit_growth: the clusters are fitted anew once there are this share more behaviors; 0: whenever asked
             (paper). The default keeps the cost of an execution constant, and its novelty decisions agree with
             the paper's rule more often than those of two random states of that rule agree with each other.
         sample_size: most merged states that clusters are fitted to; a uniform sample of all is kept.
@@ -77,9 +77,9 @@ def _describe(trace: Trace, heading_frame: HeadingFrame, window: int, tail: Tail
 
 
 class BehaviorMiner:
-    """Known behaviours, their clusters, and distances to them.
+    """Known behaviors, their clusters, and distances to them.
 
-    Before the first `fit` all states are alike, and behaviours differ by their lengths only.
+    Before the first `fit` all states are alike, and behaviors differ by their lengths only.
     """
 
     def __init__(self, options: MinerOptions) -> None:
@@ -94,7 +94,7 @@ class BehaviorMiner:
         return len(self._states)
 
     def describe(self, trace: Trace) -> Behavior:
-        """The behaviour in a trace."""
+        """The behavior in a trace."""
         return _describe(trace, self.options.heading_frame, self.options.window, self.options.tail)
 
     def abstract(self, merged: Floats) -> Labels:
@@ -109,11 +109,11 @@ class BehaviorMiner:
         return self._clusters.nearest(merged)
 
     def distances(self, labels: Labels) -> Floats:
-        """The distance of an abstract trace to every known behaviour, in the order they were added; shape (n,)."""
+        """The distance of an abstract trace to every known behavior, in the order they were added; shape (n,)."""
         return self._traces.distances(labels)
 
     def add(self, behavior: Behavior) -> int:
-        """Make a behaviour known; returns its index."""
+        """Make a behavior known; returns its index."""
         self._states.append(behavior.states)
         self._sample.extend(behavior.merged)
         self._traces.append(self.abstract(behavior.merged))
@@ -121,11 +121,11 @@ class BehaviorMiner:
 
     @property
     def due(self) -> bool:
-        """Whether enough behaviours were added since the last fit for another one."""
+        """Whether enough behaviors were added since the last fit for another one."""
         return len(self) >= (1 + self.options.refit_growth) * self._fitted_at
 
     def fit(self) -> None:
-        """Fit the clusters to the known behaviours, and map all of these anew."""
+        """Fit the clusters to the known behaviors, and map all of these anew."""
         self._fitted_at = len(self)
         rows = self._sample.rows.astype(np.float64)
         if not len(rows):
@@ -135,32 +135,32 @@ class BehaviorMiner:
         if self.options.scaling == "zscore":
             mean, scale = rows.mean(0), np.maximum(rows.std(0), NEGLIGIBLE)
         starts: list[Floats | str] = []
-        if len(self._clusters.centres) == count:
-            starts.append((self._clusters.unscaled_centres - mean) / scale)
+        if len(self._clusters.centers) == count:
+            starts.append((self._clusters.unscaled_centers - mean) / scale)
         if not starts or not self._sample.full:
             starts.append("k-means++")
-        centres = _k_means((rows - mean) / scale, count, starts, self.options.random_state)
-        self._clusters = _Clusters(centres, mean, scale)
+        centers = _k_means((rows - mean) / scale, count, starts, self.options.random_state)
+        self._clusters = _Clusters(centers, mean, scale)
         for i, states in enumerate(self._states):
             self._traces[i] = self.abstract(merged_states(states, self.options.window, self.options.tail))
 
 
 @dataclass(frozen=True)
 class _Clusters:
-    """Centres of clusters, shape (K, 64), in features of which `mean` was taken off before division by `scale`."""
+    """Centers of clusters, shape (K, 64), in features of which `mean` was taken off before division by `scale`."""
 
-    centres: Floats
+    centers: Floats
     mean: Floats
     scale: Floats
 
     @property
-    def unscaled_centres(self) -> Floats:
-        return self.centres * self.scale + self.mean
+    def unscaled_centers(self) -> Floats:
+        return self.centers * self.scale + self.mean
 
     def nearest(self, merged: Floats) -> Labels:
-        """Indices of the nearest centres, shape (windows,). Sums in a fixed order: no thread decides a tie."""
-        products = np.einsum("nf,kf->nk", (merged - self.mean) / self.scale, self.centres)
-        return np.asarray(((self.centres**2).sum(1) - 2 * products).argmin(1), dtype=np.uint8)
+        """Indices of the nearest centers, shape (windows,). Sums in a fixed order: no thread decides a tie."""
+        products = np.einsum("nf,kf->nk", (merged - self.mean) / self.scale, self.centers)
+        return np.asarray(((self.centers**2).sum(1) - 2 * products).argmin(1), dtype=np.uint8)
 
 
 class _Sample:
@@ -190,10 +190,10 @@ class _Sample:
 
 
 def _k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:
-    """The best centres that K-means finds from several starts, shape (clusters, features).
+    """The best centers that K-means finds from several starts, shape (clusters, features).
 
     One thread computes them, so that their last bits do not depend on how many the machine has. Where fewer rows
-    differ than there are clusters, some centres are equal and the first of them gets the rows.
+    differ than there are clusters, some centers are equal and the first of them gets the rows.
     """
     from sklearn.cluster import KMeans  # noqa: PLC0415 - slow to import, needed only once a campaign runs
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""The yardstick of behaviour: how new each execution of a campaign is, whatever method asked for it."""
+"""The yardstick of behavior: how new each execution of a campaign is, whatever method asked for it."""
 
 from dataclasses import dataclass, field
 
@@ -11,11 +11,11 @@ NOVELTY_THRESHOLD = 0.4  # the paper's theta_c
 
 @dataclass(frozen=True)
 class NoveltyOptions:
-    """What counts as a distinct behaviour.
+    """What counts as a distinct behavior.
 
     Attributes:
-        threshold: least distance between distinct behaviours, exclusive.
-        miner: how behaviours are abstracted.
+        threshold: least distance between distinct behaviors, exclusive.
+        miner: how behaviors are abstracted.
 
     Raises:
         InputError: if the threshold is not in [0, 1].
@@ -29,10 +29,10 @@ class NoveltyOptions:
 
 
 class NoveltyArchive:
-    """The distinct behaviours of a campaign; failing runs behave, too.
+    """The distinct behaviors of a campaign; failing runs behave, too.
 
     It is no part of any search method, so all of them are scored by the same code. Its length is the number of
-    distinct behaviours.
+    distinct behaviors.
     """
 
     def __init__(self, options: NoveltyOptions | None = None) -> None:
@@ -43,7 +43,7 @@ class NoveltyArchive:
         return len(self._miner)
 
     def observe(self, trace: Trace) -> float:
-        """The novelty of a trace: the least distance to the distinct behaviours so far, 1 if there are none.
+        """The novelty of a trace: the least distance to the distinct behaviors so far, 1 if there are none.
 
         If it is novel it becomes one of them.
         """

@@ -57,10 +57,10 @@ class Summary:
         seed: of the campaign.
         executions: how many there were.
         failures: all that failed, in order.
-        novelty_rate: share of executions that showed a behaviour that was new to the campaign.
+        novelty_rate: share of executions that showed a behavior that was new to the campaign.
         executing: time spent on executions [s].
         analysing: time spent on all else [s].
-        r: Pearson's correlation of violation degree and behaviour distance (the paper's r_BF), where the method
+        r: Pearson's correlation of violation degree and behavior distance (the paper's r_BF), where the method
             measures that distance.
         r_p: its p.
     """
@@ -111,7 +111,7 @@ class Summary:
         return sum(failure.npc_caused for failure in self.failures)
 
 
-def summarise(cell: Cell, root: Path) -> Summary:
+def summarize(cell: Cell, root: Path) -> Summary:
     """What the campaign of a cell found.
 
     Args:

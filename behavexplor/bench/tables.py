@@ -170,7 +170,7 @@ def times(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
 
 
 def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
-    """The correlation of violation degree and behaviour distance (the paper's r_BF)."""
+    """The correlation of violation degree and behavior distance (the paper's r_BF)."""
     rows: list[tuple[Value, ...]] = []
     blocks = []
     for env, ads in _places(experiment):
@@ -184,10 +184,10 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     heads = (*_place_columns(experiment), Column("Method"), Column("n"), Column("r_BF", digits=2, interval=True))
     heads += (Column(f"p < {_STRONG_P:g}"),)
     notes = (
-        "Pearson's r of the violation degree of a mutant and its distance to the known behaviours, in each campaign.",
-        "The lower the degree, the nearer to a violation: a negative r says that new behaviour came nearer to one.",
+        "Pearson's r of the violation degree of a mutant and its distance to the known behaviors, in each campaign.",
+        "The lower the degree, the nearer to a violation: a negative r says that new behavior came nearer to one.",
     )
-    title = "Correlation of violation degree and behaviour distance"
+    title = "Correlation of violation degree and behavior distance"
     return Table("correlations", title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
 
 

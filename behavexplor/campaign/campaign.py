@@ -52,7 +52,7 @@ class Progress:
         violations: failures by the first spec that they violate, R1 before R2 before R3: a collision keeps
             the ego from its destination, too; and "error", what else an ADS did than driving.
         classes: failures by their class, see `behavexplor.judge.classes`; one for each unique violation.
-        novel: how many showed a behaviour that was new to the campaign.
+        novel: how many showed a behavior that was new to the campaign.
         elapsed: running time, also before an interruption [s].
         earlier: part of it before the interruption [s].
         executing: part of the rest spent waiting for executions [s].

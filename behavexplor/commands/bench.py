@@ -12,7 +12,7 @@ from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Cell, Experiment, read_experiment
 from behavexplor.bench.forecast import forecast
 from behavexplor.bench.runs import Cells, Progress, state
-from behavexplor.bench.summaries import Summary, summaries_csv, summarise
+from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.tables import Table, tables
 from behavexplor.bench.writing import table_csv, table_latex
 from behavexplor.campaign.campaign import search_method
@@ -145,7 +145,7 @@ def _summaries(cells: Sequence[Cell], root: Path, *, quiet: bool) -> list[Summar
     with Meter(sys.stderr, len(cells), "campaigns read", quiet=quiet) as meter:
         found = []
         for cell in cells:
-            found.append(summarise(cell, root))
+            found.append(summarize(cell, root))
             meter.show(len(found))
     return found
 

@@ -126,7 +126,7 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     """What a campaign found, where it lies, and how to look at it."""
     lines = [
         f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
-        f"{share(progress.novel, progress)} of them with new behaviour"
+        f"{share(progress.novel, progress)} of them with new behavior"
     ]
     if not progress.failed:
         return "\n".join([*lines, "None failed.", f"Everything is kept in {store.folder}"])

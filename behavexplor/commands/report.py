@@ -27,7 +27,7 @@ def report(
     ] = None,
     replays: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
 ) -> int:
-    """Write what a run found as one HTML file: violations with replays, curves, behaviours. It loads nothing.
+    """Write what a run found as one HTML file: violations with replays, curves, behaviors. It loads nothing.
 
     Whose fault the failures were is in it if `triage` has been called before.
 

@@ -1,7 +1,7 @@
 """Oriented boxes and line segments in the plane: corners, overlap and exact distances.
 
 The world frame is highway-env's: x to the right, y down, headings turn from x towards y, so that a
-positive lateral offset lies to the right of the direction of travel. Lengths in metres, angles in radians.
+positive lateral offset lies to the right of the direction of travel. Lengths in meters, angles in radians.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
     """Corners of oriented boxes.
 
     Args:
-        position: centres, shape (..., 2) [m].
+        position: centers, shape (..., 2) [m].
         heading: shape (...) [rad].
         size: length and width, shape (..., 2) [m], broadcast against `position`.
 

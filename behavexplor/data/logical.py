@@ -41,9 +41,9 @@ class LogicalScenario:
         n_npcs: how many NPCs a sampled scenario has, and the most that one may have.
         waypoints_per_lane: how many waypoints an NPC has on each lane of its route.
         min_speed: least speed at a waypoint before the last [m/s]; the greatest is the speed limit.
-        end_gap: least distance of a starting NPC's centre from the ends of its first lane [m].
-        npc_gap: least distance between the centres of NPCs starting in one lane [m].
-        ego_gap: least distance between the centres of the ego and a starting NPC [m].
+        end_gap: least distance of a starting NPC's center from the ends of its first lane [m].
+        npc_gap: least distance between the centers of NPCs starting in one lane [m].
+        ego_gap: least distance between the centers of the ego and a starting NPC [m].
         vehicle_types: the types that NPCs may have.
     """
 

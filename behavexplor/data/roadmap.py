@@ -18,7 +18,7 @@ DOUBLE_YELLOW, CURB = "double-yellow", "curb"
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane: a straight or circular centre line of constant width.
+    """A lane: a straight or circular center line of constant width.
 
     Lanes with the same `origin` and `target` run side by side and are listed from left to right.
 
@@ -26,8 +26,8 @@ class Lane:
         name: unique within the map.
         origin: the node where the lane begins.
         target: the node where it ends.
-        x: start of the centre line [m].
-        y: start of the centre line [m].
+        x: start of the center line [m].
+        y: start of the center line [m].
         heading: direction at the start [rad].
         length: [m].
         width: [m].
@@ -73,10 +73,10 @@ class Lane:
         if self.curvature == 0.0:
             return ahead, aside
         radius = 1 / self.curvature
-        to_centre = radius - aside
+        to_center = radius - aside
         side = math.copysign(1.0, radius)
-        station = math.atan2(side * ahead, side * to_centre) * radius
-        return station, radius - side * math.hypot(ahead, to_centre)
+        station = math.atan2(side * ahead, side * to_center) * radius
+        return station, radius - side * math.hypot(ahead, to_center)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Route:
         return best[1:]
 
     def polyline(self, start: float, end: float, spacing: float = 1.0) -> Floats:
-        """Points of the centre line from one station to another, shape (P, 2) [m], about `spacing` apart."""
+        """Points of the center line from one station to another, shape (P, 2) [m], about `spacing` apart."""
         count = max(2, int(np.ceil((end - start) / spacing)) + 1)
         return self.pose(np.linspace(start, end, count))[:, :2]
 
@@ -177,7 +177,7 @@ class RoadMap:
 
     @cached_property
     def ego_line(self) -> Floats:
-        """The centre line of the ego's route from its start past its destination, shape (P, 2) [m]."""
+        """The center line of the ego's route from its start past its destination, shape (P, 2) [m]."""
         return self.ego_route.polyline(self.ego_start, self.ego_route.length)
 
     @cached_property

@@ -7,8 +7,8 @@ Environments fill the scene, planners read it; this is the one place that says w
 from typing import Final
 
 PRESENT: Final = 0  # 1 for a vehicle, 0 for an empty row
-X: Final = 1  # centre [m]
-Y: Final = 2  # centre [m]
+X: Final = 1  # center [m]
+Y: Final = 2  # center [m]
 HEADING: Final = 3  # [rad]
 SPEED: Final = 4  # along the heading [m/s]
 ACCELERATION: Final = 5  # along the heading [m/s2]

@@ -32,13 +32,13 @@ class Trace:
 
     Attributes:
         time: shape (T,) [s], increasing, the first 0; T >= 1.
-        position: centres, shape (T, N, 2) [m].
+        position: centers, shape (T, N, 2) [m].
         heading: shape (T, N) [rad].
         velocity: shape (T, N, 2) [m/s].
         size: length and width, shape (N, 2) [m].
         actions: the ADS's commands, shape (D, A), in the units of its action space.
         action_frame: the frame at which each was given, shape (D,).
-        route: centre line of the ego's route from its start past its destination, shape (P, 2) [m].
+        route: center line of the ego's route from its start past its destination, shape (P, 2) [m].
         destination: shape (2,) [m].
         illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
         end: how the episode ended: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or

@@ -1,7 +1,7 @@
 """highway-env's own code, computing with the C library's trigonometry.
 
 numpy's differs from it in the last bit on some processors. highway-env's steering towards a lane is unstable below
-about 1 m/s, so that a last bit grows to metres: an episode could not be repeated on another machine, nor would the
+about 1 m/s, so that a last bit grows to meters: an episode could not be repeated on another machine, nor would the
 kernels of the vector environment, which use the C library, go the same way.
 """
 

@@ -24,7 +24,7 @@ from behavexplor.envs.vehicles import ScriptedVehicle, place_ego
 from behavexplor.envs.viewer import MapViewer
 from behavexplor.errors import InputError, unknown_name
 
-ARRIVAL_DISTANCE = 1.0  # of the ego's centre from the destination [m]
+ARRIVAL_DISTANCE = 1.0  # of the ego's center from the destination [m]
 PASSED_DISTANCE = 5.0  # beyond the destination, along its lane [m]
 STANDSTILL_SPEED = 0.3  # [m/s]
 STANDSTILL_TIME = 30.0  # [s]
@@ -67,7 +67,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     | column | meaning | unit |
     |---|---|---|
     | 0 | present | 1 or 0 |
-    | 1, 2 | x (to the right), y (down) of the centre | m |
+    | 1, 2 | x (to the right), y (down) of the center | m |
     | 3 | heading, from x towards y | rad |
     | 4 | speed | m/s |
     | 5 | acceleration | m/s2 |
@@ -80,7 +80,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     | term | weight | times |
     |---|---|---|
-    | progress | 0.1 | metres forward along the ego's route |
+    | progress | 0.1 | meters forward along the ego's route |
     | step | -0.02 | 1 |
     | effort | -0.002 | the square of the mean acceleration [(m/s2)^2] |
     | lines | -8 | 1 when the ego first touches an illegal line (R2) |
@@ -91,7 +91,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## End of the episode
 
-    Terminated: the ego's box touches another vehicle's ("collision"), its centre is within 1 m of the destination
+    Terminated: the ego's box touches another vehicle's ("collision"), its center is within 1 m of the destination
     ("arrived"), or it has passed the destination by 5 m ("passed"). Truncated: the ego stood, slower than 0.3 m/s, for
     30 s ("standstill"), or the time limit is reached ("timeout"). Touching a line does not end the episode.
     `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.data.trace.Trace`. `reset`

@@ -42,7 +42,7 @@ class Recorder:
         self._lines = _line_columns(roadmap.illegal_lines)
 
     def frame(self, ego: Vehicle) -> None:
-        """Record the ego after a step. Its velocity is that of its centre: the slip of the bicycle model included."""
+        """Record the ego after a step. Its velocity is that of its center: the slip of the bicycle model included."""
         slip = math.atan(0.5 * math.tan(ego.action["steering"]))
         course = ego.heading + slip
         x, y = ego.position

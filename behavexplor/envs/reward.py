@@ -2,7 +2,7 @@
 
 The weights are the environment's `config["reward"]`; the defaults are `WEIGHTS`. Each term is a weight times
 
-- `progress`: metres that the ego came forward along its route since the last decision;
+- `progress`: meters that the ego came forward along its route since the last decision;
 - `step`: 1;
 - `effort`: the square of the mean acceleration since the last decision [(m/s2)^2];
 - `lines`: 1 at the decision in which the ego first touches an illegal line (R2);

@@ -1,7 +1,7 @@
 """The two places of the paper as road maps: a crossing of two roads, and a straight road of four lanes.
 
 Sizes follow the maps that the paper tested on: lanes of 3.5 m, a speed limit of 25 mph, stop lines about
-15 m from the crossing's centre, double yellow lines between the directions and curbs outside.
+15 m from the crossing's center, double yellow lines between the directions and curbs outside.
 """
 
 import math
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 LANE_WIDTH = 3.5  # [m]
 SPEED_LIMIT = 11.176  # 25 mph [m/s]
 
-STOP_LINE = 15.0  # distance of the stop lines from the crossing's centre [m]
+STOP_LINE = 15.0  # distance of the stop lines from the crossing's center [m]
 EGO_APPROACH = 90.0  # length of the ego's approach lanes [m]
 APPROACH = 120.0  # length of the others [m]
 EXIT = 75.0  # length of the lanes that leave the crossing; the ego's destination lies 60 m into one [m]
@@ -31,7 +31,7 @@ ROAD_LANES = 4
 OPPOSITE_LANES = 2  # of the other direction, beyond the double yellow line: the ego can stray onto them
 
 LEGS = {"south": math.pi / 2, "west": math.pi, "north": -math.pi / 2, "east": 0.0}  # outward heading [rad]
-OFFSETS = {"inner": 0.5 * LANE_WIDTH, "outer": 1.5 * LANE_WIDTH}  # lane centre from the middle of the road [m]
+OFFSETS = {"inner": 0.5 * LANE_WIDTH, "outer": 1.5 * LANE_WIDTH}  # lane center from the middle of the road [m]
 MOVEMENTS = {"inner": ("left", "straight"), "outer": ("straight", "right")}
 TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change of heading [rad]
 
@@ -180,7 +180,7 @@ def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
 
 
 def _beside(heading: float, along: float, across: float) -> tuple[float, float]:
-    """The point `along` metres from the origin in a direction and `across` to the right of it."""
+    """The point `along` meters from the origin in a direction and `across` to the right of it."""
     cos, sin = round(math.cos(heading)), round(math.sin(heading))  # legs run along the axes
     return along * cos - across * sin, along * sin + across * cos
 

@@ -1,7 +1,7 @@
 """AVFuzzer: a genetic algorithm for high risk, restarts where nothing is known, and a local fuzzer.
 
 Source: Li et al., "AV-Fuzzer: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020; a gene is an
-NPC, a slice is a waypoint, a manoeuvre is a route. Docstrings and comments that begin with "AV-Fuzzer" say which of
+NPC, a slice is a waypoint, a maneuver is a route. Docstrings and comments that begin with "AV-Fuzzer" say which of
 its steps they follow.
 """
 
@@ -193,7 +193,7 @@ class AVFuzzer:
         return [_Individual(first.ravel(), one.number), _Individual(second.ravel(), other.number)]
 
     def _mutated(self, parent: _Individual, rng: np.random.Generator) -> _Individual:
-        """AV-Fuzzer: one NPC, one slice: a new speed, or a new manoeuvre."""
+        """AV-Fuzzer: one NPC, one slice: a new speed, or a new maneuver."""
         blocks = self._blocks(parent)
         gene = ROUTE if rng.random() < 0.5 else rng.choice(self._asker.encoding.speed_genes)
         blocks[rng.integers(len(blocks)), gene] = rng.random()
@@ -258,13 +258,13 @@ def fitness(trace: Trace, *, collided: bool) -> float:
     if len(trace.size) == 1:
         return 0.0
     gap = trace.position[:, 1:] - trace.position[:, :1]
-    centres = np.hypot(gap[..., 0], gap[..., 1])
+    centers = np.hypot(gap[..., 0], gap[..., 1])
     change = trace.velocity[:, 1:] - trace.velocity[:, :1]
     speeds = np.hypot(change[..., 0], change[..., 1])
     if collided:
         return _COLLISION + float(speeds[-1, _distances(trace, len(trace.time) - 1).argmin()])
     reach = (np.hypot(*trace.size[0]) + np.hypot(trace.size[1:, 0], trace.size[1:, 1])) / 2
-    most = speeds / (np.maximum(centres - reach, 0.0) + 1) ** 2  # bounds, by circles round the boxes
+    most = speeds / (np.maximum(centers - reach, 0.0) + 1) ** 2  # bounds, by circles round the boxes
     order = np.argsort(-most, axis=None, kind="stable")
     best = 0.0
     for start in range(0, len(order), _NEAR):

@@ -1,4 +1,4 @@
-"""BehAVExplor: search guided by how new a behaviour is and how near it came to a violation (paper Algorithm 1)."""
+"""BehAVExplor: search guided by how new a behavior is and how near it came to a violation (paper Algorithm 1)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
-_NOT_MINED = -1  # index of a behaviour that nobody looked at
+_NOT_MINED = -1  # index of a behavior that nobody looked at
 _NOVELTY_DRAWS = 1  # purpose of draws beside those that made the candidate
 
 
@@ -40,10 +40,10 @@ class BehAVExplorOptions:
     Attributes:
         initial_corpus: scenarios executed before the first mutation.
         initial_energy: E of the initial testcases.
-        novelty: what guides the search to new behaviours: the "measured" novelty of a mutant; a control, where
+        novelty: what guides the search to new behaviors: the "measured" novelty of a mutant; a control, where
             novelty and distance are drawn at "random" from [0, 1]; or "none" (the paper's w/o BG).
-        novelty_threshold: theta_c; a behaviour is novel if its distance to all known ones is greater.
-        known: which testcases' behaviours are known (the paper's Y): all that were "kept", or only initial and
+        novelty_threshold: theta_c; a behavior is novel if its distance to all known ones is greater.
+        known: which testcases' behaviors are known (the paper's Y): all that were "kept", or only initial and
             "novel" ones.
         selection: of the testcase to mutate: by "energy", or "uniform" (the paper's w/o Energy).
         mutation: what decides how it is mutated: its "energy", or a "random" choice of the two (w/o Energy).
@@ -61,10 +61,10 @@ class BehAVExplorOptions:
             1 + dO / 2 + d / 2 by its "degree-and-novelty", where dO is what it gained in degree and d its novelty.
         success: which mutants the failure frequency counts: "failed" ones, or "failed-or-novel" ones.
         degree_distance: what the change of the violation degree is divided by one less of: the mutant's distance
-            to its "parent", or to the nearest of all "known" behaviours.
+            to its "parent", or to the nearest of all "known" behaviors.
         bounded: whether the change of the violation degree is bounded by tanh; the paper prints it unbounded.
         assessment: what the search takes for the violation degree of a run, and for its failure.
-        miner: how behaviours are abstracted.
+        miner: how behaviors are abstracted.
 
     Raises:
         InputError: naming the option that is out of range.
@@ -104,7 +104,7 @@ class BehAVExplorOptions:
 
 
 class BehAVExplor:
-    """Behaviour diversity and violation degree guide the search, energies select what is mutated, and how.
+    """Behavior diversity and violation degree guide the search, energies select what is mutated, and how.
 
     Until the initial corpus has been executed and one of it passed, initial scenarios are asked for: with many
     candidates in flight there are more of them than `initial_corpus`, and those that pass are testcases as well.
@@ -118,7 +118,7 @@ class BehAVExplor:
         self._options = options
         self._corpus = Corpus()  # Q
         self._miner = BehaviorMiner(options.miner)
-        self._known = np.zeros(0, dtype=np.int64)  # Y, as indices of behaviours
+        self._known = np.zeros(0, dtype=np.int64)  # Y, as indices of behaviors
         self._asked = 0
         self._ready = False
         self._n_initial = 0
@@ -167,7 +167,7 @@ class BehAVExplor:
         """Learn from an execution (Algorithm 1, lines 9-18).
 
         Returns:
-            For an initial scenario: kept. For a mutant: `novelty`, its distance to the known behaviours; `novel`;
+            For an initial scenario: kept. For a mutant: `novelty`, its distance to the known behaviors; `novel`;
             `distance` to its parent; `kept`; `parent_energy` after the update; and, if kept, its own `energy`.
         """
         run = assess(trace, verdict, self._logical.roadmap, self._options.assessment)
@@ -214,7 +214,7 @@ class BehAVExplor:
         return learned
 
     def _novelty(self, candidate: Candidate, parent: Testcase, behavior: Behavior | None) -> tuple[float, float]:
-        """The distances of a mutant's behaviour to the nearest in Y, and to its parent's (paper equations 8, 9)."""
+        """The distances of a mutant's behavior to the nearest in Y, and to its parent's (paper equations 8, 9)."""
         if self._options.novelty == "random":
             novelty, distance = draws(self._seed, candidate.number, _NOVELTY_DRAWS).random(2).tolist()
             return novelty, distance

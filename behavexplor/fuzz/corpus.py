@@ -18,7 +18,7 @@ class Testcase:
         scenario: what is mutated.
         parent: number of the testcase that it was made from, if any.
         degree: violation degree of its execution, the paper's O [m].
-        behavior: index of its behaviour in the miner.
+        behavior: index of its behavior in the miner.
         energy: the paper's E.
         selections: how often it was selected.
         n_failed: how many of its mutants failed, the paper's #F.

@@ -27,7 +27,7 @@ _SLOW = 0.3  # less counts as standing [m/s], as it does at the end of an episod
 
 
 def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
-    """Measures of the ego's behaviour in a run.
+    """Measures of the ego's behavior in a run.
 
     Args:
         trace: of the run.

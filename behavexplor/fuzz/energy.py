@@ -31,9 +31,9 @@ def degree_change(parent_degree: float, degree: float, distance: float, *, bound
     Args:
         parent_degree: O_s, the parent's violation degree [m].
         degree: O_s' of the mutant [m].
-        distance: dis(s', s), the distance of their behaviours, in [0, 1].
+        distance: dis(s', s), the distance of their behaviors, in [0, 1].
         bounded: whether the tanh of the printed formula is taken. As printed a single mutant at distance 1 weighs
-            1e5 per metre, and the selection never recovers from it.
+            1e5 per meter, and the selection never recovers from it.
     """
     change = (parent_degree - degree) / (1 - distance + _GAMMA)
     return math.tanh(change) if bounded else change

@@ -1,7 +1,7 @@
 """Many-objective selection: each objective's best first, then fronts, then whoever stands alone.
 
 Source: Panichella et al., "Reformulating branch coverage as a many-objective optimization problem", ICST 2015
-(preference sorting); Deb et al., NSGA-II, 2002 (fronts by domination, crowding distance). All objectives are minimised.
+(preference sorting); Deb et al., NSGA-II, 2002 (fronts by domination, crowding distance). All objectives are minimized.
 """
 
 import numpy as np
@@ -43,7 +43,7 @@ def preference_ranks(values: Floats) -> Ints:
 
 
 def crowding_distances(values: Floats) -> Floats:
-    """How far apart the neighbours of each individual of a front are, infinite at its ends, shape (n,)."""
+    """How far apart the neighbors of each individual of a front are, infinite at its ends, shape (n,)."""
     distances = np.zeros(len(values))
     for column in values.T:
         order = np.argsort(column, kind="stable")

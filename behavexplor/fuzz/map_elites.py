@@ -1,4 +1,4 @@
-"""MAP-Elites: the most dangerous scenario of every kind of behaviour, in an archive of pyribs.
+"""MAP-Elites: the most dangerous scenario of every kind of behavior, in an archive of pyribs.
 
 Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015; variation of Vassiliades and Mouret,
 "Discovering the elite hypervolume by leveraging interspecies correlation", GECCO 2018; archive of pyribs (Tjanaka et
@@ -51,7 +51,7 @@ class MAPElitesOptions:
 
 
 class MAPElites:
-    """The scenario of least degree for every kind of behaviour: MAP-Elites (needs pyribs)."""
+    """The scenario of least degree for every kind of behavior: MAP-Elites (needs pyribs)."""
 
     Options: ClassVar[type] = MAPElitesOptions
 

@@ -27,8 +27,8 @@ class NoveltySearchOptions:
 
     Attributes:
         initial: uniform scenarios executed before the first variation.
-        measures: what behaviours are told apart by, see `behavexplor.fuzz.descriptors`.
-        neighbors: nearest neighbours whose mean distance is the novelty.
+        measures: what behaviors are told apart by, see `behavexplor.fuzz.descriptors`.
+        neighbors: nearest neighbors whose mean distance is the novelty.
         threshold: least novelty of a scenario that is kept, in the measures, each of which spans [0, 1].
         variation: how kept scenarios are varied.
 

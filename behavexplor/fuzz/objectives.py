@@ -13,7 +13,7 @@ _APART = 1e-3  # [m]
 def objectives(verdict: Verdict) -> Floats:
     """How far a run is from violating each spec, in [0, 1), 0 if and only if it does; shape (specs,).
 
-    A degree d becomes (d + e) / (d + e + 1), the usual normalisation of search-based testing (Arcuri, "It really does
+    A degree d becomes (d + e) / (d + e + 1), the usual normalization of search-based testing (Arcuri, "It really does
     matter how you normalize the branch distance", STVR 2013): it keeps the order and needs no greatest degree. The
     small e keeps a run that came arbitrarily near to a violation apart from one that violates.
     """

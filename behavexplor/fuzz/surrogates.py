@@ -3,7 +3,7 @@
 Source: Haq et al., "Efficient Online Testing for DNN-Enabled Systems using Surrogate-Assisted and Many-Objective
 Optimization", ICSE 2022 (SAMOTA), global and local surrogates. Models come from scikit-learn. Their inputs are
 `Encoding.features`, which are on one scale by construction, in training and in prediction alike; outputs are
-centred anew for every fit.
+centered anew for every fit.
 
 All models are kernel machines: scikit-learn fits them, and their predictions, a kernel times coefficients, are
 computed here for all of them at once. Asked one by one for a handful of points, they would mostly check their input.

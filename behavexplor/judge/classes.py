@@ -40,7 +40,7 @@ class ViolationClass:
 
     Attributes:
         spec: "R1", "R2" or "R3".
-        manoeuvre: of the ego.
+        maneuver: of the ego.
         conflict: where the other was or came from (R1), on which side the touched line was (R2), how the drive ended
             (R3).
         mark: what else sets classes apart: the other's size (R1), whether the ego was slow (R2), behind whom it was or
@@ -50,7 +50,7 @@ class ViolationClass:
     """
 
     spec: str
-    manoeuvre: str
+    maneuver: str
     conflict: str
     mark: str
     detail: str = field(default="", compare=False)
@@ -58,7 +58,7 @@ class ViolationClass:
     @property
     def id(self) -> str:
         """Readable and stable, such as "R1/turning-left/crossing-from-right/large"."""
-        return "/".join(filter(None, (self.spec, self.manoeuvre, self.conflict, self.mark)))
+        return "/".join(filter(None, (self.spec, self.maneuver, self.conflict, self.mark)))
 
     @property
     def words(self) -> str:
@@ -68,7 +68,7 @@ class ViolationClass:
             R2: f"Touched a line on the {self.conflict}, {self.mark}",
             R3: ", ".join(filter(None, (f"Not at the destination: {self.conflict}", self.mark))),
         }[self.spec]
-        words = f"{what}; the ego was {self.manoeuvre}" + (f", {self.detail}" if self.detail else "")
+        words = f"{what}; the ego was {self.maneuver}" + (f", {self.detail}" if self.detail else "")
         return words.replace("-", " ")
 
 
@@ -93,8 +93,8 @@ def _collision(trace: Trace, moment: Moment) -> ViolationClass:
     size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
     motion = motion_of(trace, frame, npc)
     other = f"the other {motion}, " if motion else ""
-    detail = f"touched at its {_side(trace, frame, npc)}, {other}{_behaviour(trace, frame)}"
-    return ViolationClass(R1, manoeuvre_of(trace, frame), _bearing(trace, frame, npc), size, detail)
+    detail = f"touched at its {_side(trace, frame, npc)}, {other}{_behavior(trace, frame)}"
+    return ViolationClass(R1, maneuver_of(trace, frame), _bearing(trace, frame, npc), size, detail)
 
 
 def _line(trace: Trace, moment: Moment) -> ViolationClass:
@@ -104,18 +104,18 @@ def _line(trace: Trace, moment: Moment) -> ViolationClass:
     nearest = start + np.clip((place - start) @ along / (along @ along), 0.0, 1.0) * along
     side = "right" if _across(nearest - place, trace.heading[frame, 0]) > 0 else "left"
     speed = "slow" if speed_of(trace, frame, 0) < SLOW else "fast"
-    return ViolationClass(R2, manoeuvre_of(trace, frame), side, speed)
+    return ViolationClass(R2, maneuver_of(trace, frame), side, speed)
 
 
 def _destination(trace: Trace, moment: Moment) -> ViolationClass:
-    frame, manoeuvre = moment.frame, manoeuvre_of(trace, moment.frame)
+    frame, maneuver = moment.frame, maneuver_of(trace, moment.frame)
     if trace.end == "passed":
         offset = trace.position[frame, 0] - trace.destination
         side = "right" if _across(offset, trace.heading[frame, 0]) > 0 else "left"
-        return ViolationClass(R3, manoeuvre, f"passed-it-on-the-{side}", _way_there(trace))
+        return ViolationClass(R3, maneuver, f"passed-it-on-the-{side}", _way_there(trace))
     leader = _ahead(trace, frame)
     behind = "nobody-ahead" if leader is None else f"behind-a-{motion_of(trace, frame, leader) or 'moving'}-vehicle"
-    return ViolationClass(R3, manoeuvre, f"ended-by-{trace.end}", behind, _behaviour(trace, frame))
+    return ViolationClass(R3, maneuver, f"ended-by-{trace.end}", behind, _behavior(trace, frame))
 
 
 def _way_there(trace: Trace) -> str:
@@ -135,7 +135,7 @@ def _offsets(trace: Trace) -> Floats:
     return np.asarray(gap[:, 1] * np.cos(along) - gap[:, 0] * np.sin(along))
 
 
-def manoeuvre_of(trace: Trace, frame: int) -> str:
+def maneuver_of(trace: Trace, frame: int) -> str:
     """What the ego's route and its motion across it amount to."""
     frames = recent(trace, frame, CUT_IN_TIME)
     station, along = project_on_polyline(trace.position[frames, 0], trace.route)
@@ -193,9 +193,9 @@ def _relation(trace: Trace, frame: int, npc: int) -> str:
 
 
 def heading_before(trace: Trace, frame: int, vehicle: int) -> float:
-    """The heading that a vehicle had before it drove the last `BEFORE` metres, or in the beginning [rad]."""
+    """The heading that a vehicle had before it drove the last `BEFORE` meters, or in the beginning [rad]."""
     steps = np.diff(trace.position[: frame + 1, vehicle], axis=0)
-    left = np.cumsum(np.hypot(steps[:, 0], steps[:, 1])[::-1])  # metres to the end
+    left = np.cumsum(np.hypot(steps[:, 0], steps[:, 1])[::-1])  # meters to the end
     back = int(np.searchsorted(left, BEFORE))
     return float(trace.heading[max(frame - back, 0), vehicle])
 
@@ -248,7 +248,7 @@ def motion_of(trace: Trace, frame: int, vehicle: int) -> str:
     return "creeping" if speed < CREEPING else ""
 
 
-def _behaviour(trace: Trace, frame: int) -> str:
+def _behavior(trace: Trace, frame: int) -> str:
     """Whether the ego stood, crept, braked or drove."""
     speed, motion = speed_of(trace, frame, 0), motion_of(trace, frame, 0)
     if motion == "standing":

@@ -51,7 +51,7 @@ def contact_fault(trace: Trace) -> Fault | None:
 
 
 def touched_npc(trace: Trace) -> int | None:
-    """The vehicle that the ego touches in the last frame; of several, the one whose centre is nearest."""
+    """The vehicle that the ego touches in the last frame; of several, the one whose center is nearest."""
     boxes = box_corners(trace.position[-1], trace.heading[-1], trace.size)
     touched = 1 + np.flatnonzero(box_distance(boxes[:1], boxes[1:]) == 0.0)
     if not len(touched):
@@ -61,12 +61,12 @@ def touched_npc(trace: Trace) -> int | None:
 
 
 def _struck_from_behind(trace: Trace, npc: int) -> bool:
-    """Whether a faster vehicle of about the same heading touches the ego from behind the ego's centre."""
+    """Whether a faster vehicle of about the same heading touches the ego from behind the ego's center."""
     heading = trace.heading[-1, 0]
     ahead = (trace.position[-1, npc] - trace.position[-1, 0]) @ (math.cos(heading), math.sin(heading))
     turned = math.remainder(trace.heading[-1, npc] - heading, 2 * math.pi)
     ego_speed, npc_speed = np.hypot(*trace.velocity[-1, [0, npc]].T)
-    # One whose centre is ahead of the ego's rear bumper came alongside, not from behind.
+    # One whose center is ahead of the ego's rear bumper came alongside, not from behind.
     return bool(ahead < -trace.size[0, 0] / 2 and abs(turned) < ALIGNED and npc_speed > ego_speed)
 
 

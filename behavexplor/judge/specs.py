@@ -78,7 +78,7 @@ class Destination:
     """R3: the ego ends at its destination.
 
     The degree rewards runs that end far from it: max(10 - D, 0) (paper section III-B2), where D is the last
-    distance of the ego's centre to the destination [m].
+    distance of the ego's center to the destination [m].
 
     Attributes:
         threshold: greatest D of a passed run [m] (paper equation 5).
@@ -160,9 +160,9 @@ def _npc_distance(trace: Trace) -> float:
     reach = np.hypot(trace.size[:, 0], trace.size[:, 1]) / 2
     within = trace.size.min(1) / 2
     apart = position[:, 1:] - position[:, :1]
-    centres = np.hypot(apart[..., 0], apart[..., 1])
-    lower = centres - (reach[0] + reach[1:])
-    upper = np.maximum(centres - (within[0] + within[1:]), 0.0)
+    centers = np.hypot(apart[..., 0], apart[..., 1])
+    lower = centers - (reach[0] + reach[1:])
+    upper = np.maximum(centers - (within[0] + within[1:]), 0.0)
 
     def exact(pairs: Ints) -> Floats:
         frame, npc = np.divmod(pairs, len(trace.size) - 1)

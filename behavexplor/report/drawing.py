@@ -60,7 +60,7 @@ def save_animation(path: Path, trace: Trace, roadmap: RoadMap, caption: str) -> 
 
 
 def _palette(pictures: list[Image.Image]) -> Image.Image:
-    """One palette for all pictures: what blends in some of them, and every colour for sure."""
+    """One palette for all pictures: what blends in some of them, and every color for sure."""
     sample = pictures[:: max(1, len(pictures) // 4)]
     sheet = Image.new("RGB", (SIDE, SIDE * len(sample)))
     for i, picture in enumerate(sample):
@@ -173,6 +173,6 @@ class _Canvas:
 
 
 def _offset(lane: Lane, stations: Floats, offset: float) -> Floats:
-    """Points beside the centre line of a lane, positive offsets to its right, shape (n, 2) [m]."""
+    """Points beside the center line of a lane, positive offsets to its right, shape (n, 2) [m]."""
     x, y, heading = lane.pose(stations).T
     return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, Moment, violation_moment
-from behavexplor.report.behaviours import Behaviours
+from behavexplor.report.behavior_map import Behaviors
 from behavexplor.report.packing import pack
 from behavexplor.report.reading import Run
 from behavexplor.triage.findings import Finding, counted
@@ -95,13 +95,13 @@ def _nearest(run: Run) -> Card | None:
     return Card(PASSED, PASSED, words, len(passed), passed[0].id, numbers[0], replays=numbers)
 
 
-def replay_values(trace: Trace, record: Mapping[str, Any], found: Behaviours) -> dict[str, Any]:
+def replay_values(trace: Trace, record: Mapping[str, Any], found: Behaviors) -> dict[str, Any]:
     """A replay as JSON values.
 
     Args:
         trace: of the execution.
         record: of it.
-        found: the behaviours, with the execution's among them.
+        found: the behaviors, with the execution's among them.
 
     Raises:
         KeyError: if the record lacks something.

@@ -5,9 +5,9 @@
   const calm = matchMedia("(prefers-reduced-motion: reduce)");
   const VIEW = 70; // width of the world where the ego is followed [m]
   const BEFORE = 5; // [s]
-  const TYPES = ["sedan", "suv", "jeep", "hatchback", "school-bus"]; // the colours v0 to v4; v5 is for others
+  const TYPES = ["sedan", "suv", "jeep", "hatchback", "school-bus"]; // the colors v0 to v4; v5 is for others
 
-  // Colours: those of the style sheet, as the canvas needs them.
+  // Colors: those of the style sheet, as the canvas needs them.
   const probe = document.createElement("i");
   probe.hidden = true;
   document.body.append(probe);
@@ -330,7 +330,7 @@
       pen.restore();
     }
 
-    drawStrip(ratio) { // the behaviour under the picture, with the present moment
+    drawStrip(ratio) { // the behavior under the picture, with the present moment
       const strip = this.strip, width = (strip.width = Math.round(strip.clientWidth * ratio)), height = (strip.height = Math.round(8 * ratio));
       const pen = strip.getContext("2d"), whole = Math.max(this.end, 1e-6);
       let begin = 0;
@@ -388,5 +388,5 @@
     readColors();
     for (const player of players.values()) player.draw();
   };
-  root.addEventListener("colours", redraw);
+  root.addEventListener("colors", redraw);
 })();

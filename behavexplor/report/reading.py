@@ -26,7 +26,7 @@ class Entry:
         violated: names of the violated specs.
         degree: sum of the violation degrees [m], NaN where the record has none.
         novelty: in [0, 1], NaN where the record has none.
-        novel: whether its behaviour was new to the campaign.
+        novel: whether its behavior was new to the campaign.
         energy: of the testcase that it was made from, NaN where the method has none.
         elapsed: running time of the campaign up to it [s].
     """
@@ -91,7 +91,7 @@ class Run:
 
     @property
     def novel(self) -> int:
-        """How many executions showed a new behaviour."""
+        """How many executions showed a new behavior."""
         return sum(entry.novel for entry in self.entries)
 
     @property

@@ -34,7 +34,7 @@ def known_road(env: str) -> RoadMap | None:
 
 
 def road_values(roadmap: RoadMap | None, trace: Trace) -> dict[str, Any]:
-    """The road as JSON values, lengths in metres.
+    """The road as JSON values, lengths in meters.
 
     Args:
         roadmap: None if only what a trace has recorded is known.
@@ -47,7 +47,7 @@ def road_values(roadmap: RoadMap | None, trace: Trace) -> dict[str, Any]:
         "lanes": [] if roadmap is None else [_points(_surface(lane)) for lane in roadmap.lanes],
         "dashes": [] if roadmap is None else [_points(ends) for ends in _dashes(roadmap)],
         "lines": [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)],
-        "routes": {} if roadmap is None else {route.name: _points(_centre(route)) for route in roadmap.npc_routes},
+        "routes": {} if roadmap is None else {route.name: _points(_center(route)) for route in roadmap.npc_routes},
         "ego": _points(trace.route[:: max(1, len(trace.route) // 120)]),
         "destination": [round(float(value), 2) for value in trace.destination],
     }
@@ -58,7 +58,7 @@ def _points(points: Floats) -> list[list[float]]:
 
 
 def _beside(lane: Lane, stations: Floats, offset: float) -> Floats:
-    """Points beside the centre line of a lane, positive offsets to its right, shape (n, 2) [m]."""
+    """Points beside the center line of a lane, positive offsets to its right, shape (n, 2) [m]."""
     x, y, heading = lane.pose(stations).T
     return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)
 
@@ -72,7 +72,7 @@ def _surface(lane: Lane) -> Floats:
     return np.concatenate([left, right[::-1]])
 
 
-def _centre(route: Route) -> Floats:
+def _center(route: Route) -> Floats:
     return np.concatenate([_beside(lane, _stations(lane), 0.0) for lane in route.lanes])
 
 

@@ -22,7 +22,7 @@ _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # of the comparison
     "first failure": lambda run: str(run.findings[0].id) if run.findings else "none",
     "collisions at fault": lambda run: str(run.faults()[0]) if run.examined else _NOT_EXAMINED,
     "did not happen again": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
-    "new behaviour": lambda run: f"{run.novel / len(run.entries):.1%}",
+    "new behavior": lambda run: f"{run.novel / len(run.entries):.1%}",
 }
 
 

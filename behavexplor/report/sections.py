@@ -1,4 +1,4 @@
-"""What the page shows of one run: its gallery, its curves, its behaviours."""
+"""What the page shows of one run: its gallery, its curves, its behaviors."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,7 +11,7 @@ from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.data.logical import VEHICLE_SIZES
 from behavexplor.data.trace import Trace
-from behavexplor.report.behaviours import LETTERS, Behaviours, behaviours, evenly
+from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart
 from behavexplor.report.gallery import PASSED, Card, cards, replay_values
 from behavexplor.report.reading import Run, damaged, stored
@@ -19,15 +19,15 @@ from behavexplor.report.road_shapes import known_road, road_values
 
 Floats = NDArray[np.float64]
 
-MOST_COMPARED: Final = 750  # executions whose behaviours are compared
+MOST_COMPARED: Final = 750  # executions whose behaviors are compared
 _PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
-_TYPES: Final = tuple(VEHICLE_SIZES)  # vehicle types with a colour of their own
+_TYPES: Final = tuple(VEHICLE_SIZES)  # vehicle types with a color of their own
 _SYMBOLS: Final = {"R1": "collision", "R2": "line touched", "R3": "not at the destination", PASSED: "none violated"}
 
 
 @dataclass(frozen=True)
 class Ribbon:
-    """The behaviour of one execution as a strip.
+    """The behavior of one execution as a strip.
 
     Attributes:
         id: of the execution.
@@ -46,7 +46,7 @@ class Ribbon:
 
 @dataclass(frozen=True)
 class Place:
-    """One execution on the map of behaviours.
+    """One execution on the map of behaviors.
 
     Attributes:
         id: of the execution.
@@ -75,10 +75,10 @@ class Section:
         limit: most replays.
         cards: the gallery.
         charts: curves over the executions.
-        found: the behaviours.
+        found: the behaviors.
         ribbons: of some executions.
         longest: of these [s].
-        places: the map of behaviours.
+        places: the map of behaviors.
         has_road: whether the road of its environment is known.
         values: what the page's script needs.
     """
@@ -88,7 +88,7 @@ class Section:
     limit: int
     cards: tuple[Card, ...]
     charts: tuple[Chart, ...]
-    found: Behaviours
+    found: Behaviors
     ribbons: tuple[Ribbon, ...]
     longest: float
     places: tuple[Place, ...]
@@ -102,7 +102,7 @@ class Section:
 
     @property
     def types(self) -> list[tuple[str, int]]:
-        """The vehicle types in the replays, and the numbers of their colours."""
+        """The vehicle types in the replays, and the numbers of their colors."""
         names = {name for replay in self.values["replays"].values() for name in replay["types"]}
         known = [(name, index) for index, name in enumerate(_TYPES) if name in names]
         return known + ([("other", len(_TYPES))] if names - set(_TYPES) else [])
@@ -138,7 +138,7 @@ def section(number: int, run: Run, limit: int) -> Section:
     strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
     compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
     traces, records = _looked_at(run, replayed.union(compared, (name for name, _ in strips)), replayed)
-    found = behaviours(traces)
+    found = behaviors(traces)
     roadmap = known_road(run.config.env)
     longest = max((len(found.labels[name]) for name, _ in strips), default=0) or 1
     return Section(
@@ -174,7 +174,7 @@ def _looked_at(
 
 
 def _replays(
-    run: Run, traces: Mapping[int, Trace], records: Mapping[int, Mapping[str, Any]], found: Behaviours
+    run: Run, traces: Mapping[int, Trace], records: Mapping[int, Mapping[str, Any]], found: Behaviors
 ) -> dict[str, Any]:
     try:
         return {str(name): replay_values(traces[name], record, found) for name, record in records.items()}
@@ -182,7 +182,7 @@ def _replays(
         raise damaged(run.folder, error) from None
 
 
-def _ribbon(found: Behaviours, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:
+def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:
     strip, begin = [], 0
     for letter, count in found.stretches(number):
         strip.append((round(100 * begin / longest, 2), round(100 * count / longest, 2), LETTERS.index(letter)))
@@ -190,7 +190,7 @@ def _ribbon(found: Behaviours, number: int, class_id: str, longest: int, linked:
     return Ribbon(number, class_id, tuple(strip), found.text(number), linked)
 
 
-def _places(run: Run, found: Behaviours, replayed: Collection[int]) -> tuple[Place, ...]:
+def _places(run: Run, found: Behaviors, replayed: Collection[int]) -> tuple[Place, ...]:
     """The map, scaled into a square; failures come last, on top of the others."""
     kinds = {finding.id: (finding.spec, finding.class_id) for finding in run.findings}
     points = np.array(list(found.places.values()))
@@ -204,8 +204,8 @@ def _places(run: Run, found: Behaviours, replayed: Collection[int]) -> tuple[Pla
 
 
 def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
-    """Failures, classes and new behaviours over the executions: of one run, or of several over each other."""
-    counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviours": []}
+    """Failures, classes and new behaviors over the executions: of one run, or of several over each other."""
+    counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviors": []}
     for index, run in enumerate(runs):
         numbers = np.array([entry.id + 1.0 for entry in run.entries])
         for title, steps in zip(counts, _steps(run), strict=True):
@@ -216,7 +216,7 @@ def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
 
 
 def _steps(run: Run) -> tuple[Floats, Floats, Floats]:
-    """For each execution 1 or 0: whether it failed, in a new class, and with a new behaviour."""
+    """For each execution 1 or 0: whether it failed, in a new class, and with a new behavior."""
     firsts = {findings[0].id for findings in run.classes.values()}
     return (
         np.array([float(bool(entry.violated)) for entry in run.entries]),
@@ -231,7 +231,7 @@ def clouds(run: Run) -> tuple[Chart, ...]:
     novelty = np.array([entry.novelty for entry in run.entries])
     energy = np.array([entry.energy for entry in run.entries])
     numbers = np.array([entry.id + 1.0 for entry in run.entries])
-    threshold = [Series("new behaviour lies above", numbers, limit, style=2)] if np.isfinite(novelty).any() else []
+    threshold = [Series("new behavior lies above", numbers, limit, style=2)] if np.isfinite(novelty).any() else []
     charts = (
         chart("Novelty", _cloud(run, numbers, novelty) + threshold),
         chart("Energy of the parent", _cloud(run, numbers, energy)),

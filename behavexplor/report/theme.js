@@ -1,14 +1,14 @@
 "use strict";
 (() => {
-  // Colours as the system has them, or as one wants; whoever draws is told by the event "colours".
+  // Colors as the system has them, or as one wants; whoever draws is told by the event "colors".
   const root = document.documentElement, button = document.getElementById("theme");
   const NAMES = { "": "auto", light: "light", dark: "dark" };
-  const tell = () => root.dispatchEvent(new Event("colours"));
+  const tell = () => root.dispatchEvent(new Event("colors"));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", tell);
   button.addEventListener("click", () => {
     const names = Object.keys(NAMES), next = names[(names.indexOf(root.dataset.theme || "") + 1) % names.length];
     if (next) root.dataset.theme = next; else delete root.dataset.theme;
-    button.textContent = `Colours: ${NAMES[next]}`;
+    button.textContent = `Colors: ${NAMES[next]}`;
     tell();
   });
 })();

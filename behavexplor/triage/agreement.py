@@ -15,8 +15,8 @@ class Agreement:
     Attributes:
         n: how many were compared.
         equal: the share that is equal; only where both are of the same names.
-        precision: mean over the names of the share of those labelled so that truly are so.
-        recall: mean over the true names of the share of those truly so that are labelled so.
+        precision: mean over the names of the share of those labeled so that truly are so.
+        recall: mean over the true names of the share of those truly so that are labeled so.
         adjusted_rand: whether the same ones are grouped together, whatever their names: 1 for equal groups, about 0 by
             chance.
     """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.rule.weaknesses import names
 from behavexplor.data.trace import Trace
-from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, manoeuvre_of, speed_of, wrapped
+from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, maneuver_of, speed_of, wrapped
 from behavexplor.judge.events import R1, R3, Moment, recent, recent_decisions, violation_moment
 from behavexplor.judge.fault import STATIONARY_SPEED, contact_fault
 from behavexplor.triage.counterfactual import ENVIRONMENT
@@ -51,7 +51,7 @@ def signature(trace: Trace, violated: tuple[str, ...]) -> str | None:
 
 
 def _changing_lanes(trace: Trace, moment: Moment) -> bool:
-    return manoeuvre_of(trace, moment.frame).startswith("changing")
+    return maneuver_of(trace, moment.frame).startswith("changing")
 
 
 def _overtaken_from(trace: Trace, moment: Moment) -> bool:

@@ -75,7 +75,7 @@ def find_witness(
     """
     tried = 0
     for batch in range(1 + SAMPLES // BATCH):
-        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modelled(trace, moment)
+        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modeled(trace, moment)
         path = path_beside_route(trace) if batch else path_straight_on(trace)
         driven = drive(simulation, scenario, trace, evasions, path)
         tried += len(driven)
@@ -136,7 +136,7 @@ def _config(rate: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def modelled(trace: Trace, moment: Moment) -> list[Evasion]:
+def modeled(trace: Trace, moment: Moment) -> list[Evasion]:
     """What models of drivers would have done."""
     alarm, end = alarm_time(trace, moment), float(trace.time[moment.frame])
     earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]

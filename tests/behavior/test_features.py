@@ -162,7 +162,7 @@ def test_uneven_frames_are_interpolated():
 
 
 @pytest.mark.parametrize("rate", [10, 15, 20, 50])
-def test_any_rate_gives_the_same_behaviour(rate):
+def test_any_rate_gives_the_same_behavior(rate):
     time, ego = circle(radius=25, speed=9, seconds=6, rate=rate)
     states = state_matrix(make_trace(ego, time=time, route=ego[:, :2]))
     assert len(states) == int((6 - 1 / rate) * 10 + 1e-6) + 1

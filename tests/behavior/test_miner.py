@@ -41,12 +41,12 @@ def test_states_that_differ_fall_into_different_clusters():
     assert labels[10] != labels[len(labels) // 2]
 
 
-def test_labels_are_the_nearest_centres():
+def test_labels_are_the_nearest_centers():
     miner = miner_of(TRACES[:5])
     rows = miner.describe(TRACES[0]).merged
     clusters = miner._clusters
     scaled = (rows - clusters.mean) / clusters.scale
-    gaps = np.linalg.norm(scaled[:, None] - clusters.centres, axis=2)
+    gaps = np.linalg.norm(scaled[:, None] - clusters.centers, axis=2)
     assert miner.abstract(rows).tolist() == gaps.argmin(1).tolist()
     assert set(np.concatenate([labels_of(miner, trace) for trace in TRACES[:5]])) == set(range(10))
 
@@ -77,7 +77,7 @@ def test_distances_are_those_of_the_abstract_traces():
     assert miner.distances(a)[3] == pytest.approx(expected)
 
 
-def test_a_fit_maps_all_behaviours_anew():
+def test_a_fit_maps_all_behaviors_anew():
     miner = miner_of(TRACES[:2])
     for trace in TRACES[2:]:
         miner.add(miner.describe(trace))
@@ -97,7 +97,7 @@ def test_a_better_fit_than_from_scratch_or_as_good():
     def inertia(miner):
         rows = np.concatenate([miner.describe(trace).merged for trace in TRACES])
         scaled = (rows - miner._clusters.mean) / miner._clusters.scale
-        return np.square(scaled - miner._clusters.centres[miner.abstract(rows)]).sum()
+        return np.square(scaled - miner._clusters.centers[miner.abstract(rows)]).sum()
 
     assert inertia(grown) <= inertia(fresh) * (1 + 1e-6)
 
@@ -130,10 +130,10 @@ def test_fits_do_not_depend_on_the_number_of_threads(monkeypatch):
     assert threads == {1}
 
 
-def test_a_refit_starts_from_the_centres_of_the_last(monkeypatch):
+def test_a_refit_starts_from_the_centers_of_the_last(monkeypatch):
     """Scaled anew, as features are."""
     miner = miner_of(TRACES[:2])
-    last = miner._clusters.centres * miner._clusters.scale + miner._clusters.mean
+    last = miner._clusters.centers * miner._clusters.scale + miner._clusters.mean
     starts = []
     monkeypatch.setattr(
         "behavexplor.behavior.miner._k_means", lambda rows, k, tried, seed: starts.extend(tried) or rows[:k]
@@ -171,7 +171,7 @@ def test_the_sample_is_bounded_and_uniform():
 
 def test_a_large_corpus_is_fitted_to_the_sample():
     miner = miner_of(TRACES, sample_size=100)
-    assert len(miner._clusters.centres) == 10
+    assert len(miner._clusters.centers) == 10
     assert miner.distances(labels_of(miner, TRACES[4]))[4] == 0
 
 
@@ -179,7 +179,7 @@ def test_a_large_corpus_is_fitted_to_the_sample():
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-7])
 @pytest.mark.parametrize("distinct", [1, 2, 3])
 def test_fewer_distinct_rows_than_clusters(distinct, noise, scaling):
-    """Without a warning, and more clusters come with more behaviours."""
+    """Without a warning, and more clusters come with more behaviors."""
     x = np.cumsum(np.repeat(np.linspace(0, 9, distinct), 60)) / 20
     y = np.random.default_rng(0).normal(0, 1, len(x)) * noise
     trace = make_trace(np.stack([x, y, 0 * x], axis=1))
@@ -193,7 +193,7 @@ def test_fewer_distinct_rows_than_clusters(distinct, noise, scaling):
 def test_fewer_rows_than_clusters():
     trace = make_trace(np.cumsum(np.ones((8, 3)), axis=0))
     miner = miner_of([trace])
-    assert len(miner._clusters.centres) == 4
+    assert len(miner._clusters.centers) == 4
     assert miner.distances(labels_of(miner, trace)).tolist() == [0]
 
 
@@ -221,7 +221,7 @@ def test_before_the_first_fit_only_lengths_count():
     assert miner.distances(labels_of(miner, drive(9.0, seconds=2)))[0] == pytest.approx(0.5, abs=0.03)
 
 
-def test_jitter_is_no_behaviour():
+def test_jitter_is_no_behavior():
     """On a straight road nothing happens sideways; scaling must not blow up the last digits."""
     noisy = np.zeros((100, 3))
     noisy[:, 0] = np.cumsum(np.repeat([2.0, 8.0], 50)) / 20

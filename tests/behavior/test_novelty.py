@@ -12,7 +12,7 @@ LOGICAL = IntersectionStraightEnv.logical
 TRACES = [simulate(LOGICAL.sample(np.random.default_rng(seed))) for seed in range(30)]
 
 
-def test_the_first_behaviour_is_new_and_the_same_again_is_not():
+def test_the_first_behavior_is_new_and_the_same_again_is_not():
     archive = NoveltyArchive()
     assert archive.observe(TRACES[0]) == 1.0
     assert archive.observe(TRACES[0]) == 0.0
@@ -48,7 +48,7 @@ def test_its_miner_can_be_set():
     for _ in range(2):
         for trace in TRACES:
             coarse.observe(trace)
-    assert len(coarse) < 5  # with one cluster, behaviours differ by their lengths only
+    assert len(coarse) < 5  # with one cluster, behaviors differ by their lengths only
 
 
 def test_the_shortest_trace_has_a_novelty():

@@ -17,7 +17,7 @@ from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.bench.forecast import forecast
 from behavexplor.bench.runs import Cells, State, _campaign, _Stop, state
-from behavexplor.bench.summaries import summarise
+from behavexplor.bench.summaries import summarize
 from behavexplor.bench.timing import Stopwatch, Timing, read_timing
 from behavexplor.campaign.campaign import Progress
 from behavexplor.campaign.store import Store
@@ -249,7 +249,7 @@ def test_a_campaign_told_to_stop_before_it_began_does_nothing_and_is_not_finishe
 def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
     root = whole[0] / "out"
     cell, *_ = read_experiment(str(whole[0] / "small.yaml")).cells()
-    summary = summarise(cell, root)
+    summary = summarize(cell, root)
     assert summary.failures
     assert summary.classified
     assert all(kind.startswith(("R1/", "R2/", "R3/")) for kind in summary.kinds())
@@ -261,11 +261,11 @@ def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
 
 def test_signatures_are_of_drivers_with_the_planners_log_alone(whole, tmp_path):
     (cruiser, *_) = read_experiment(str(whole[0] / "small.yaml")).cells()
-    assert {failure.signature for failure in summarise(cruiser, whole[0] / "out").failures} == {None}
+    assert {failure.signature for failure in summarize(cruiser, whole[0] / "out").failures} == {None}
     text = TEXT.replace("tests.drivers:cruiser", "rule")
     (cell, *_) = read_experiment(str(write(tmp_path, 30, text))).cells()
     assert _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, _Stop(), lambda *_: None)
-    summary = summarise(cell, tmp_path)
+    summary = summarize(cell, tmp_path)
     store = Store.read(tmp_path / cell.folder)
     failed = [store.execution(failure.number) for failure in summary.failures]
     store.close()

@@ -126,5 +126,5 @@ def test_markup_in_names_is_not_obeyed():
     assert stream.getvalue() == "Fuzzing [red]x[/red]:y\n"
 
 
-def test_the_terminal_is_recognised():
+def test_the_terminal_is_recognized():
     assert Console(file=Terminal(), force_terminal=None).is_terminal

@@ -15,7 +15,7 @@ from behavexplor.data.geometry import (
     project_on_polyline,
 )
 
-coordinates = st.integers(-30_000_000, 30_000_000).map(lambda micrometres: micrometres / 1e6)
+coordinates = st.integers(-30_000_000, 30_000_000).map(lambda micrometers: micrometers / 1e6)
 boxes = st.tuples(
     st.tuples(coordinates, coordinates), st.floats(-7, 7), st.tuples(st.floats(0.5, 10), st.floats(0.5, 4))
 )

@@ -33,7 +33,7 @@ def test_file_restores_exactly(tmp_path):
     assert Trace.load(tmp_path / "trace.npz").to_bytes() == TRACE.to_bytes()
 
 
-def test_motion_is_recorded_to_a_nanometre():
+def test_motion_is_recorded_to_a_nanometer():
     precise = replace(TRACE, position=TRACE.position + 0.4e-9)
     assert np.array_equal(precise.position, TRACE.position)
     assert not np.array_equal(replace(TRACE, position=TRACE.position + 1e-9).position, TRACE.position)

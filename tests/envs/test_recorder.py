@@ -76,7 +76,7 @@ def test_standing_is_counted_without_a_break():
     assert counted == [1, 2, 0, 1, 2, 3, 0]
 
 
-def test_the_velocity_is_that_of_the_centre():
+def test_the_velocity_is_that_of_the_center():
     record = recorder()
     record.frame(ego(1.75, 60.0, heading=-math.pi / 2, speed=6.0, steering=0.4))
     record.action([0.5, 0.2])
@@ -127,7 +127,7 @@ def test_who_was_struck_from_behind(behind, speed, expected):
         if 4 < scenario.npcs[0].waypoints[0].speed < 10 and scenario.npcs[0].type == "sedan"
     )
     x, y, heading = motion_table(scenario, LEFT.roadmap, TIME)[0, 0, :3]
-    gap = 4.5 if behind else -4.5  # of the centres; both boxes are longer together
+    gap = 4.5 if behind else -4.5  # of the centers; both boxes are longer together
     record = recorder(Scenario(LEFT.name, scenario.npcs[:1]))
     for _ in range(2):
         record.frame(ego(x + gap * math.cos(heading), y + gap * math.sin(heading), heading, speed))

@@ -83,7 +83,7 @@ def test_an_arrival_is_worth_its_way():
     rewards, log = episode(Scenario("intersection-straight", ()), cruise)
     assert rewards.tolist() == [sum(terms.values()) for terms in log]
     driven = sum(terms["progress"] for terms in log) / WEIGHTS["progress"]
-    assert driven == pytest.approx(160, abs=1.1)  # arrival is within a metre of the destination
+    assert driven == pytest.approx(160, abs=1.1)  # arrival is within a meter of the destination
     assert log[-1]["arrived"] == 10
     assert all(terms["arrived"] == terms["collision"] == terms["lines"] == 0 for terms in log[:-1])
 

@@ -49,7 +49,7 @@ def test_boxes_touch_where_shapely_says_so(a, b):
 
 
 @given(boxes)
-def test_corners_are_a_box_of_its_size_round_its_centre(box):
+def test_corners_are_a_box_of_its_size_round_its_center(box):
     x, y, _, length, width = box
     shape = polygon(box)
     assert shape.area == pytest.approx(length * width)
@@ -101,27 +101,27 @@ def meta_ego(env, rng):
 
 
 @pytest.mark.parametrize("env", [LEFT, CHANGE], ids=["left", "change"])
-def test_manoeuvres_are_highway_env_s(env):
-    """Target speed, target lane, throttle and steering after each manoeuvre, to the last bit."""
+def test_maneuvers_are_highway_env_s(env):
+    """Target speed, target lane, throttle and steering after each maneuver, to the last bit."""
     rng = np.random.default_rng(0)
     network, speeds = WORLDS[env].network, np.array([0.0, 4.5, 9.0])
     route = road_network(env.logical.roadmap).indexes(env.logical.roadmap.ego_route)
     changed = set()
     for _ in range(300):
         vehicle, target = meta_ego(env, rng)
-        manoeuvre, done = int(rng.integers(5)), int(rng.integers(len(route) + 1))
+        maneuver, done = int(rng.integers(5)), int(rng.integers(len(route) + 1))
         vehicle.route = route[done:]
         x, y = vehicle.position
-        index = meta.changed_speed(speeds, 1, manoeuvre, vehicle.speed)
+        index = meta.changed_speed(speeds, 1, maneuver, vehicle.speed)
         lane, _ = meta.follow_road(network, done, target, x, y)
-        lane = meta.changed_lane(network, lane, manoeuvre, x, y)
-        vehicle.act(meta.MANOEUVRES[manoeuvre])
+        lane = meta.changed_lane(network, lane, maneuver, x, y)
+        vehicle.act(meta.MANEUVERS[maneuver])
         assert index == vehicle.speed_index
         assert road_network(env.logical.roadmap)._indexes[lane] == tuple(vehicle.target_lane_index)
         assert meta.throttle(speeds[index], vehicle.speed) == vehicle.action["acceleration"]
         steered = meta.steering(network.lanes, lane, x, y, vehicle.heading, vehicle.speed)
         assert steered == vehicle.action["steering"]
-        changed.add((manoeuvre, lane != target))
+        changed.add((maneuver, lane != target))
     assert {(meta.LANE_LEFT, True), (meta.LANE_RIGHT, True), (meta.IDLE, False)} <= changed
 
 

@@ -24,7 +24,7 @@ def env():
 
 
 def at(env, picture, x, y):
-    """The colour at a place of the world."""
+    """The color at a place of the world."""
     dx, dy = np.array([x, y]) - env.vehicle.position
     scale, (width, height) = env.config["scaling"], (picture.shape[1], picture.shape[0])
     return tuple(picture[round(height / 2 + dy * scale), round(width / 2 + dx * scale)].tolist())
@@ -59,7 +59,7 @@ def test_the_destination_is_drawn(env):
     assert ring.count(viewer.DESTINATION) >= 10
 
 
-def test_each_npc_and_its_route_have_a_colour_of_their_own():
+def test_each_npc_and_its_route_have_a_color_of_their_own():
     env = LaneChangeEnv({**VIEW, "screen_width": 1600, "scaling": 4.0}, render_mode="rgb_array")
     scenarios = [env.reset(seed=seed)[1]["scenario"] for seed in (1, 2)]
     for scenario in scenarios:

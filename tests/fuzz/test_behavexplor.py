@@ -254,7 +254,7 @@ def test_two_mutants_of_one_parent_in_flight():
 
 
 def test_without_behavior_guidance_only_the_degree_counts():
-    """The same behaviours, other or not: nobody looks."""
+    """The same behaviors, other or not: nobody looks."""
     search = started(drive(5.0), degree=10.0, novelty="none")
     _, learned = tell_next(search, drive(5.0, seconds=60), verdict(11.0))
     assert (learned["novelty"], learned["distance"], learned["novel"], learned["kept"]) == (0.0, 0.0, False, False)

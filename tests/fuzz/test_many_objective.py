@@ -28,7 +28,7 @@ def test_within_a_front_whoever_stands_alone_survives():
     assert crowding_distances(inner)[2] > crowding_distances(inner)[1]
 
 
-def test_crowding_is_the_gap_between_neighbours():
+def test_crowding_is_the_gap_between_neighbors():
     assert crowding_distances(np.array([[0.0], [1.0], [4.0]])).tolist() == [np.inf, 1.0, np.inf]
     assert crowding_distances(np.zeros((3, 2)))[1] in (0.0, np.inf)
 

@@ -268,7 +268,7 @@ def test_unknown_names():
 
 
 @EVERY
-def test_a_slip_of_the_pen_is_recognised(name):
+def test_a_slip_of_the_pen_is_recognized(name):
     with pytest.raises(InputError, match=f"did you mean '{name}'"):
         load_method(name[:-1])
 

@@ -37,7 +37,7 @@ def test_collisions_are_told_apart_by_what_a_person_would_say(recorded, expected
     assert violation_class(recorded, judge(recorded)).detail == f"touched at its {detail}"
 
 
-def test_lane_changes_are_a_manoeuvre():
+def test_lane_changes_are_a_maneuver():
     assert class_of(trace(5.0, (0.5, 2.0), 6.0, swerve=0.5)) == "R1/changing-right/on-the-right/car-sized"
 
 

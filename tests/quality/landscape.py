@@ -2,7 +2,7 @@
 
 The ego drives straight past the NPCs, which stand beside its way. How near each of them stands (R1) depends on a few
 parameters of that NPC; how near the ego comes to a line (R2) on one parameter of all of them. It slows down beside
-whatever is near, so behaviours tell how near a violation is, and runs take longer there.
+whatever is near, so behaviors tell how near a violation is, and runs take longer there.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ STEP = 0.25  # [s]
 SPEED = 9.0  # of the ego where nothing is near [m/s]
 FIRST, SPACING = 25.0, 25.0  # where NPCs stand along the way [m]
 LENGTH = FIRST + SPACING * LOGICAL.n_npcs
-SLOPES = 8.0, 8.0  # metres of distance for the whole range of the parameters
+SLOPES = 8.0, 8.0  # meters of distance for the whole range of the parameters
 RADII = 0.05, 0.02  # of the optima, as shares of it
 EARLY_SPEEDS, LATE_SPEED = (6.0, 6.0, 6.0), 9.5  # where they lie [m/s]
 RANGE = LOGICAL.roadmap.speed_limit

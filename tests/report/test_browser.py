@@ -237,7 +237,7 @@ def test_it_is_dark_or_light_as_the_system_is_and_as_one_wants(browser):
     wait(browser, lambda: np.array_equal(card.pixels(), bright))
     theme.click()
     assert not light(background(browser))
-    assert theme.text == "Colours: dark"
+    assert theme.text == "Colors: dark"
 
 
 def test_a_phone_shows_it_without_scrolling_sideways(browser):

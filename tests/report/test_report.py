@@ -92,7 +92,7 @@ def test_there_is_a_card_for_each_class_with_its_replay(run, text):
 def test_curves_have_the_records_figures(run, text):
     words = plain(text)
     read = read_run(run)
-    for title in ("Failures", "Classes of violations", "New behaviours", "Novelty", "Energy of the parent"):
+    for title in ("Failures", "Classes of violations", "New behaviors", "Novelty", "Energy of the parent"):
         assert title in words
     last = {title: re.search(rf"{title} Table .*? {len(read.entries)} (\d+) ", words)[1] for title in ("Failures",)}
     assert int(last["Failures"]) == len(read.findings)

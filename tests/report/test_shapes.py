@@ -1,4 +1,4 @@
-"""What is drawn: charts, behaviours, roads, marks."""
+"""What is drawn: charts, behaviors, roads, marks."""
 
 import re
 from itertools import pairwise
@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from behavexplor.report.behaviours import LETTERS, behaviours, evenly, scaled
+from behavexplor.report.behavior_map import LETTERS, behaviors, evenly, scaled
 from behavexplor.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Series, chart, ticks
 from behavexplor.report.gallery import PASSED, cards, replay_values
 from behavexplor.report.reading import read_run, stored
@@ -21,7 +21,7 @@ def executions(run):
 
 @pytest.fixture(scope="module")
 def found(executions):
-    return behaviours({execution.id: execution.load_trace() for execution in executions})
+    return behaviors({execution.id: execution.load_trace() for execution in executions})
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_map_of_few_is_a_map(count):
     assert scaled(1.0 - np.eye(count)).shape == (count, 2)
 
 
-def test_behaviours_cover_each_trace_and_are_named_by_speed(executions, found):
+def test_behaviors_cover_each_trace_and_are_named_by_speed(executions, found):
     for execution in executions:
         stretches = found.stretches(execution.id)
         assert sum(count for _, count in stretches) == len(found.labels[execution.id])

@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 HORIZON: Final = 8.0  # of conflicts [s]
 RANGE: Final = 50.0  # of distances [m]
 N_CONFLICTS: Final = 6
-ON_LANE: Final = 1.8  # greatest offset of a vehicle from the centre line of a lane that it is on [m]
+ON_LANE: Final = 1.8  # greatest offset of a vehicle from the center line of a lane that it is on [m]
 ALONG: Final = 0.6  # and greatest angle between the two [rad]
 SLOWEST: Final = 0.5  # speed below which a vehicle is taken to stand [m/s]
 STRONG: Final = 4.0  # acceleration [m/s2]
@@ -103,7 +103,7 @@ def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out
     """The vehicles ahead and behind on three lanes; without one, at the end of the range and at the speed limit."""
     row = row_at(course.path, station)
     left, right = lanes_beside(course, row, offset)
-    centre = course.path.lane_width * round(offset / course.path.lane_width)
+    center = course.path.lane_width * round(offset / course.path.lane_width)
     for i in range(3):
         out[N_LANE * i] = 1.0 if (i == 0 and left > 0) or i == 1 or (i == 2 and right > 0) else 0.0
         out[N_LANE * i + 1] = out[N_LANE * i + 2] = out[N_LANE * i + 3] = 1.0
@@ -118,7 +118,7 @@ def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out
         half_width = (cos * scene[other, WIDTH] + sin * scene[other, LENGTH]) / 2
         gap = abs(there - station) - (scene[other, LENGTH] + scene[EGO, LENGTH]) / 2
         for i in range(3):
-            if abs(aside - centre - (i - 1) * course.path.lane_width) > half_width + 0.3 * course.path.lane_width:
+            if abs(aside - center - (i - 1) * course.path.lane_width) > half_width + 0.3 * course.path.lane_width:
                 continue
             column = N_LANE * i + (1 if there >= station else 3)
             if gap / RANGE < out[column]:

@@ -23,7 +23,7 @@ IN, OUT, START, END = 0, 1, 2, 3  # columns of `Course.zones`
 
 
 class Course(NamedTuple):
-    """What is known of a map for one ego route, beside its path; tables have a row every `SPACING` metres.
+    """What is known of a map for one ego route, beside its path; tables have a row every `SPACING` meters.
 
     Attributes:
         path: the ego's route, see `behavexplor.ads.road.path`.

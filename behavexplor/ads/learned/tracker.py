@@ -66,11 +66,11 @@ def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: F
             memory[WANTED] = 0.0
         return
     left, right = lanes_beside(course, row, offset)
-    centre = course.path.lane_width * round(offset / course.path.lane_width)
+    center = course.path.lane_width * round(offset / course.path.lane_width)
     if choice == LEFT and left > 0:
-        memory[WANTED] = centre - course.path.lane_width
+        memory[WANTED] = center - course.path.lane_width
     elif choice == RIGHT and right > 0:
-        memory[WANTED] = centre + course.path.lane_width
+        memory[WANTED] = center + course.path.lane_width
     elif choice == HOME:
         memory[WANTED] = 0.0
 

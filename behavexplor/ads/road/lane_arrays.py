@@ -12,7 +12,7 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-X: Final = 0  # start of the centre line [m]
+X: Final = 0  # start of the center line [m]
 Y: Final = 1
 HEADING: Final = 2  # direction there [rad]
 LENGTH: Final = 3  # [m]
@@ -73,7 +73,7 @@ def project_on_lane(lanes: Floats, lane: int, x: float, y: float) -> tuple[float
     if lanes[lane, CURVATURE] == 0.0:
         return ahead, aside
     radius = 1 / lanes[lane, CURVATURE]
-    right = radius - aside  # of the point is the centre of the arc
+    right = radius - aside  # of the point is the center of the arc
     side = math.copysign(1.0, radius)
     station = math.atan2(side * ahead, side * right) * radius
     return station, radius - side * math.hypot(right, ahead)

@@ -21,7 +21,7 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-SPACING: Final = 1.0  # of the stations at which speed limit and neighbouring lanes are kept [m]
+SPACING: Final = 1.0  # of the stations at which speed limit and neighboring lanes are kept [m]
 LATERAL_ACCELERATION: Final = 2.5  # limit in curves [m/s2]
 APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
 
@@ -32,7 +32,7 @@ class Path(NamedTuple):
     Attributes:
         lanes: its lanes, those of equal curvature joined, shape (lanes, 7), see `behavexplor.ads.road.lane_arrays`.
         bounds: stations where they begin, and where the last one ends [m], shape (lanes + 1,).
-        limits: greatest speed every `SPACING` metres [m/s], shape (stations,).
+        limits: greatest speed every `SPACING` meters [m/s], shape (stations,).
         left: number of lanes of the same direction to the left of the route's there, shape (stations,).
         right: and to the right, shape (stations,).
         oncoming: 1 where a lane of the other direction lies left of them, else 0, shape (stations,).
@@ -101,7 +101,7 @@ def _beside(roadmap: RoadMap, lane: Lane) -> tuple[int, int, bool]:
 
 
 def _runs_against(lane: Lane, x: float, y: float, heading: float) -> bool:
-    """Whether a lane's centre line runs through a point in the opposite direction."""
+    """Whether a lane's center line runs through a point in the opposite direction."""
     station, offset = lane.project(x, y)
     turned = math.remainder(lane.heading - heading, 2 * math.pi)
     return abs(offset) < 0.1 and 0 <= station <= lane.length and abs(turned) > math.pi / 2

@@ -16,8 +16,8 @@ class Box(NamedTuple):
     """An oriented box.
 
     Attributes:
-        x: of the centre [m].
-        y: of the centre [m].
+        x: of the center [m].
+        y: of the center [m].
         cos: of the heading.
         sin: of the heading.
         length: [m].

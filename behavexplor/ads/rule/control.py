@@ -24,14 +24,14 @@ TWO_PI: Final = 2 * math.pi
 RECOVERY_SPEED: Final = 4.0  # slower than this steering back is not reduced (R2-1) [m/s]
 HOLD_SPEED: Final = 4.0  # in turns driven faster than this steering is not held (R2-4) [m/s]
 HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
-TURN_WAY, TURN = 15.0, 0.1  # the route has turned left on the last metres [m] by more than this [rad]
+TURN_WAY, TURN = 15.0, 0.1  # the route has turned left on the last meters [m] by more than this [rad]
 
 
 @kernel_in_place
 def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers) -> float:
     """Steering angle [rad] by pure pursuit: the circle that leads through a point ahead on the path.
 
-    The bicycle model turns about its centre with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
+    The bicycle model turns about its center with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
     and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
     away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]

@@ -40,7 +40,7 @@ from behavexplor.ads.rule.memory import (
     LAST_ACCELERATION,
     LAST_STEERING,
     LENGTH,
-    MANOEUVRE,
+    MANEUVER,
     ORIGIN,
     OVERRUN,
     OVERTAKING,
@@ -106,7 +106,7 @@ def _remember(path: Path, ego: Ego, memory: Floats) -> None:
         ended = ended or abs(ego.offset - memory[LANE] * path.lane_width) < path.lane_width / 2
     if memory[LENGTH] > 0.0 and ended:
         memory[LENGTH] = memory[SINCE] = memory[IGNORES] = 0.0
-        memory[MANOEUVRE] = KEEP
+        memory[MANEUVER] = KEEP
     if ego.station > memory[START] + SHARP_WAY:
         memory[SHARP] = 0.0
     if memory[LANE] == 0.0 and memory[LENGTH] == 0.0:
@@ -164,9 +164,9 @@ def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Fl
         if not cuts_in(ego, p) or option.plan.survived < N_INTERVALS // 2:
             return plan_option(world, ego, present.profile, lane, memory), False
         note(bits, R1_5, True)
-    memory[MANOEUVRE], memory[ORIGIN] = CHANGE, lane
+    memory[MANEUVER], memory[ORIGIN] = CHANGE, lane
     if abs(wanted) > abs(lane):
-        memory[MANOEUVRE] = OVERTAKE
+        memory[MANEUVER] = OVERTAKE
         memory[OVERTAKING] = 1.0
         memory[OVERRUN] = 1.0 if bits[CHANGED] & R3_2 else 0.0
     memory[SHARP] = 1.0 if sharp else 0.0
@@ -182,7 +182,7 @@ def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) ->
     inside = abs(ego.offset - origin * path.lane_width) < path.lane_width / 2
     share = gap_share(path, world.others, ego, lane, p)
     alarm = present.plan.survived * INTERVAL < p.abort_time
-    if memory[MANOEUVRE] == ABORT or not inside or not (alarm or share < p.abort_share):
+    if memory[MANEUVER] == ABORT or not inside or not (alarm or share < p.abort_share):
         return present
     if p.no_abort > 0.0:
         goes_on = share >= (1.0 - p.no_abort) * p.abort_share
@@ -195,7 +195,7 @@ def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) ->
     option = plan_option(world, ego, profile, origin, memory)
     if option.plan.survived < present.plan.survived:
         return plan_option(world, ego, present.profile, lane, memory)
-    memory[MANOEUVRE], memory[ORIGIN] = ABORT, memory[LANE]
+    memory[MANEUVER], memory[ORIGIN] = ABORT, memory[LANE]
     _adopt(profile, origin, memory)
     return option
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path, has_lane, lane_end, oncoming_lane
 from behavexplor.ads.rule.memory import LANE, SINCE
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbours, neighbours
+from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbors, neighbors
 from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
 from behavexplor.jit import kernel_in_place
 
@@ -55,13 +55,13 @@ def change_length(speed: float, p: Numbers) -> float:
 
 
 @kernel_in_place
-def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbours:
+def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbors:
     """Who is next to the ego in a lane; those who stand beyond the destination are in nobody's way."""
-    found = neighbours(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
+    found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
     if found.ahead >= 0:
         rear = others[found.ahead, STATION] - others[found.ahead, HALF_ALONG]
         if rear > path.destination + ego.half_length + 1.0:
-            return Neighbours(-1, math.inf, math.inf, found.behind, found.gap_behind, found.speed_behind)
+            return Neighbors(-1, math.inf, math.inf, found.behind, found.gap_behind, found.speed_behind)
     return found
 
 
@@ -118,7 +118,7 @@ def _must_return(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
 
 
 @kernel_in_place
-def _delays(path: Path, ego: Ego, lane: int, leader: Neighbours, bits: Ints, p: Numbers) -> bool:
+def _delays(path: Path, ego: Ego, lane: int, leader: Neighbors, bits: Ints, p: Numbers) -> bool:
     """Whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
     if p.late_change == 0.0 or leader.ahead < 0 or leader.gap_ahead > CLOSE_UP or leader.speed_ahead > SLOW:
         return False
@@ -130,7 +130,7 @@ def _delays(path: Path, ego: Ego, lane: int, leader: Neighbours, bits: Ints, p: 
 
 @kernel_in_place
 def _may_overtake(
-    path: Path, others: Floats, ego: Ego, other: int, leader: Neighbours, memory: Floats, bits: Ints, p: Numbers
+    path: Path, others: Floats, ego: Ego, other: int, leader: Neighbors, memory: Floats, bits: Ints, p: Numbers
 ) -> bool:
     """Whether the ego overtakes its leader: it has rested, and can come back in time."""
     if leader.ahead < 0 or memory[SINCE] < p.lane_rest:
@@ -150,7 +150,7 @@ def _may_overtake(
 
 
 @kernel_in_place
-def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbours, p: Numbers) -> float:
+def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbors, p: Numbers) -> float:
     """How far the ego drives until it is back before its leader, at the speed that needs least room [m]."""
     least = math.inf
     passed = leader.gap_ahead + 2 * others[leader.ahead, HALF_ALONG] + 2 * ego.half_length + p.pass_gap
@@ -186,7 +186,7 @@ def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints,
 @kernel_in_place
 def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
     """The gaps in a lane as a share of what is needed by distance and closing speed, the scarcer one."""
-    found = neighbours(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
+    found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
     ahead = p.gap + p.gap_ahead_time * max(ego.speed - found.speed_ahead, 0.0)
     behind = p.gap + p.gap_behind_time * max(found.speed_behind - ego.speed, 0.0)
     return min(found.gap_ahead / ahead, found.gap_behind / behind)

@@ -15,7 +15,7 @@ TWO_PI = 2 * math.pi
 
 @kernel_in_place
 def hidden_share(scene: Floats, row: int) -> float:
-    """Share of a vehicle's angular width, seen from the ego's centre, that the nearer vehicle before it covers most."""
+    """Share of a vehicle's angular width, seen from the ego's center, that the nearer vehicle before it covers most."""
     bearing, low, high = bearings(scene, row)
     distance = math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
     most = 0.0
@@ -33,7 +33,7 @@ def hidden_share(scene: Floats, row: int) -> float:
 
 @kernel_in_place
 def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
-    """Bearing of a vehicle's centre from the ego's, and the least and greatest of its corners relative to that [rad].
+    """Bearing of a vehicle's center from the ego's, and the least and greatest of its corners relative to that [rad].
 
     Args:
         scene: see `behavexplor.data.scene`.

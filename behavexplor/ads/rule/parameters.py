@@ -39,7 +39,7 @@ class Parameters:
         short_change_below: R2-2, only lane changes begun below this speed are too short [m/s].
         no_room_below: R3-2, only an ego slower than this overtakes without room to come back [m/s].
         deadlock_after: R3-4, only an ego that has stood for so long waits for ever [s].
-        match_offset: an NPC may be on a lane if its centre is this close to the centre line [m]
+        match_offset: an NPC may be on a lane if its center is this close to the center line [m]
         match_heading: and its heading this close to the lane's [rad].
         acceleration_memory: how long an NPC's present acceleration may go on [s].
         side_gap: distance kept from others to the side [m].
@@ -70,7 +70,7 @@ class Parameters:
         lateral_acceleration: limit in curves [m/s2].
         approach_braking: deceleration before curves [m/s2].
         slow_speed: below it the ego counts as stopping inside a junction [m/s].
-        delay_cost: per metre that the ego is behind one driving at the limit.
+        delay_cost: per meter that the ego is behind one driving at the limit.
         acceleration_cost: per (m/s2)^2 s.
         braking_cost: per (m/s2)^2 s.
         jerk_cost: per (m/s2)^2 of change between the stages of a plan.

@@ -15,7 +15,7 @@ from behavexplor.ads.rule.memory import (
     LANE,
     LAST_ACCELERATION,
     LAST_STEERING,
-    MANOEUVRE,
+    MANEUVER,
     N_MEMORIES,
     REACHED,
     SURVIVED,
@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 _LOG: Final = MappingProxyType(
     {
         "decision": DECISION,
-        "manoeuvre": MANOEUVRE,
+        "manoeuvre": MANEUVER,  # spelled as in traces that are stored already
         "lane": LANE,
         "survived": SURVIVED,
         "reached": REACHED,

@@ -67,7 +67,7 @@ def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
 
 
 def _distance(lane: Lane, way: Floats) -> float:
-    """Least distance of a lane's centre line from a polyline [m]."""
+    """Least distance of a lane's center line from a polyline [m]."""
     points = lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2]
     gaps = points[:, None] - way
     return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
@@ -81,8 +81,8 @@ def find_tails(
 
     Args:
         graph: the map; its spare lane is overwritten.
-        x: the vehicle's centre [m].
-        y: the vehicle's centre [m].
+        x: the vehicle's center [m].
+        y: the vehicle's center [m].
         heading: [rad].
         speed: [m/s].
         p: the parameters.
@@ -139,7 +139,7 @@ def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool
 
 
 @kernel_in_place
-def travelled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
+def traveled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
     """Distance [m] driven in a time if the acceleration goes on for a duration, between standstill and the limit."""
     if acceleration > 0.0:
         duration = min(duration, max(limit - speed, 0.0) / acceleration)
@@ -155,6 +155,6 @@ def reach(
     speed: float, acceleration: float, duration: float, limit: float, since: float, until: float
 ) -> tuple[float, float]:
     """Least and greatest distance driven [m] between two times, whether the NPC keeps speed or acceleration."""
-    near = min(speed * since, travelled(speed, acceleration, duration, limit, since))
-    far = max(speed * until, travelled(speed, acceleration, duration, limit, until))
+    near = min(speed * since, traveled(speed, acceleration, duration, limit, since))
+    far = max(speed * until, traveled(speed, acceleration, duration, limit, until))
     return near, far

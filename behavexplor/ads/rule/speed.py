@@ -261,7 +261,7 @@ def _advance(
                 risk += spans[k, i, COST] * INTERVAL
         achieved = (after - v) / INTERVAL
         effort = p.acceleration_cost if 0.0 < achieved <= p.comfortable_acceleration else p.braking_cost
-        hurry = 1.5 - k / N_INTERVALS  # metres now count more than later, or it would always rather start later
+        hurry = 1.5 - k / N_INTERVALS  # meters now count more than later, or it would always rather start later
         cost += (p.delay_cost * hurry * (limit - after) + effort * achieved * achieved) * INTERVAL
         if after > limit:
             cost += p.overspeed_cost * (after - limit) * INTERVAL

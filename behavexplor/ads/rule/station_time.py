@@ -25,7 +25,7 @@ INTERVAL: Final = 0.25  # of time [s]
 N_INTERVALS: Final = 32  # up to 8 s
 TAILS_PER_NPC: Final = 8  # the most ways on that are followed up
 
-HARD_LOW, HARD_HIGH = 0, 1  # where the ego's centre would touch, or nearly so [m]
+HARD_LOW, HARD_HIGH = 0, 1  # where the ego's center would touch, or nearly so [m]
 SOFT_LOW, SOFT_HIGH = 2, 3  # where it would be too close for comfort, in time or space [m]
 COST = 4  # of being there [1/s]
 LEADS = 5  # 1 for those ahead on the ego's path, 0 for those who cross or merge
@@ -104,7 +104,7 @@ def project_obstacles(
         graph: the map.
         scene: shape (1 + n, 8), see `behavexplor.data.scene`.
         station: the ego's [m].
-        blind: vehicles in the lane changed to whose centres are less far ahead than this are ignored [m].
+        blind: vehicles in the lane changed to whose centers are less far ahead than this are ignored [m].
         p: the parameters.
         room: filled; bits are added to.
     """

@@ -21,7 +21,7 @@ TOUCHING: Final = 0.2  # to the side, closer than this is in the same lane [m]
 NOBODY: Final = -1
 
 
-class Neighbours(NamedTuple):
+class Neighbors(NamedTuple):
     """Who is next to the ego's station in a lane.
 
     Attributes:
@@ -64,14 +64,14 @@ def locate(path: Path, scene: Floats, others: Floats) -> None:
 
 @kernel_in_place
 def in_lane(other: Floats, offset: float, half_width: float) -> bool:
-    """Whether a vehicle drives along the lane with a centre at an offset, or reaches into an ego's way there."""
+    """Whether a vehicle drives along the lane with a center at an offset, or reaches into an ego's way there."""
     if other[STATION] == math.inf or abs(other[TURNED]) > SAME_WAY:
         return False
     return bool(abs(other[OFFSET] - offset) < other[HALF_ACROSS] + half_width + TOUCHING)
 
 
 @kernel_in_place
-def neighbours(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbours:
+def neighbors(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbors:
     """Who is next ahead and behind in the lane at an offset."""
     ahead, behind = NOBODY, NOBODY
     gap_ahead, gap_behind = math.inf, math.inf
@@ -86,4 +86,4 @@ def neighbours(others: Floats, station: float, offset: float, half_length: float
             behind, gap_behind = i, gap
     speed_ahead = others[ahead, ALONG_SPEED] if ahead >= 0 else math.inf
     speed_behind = others[behind, ALONG_SPEED] if behind >= 0 else 0.0
-    return Neighbours(ahead, gap_ahead, speed_ahead, behind, gap_behind, speed_behind)
+    return Neighbors(ahead, gap_ahead, speed_ahead, behind, gap_behind, speed_behind)

@@ -44,7 +44,7 @@ WEAKNESSES = MappingProxyType(
             "occlusion",
             "prediction",
             "A vehicle partly hidden behind another is taken for a standing one, instead of predicted like any other.",
-            "the hidden share of a moving vehicle's width, seen from the ego's centre, exceeds 1 - severity",
+            "the hidden share of a moving vehicle's width, seen from the ego's center, exceeds 1 - severity",
             "collision with the hidden vehicle",
         ),
         "R1-2": Weakness(

@@ -29,7 +29,7 @@ class Description:
         policy_frequency: [Hz]; None for the environment's own.
         simulation_frequency: [Hz]; None for the environment's own.
         frame_stack: how many observations are stacked along the last axis.
-        statistics: file of `VecNormalize`, None if observations were not normalised.
+        statistics: file of `VecNormalize`, None if observations were not normalized.
         about: whatever else the author wants to say; not read.
     """
 
@@ -99,7 +99,7 @@ def _own(path: Path) -> Description:
 
 
 def _of_zoo(folder: Path) -> Description:
-    """What rl-zoo3 writes into a run's folder; it normalises observations first, then stacks them."""
+    """What rl-zoo3 writes into a run's folder; it normalizes observations first, then stacks them."""
     arguments = _read(folder / "args.yml")
     settings = _read(folder / "config.yml") if (folder / "config.yml").is_file() else {}
     if settings.get("env_wrapper"):
@@ -110,7 +110,7 @@ def _of_zoo(folder: Path) -> Description:
     statistics = folder / STATISTICS
     if settings.get("normalize") and not statistics.is_file():
         raise InputError(
-            f"{folder / 'config.yml'} says that observations were normalised, but {STATISTICS} is missing there"
+            f"{folder / 'config.yml'} says that observations were normalized, but {STATISTICS} is missing there"
         )
     config = _environment(arguments)
     values = {key: config[key] for key in _ENVIRONMENT_KEYS if key in config}

@@ -1,4 +1,4 @@
-"""From actions to what kernels understand: acceleration and steering, or the code of a manoeuvre."""
+"""From actions to what kernels understand: acceleration and steering, or the code of a maneuver."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,7 +10,7 @@ from highway_env.envs.common.action import ActionType, DiscreteAction, DiscreteM
 from highway_env.utils import lmap
 from numpy.typing import NDArray
 
-from behavexplor.envs.vector.meta import MANOEUVRES
+from behavexplor.envs.vector.meta import MANEUVERS
 
 Floats = NDArray[np.float64]
 Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # from actions, shape (B, ...), to commands, shape (B, 2)
@@ -19,7 +19,7 @@ Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # from actions, shape (B
 def make_commands(action_type: ActionType) -> Commands:
     """The commands of an environment's actions."""
     if isinstance(action_type, DiscreteMetaAction):
-        codes = [[MANOEUVRES.index(name), 0.0] for _, name in sorted(action_type.actions.items())]
+        codes = [[MANEUVERS.index(name), 0.0] for _, name in sorted(action_type.actions.items())]
         return partial(_looked_up, np.array(codes))
     if isinstance(action_type, DiscreteAction):
         return partial(_looked_up, _discrete_commands(action_type))

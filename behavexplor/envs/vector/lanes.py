@@ -15,7 +15,7 @@ from behavexplor.jit import kernel
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CURVED, X, Y, A, B, C, LENGTH, WIDTH = range(8)  # columns; X, Y is the start, or the centre of a curved lane
+CURVED, X, Y, A, B, C, LENGTH, WIDTH = range(8)  # columns; X, Y is the start, or the center of a curved lane
 # A, B, C: x and y of the direction and the heading; of a curved lane radius, phase at the start and turn (1 right)
 
 ORIGIN, TARGET, FIRST, COUNT = range(4)  # columns of roads: nodes, the first lane, and how many lanes
@@ -78,7 +78,7 @@ def lane_heading(lanes: Floats, i: int, station: float) -> float:
 
 @kernel
 def lane_point(lanes: Floats, i: int, station: float) -> tuple[float, float]:
-    """The point of lane i's centre line at a station [m]."""
+    """The point of lane i's center line at a station [m]."""
     if lanes[i, CURVED] == 0.0:
         return lanes[i, X] + station * lanes[i, A], lanes[i, Y] + station * lanes[i, B]
     phase = lanes[i, C] * station / lanes[i, A] + lanes[i, B]

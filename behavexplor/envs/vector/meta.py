@@ -26,7 +26,7 @@ from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 
-MANOEUVRES = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's names; their place is the code
+MANEUVERS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's names; their place is the code
 LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(5)
 
 KP_SPEED: Final = float(ControlledVehicle.KP_A)  # [1/s]
@@ -39,11 +39,11 @@ SLOWEST: Final = 1e-2  # speed that is divided by at least [m/s]
 
 
 @kernel
-def changed_speed(speeds: Floats, index: int, manoeuvre: int, speed: float) -> int:
-    """The index of the target speed after a manoeuvre: `MDPVehicle.act`."""
-    if manoeuvre not in (FASTER, SLOWER):
+def changed_speed(speeds: Floats, index: int, maneuver: int, speed: float) -> int:
+    """The index of the target speed after a maneuver: `MDPVehicle.act`."""
+    if maneuver not in (FASTER, SLOWER):
         return index
-    index = nearest_speed(speeds, speed) + (1 if manoeuvre == FASTER else -1)
+    index = nearest_speed(speeds, speed) + (1 if maneuver == FASTER else -1)
     return min(max(index, 0), len(speeds) - 1)
 
 
@@ -56,13 +56,13 @@ def nearest_speed(speeds: Floats, speed: float) -> int:
 
 
 @kernel
-def changed_lane(network: Network, lane: int, manoeuvre: int, x: float, y: float) -> int:
-    """The target lane after a manoeuvre: `ControlledVehicle.act` with a meta-action."""
-    if manoeuvre not in (LANE_LEFT, LANE_RIGHT):
+def changed_lane(network: Network, lane: int, maneuver: int, x: float, y: float) -> int:
+    """The target lane after a maneuver: `ControlledVehicle.act` with a meta-action."""
+    if maneuver not in (LANE_LEFT, LANE_RIGHT):
         return lane
     road = network.lane_road[lane]
     first, count = network.roads[road, FIRST], network.roads[road, COUNT]
-    wanted = min(max(lane + (1 if manoeuvre == LANE_RIGHT else -1), first), first + count - 1)
+    wanted = min(max(lane + (1 if maneuver == LANE_RIGHT else -1), first), first + count - 1)
     return wanted if is_reachable(network.lanes, wanted, x, y) else lane
 
 

@@ -38,9 +38,9 @@ class View(NamedTuple):
     Attributes:
         features: codes, the indexes of `behavexplor.envs.kinematics.FEATURES`, shape (features,).
         relative: whether each is given relative to the ego, shape (features,).
-        low: of its range, 0 where it is not normalised, shape (features,).
-        width: of its range, 0 where it is not normalised, shape (features,).
-        clip: whether normalised values are clipped.
+        low: of its range, 0 where it is not normalized, shape (features,).
+        width: of its range, 0 where it is not normalized, shape (features,).
+        clip: whether normalized values are clipped.
         see_behind: whether vehicles behind are seen.
         observe_intentions: whether destinations are seen.
         distance: how far vehicles are seen [m].
@@ -119,7 +119,7 @@ def observe_kinematics(world: World, slots: Slots, view: View, chosen: Bools, ob
                     origin[j] = value
                 elif view.relative[j]:
                     value -= origin[j]
-                observations[b, row, j] = _normalised(value, view.low[j], view.width[j], view.clip)
+                observations[b, row, j] = _normalized(value, view.low[j], view.width[j], view.clip)
 
 
 @kernel
@@ -146,7 +146,7 @@ def _sort_seen(
 
 
 @kernel
-def _normalised(value: float, low: float, width: float, clip: bool) -> float:
+def _normalized(value: float, low: float, width: float, clip: bool) -> float:
     """A value mapped from its range to [-1, 1], where it has one."""
     if width == 0.0:
         return value

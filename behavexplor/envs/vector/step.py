@@ -81,10 +81,10 @@ def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
         acceleration, angle = commands[b, 0], commands[b, 1]
         lane, position, index = numbers[b, TARGET_LANE], numbers[b, ROUTE_POSITION], numbers[b, SPEED_INDEX]
         if world.is_meta:
-            manoeuvre = int(commands[b, 0])
-            index = changed_speed(world.target_speeds, index, manoeuvre, speed)
+            maneuver = int(commands[b, 0])
+            index = changed_speed(world.target_speeds, index, maneuver, speed)
             lane, position = follow_road(world.network, position, lane, x, y)
-            lane = changed_lane(world.network, lane, manoeuvre, x, y)
+            lane = changed_lane(world.network, lane, maneuver, x, y)
         decided = frame = numbers[b, FRAME]
         for _ in range(rules.substeps):
             if world.is_meta:
@@ -210,9 +210,9 @@ def _station(lanes: Floats, x: float, y: float) -> float:
         if lanes[i, EGO_CURVATURE] != 0.0:
             radius = 1 / lanes[i, EGO_CURVATURE]
             side = math.copysign(1.0, radius)
-            ahead, to_centre = station, radius - offset
-            station = math.atan2(side * ahead, side * to_centre) * radius
-            offset = radius - side * math.hypot(ahead, to_centre)
+            ahead, to_center = station, radius - offset
+            station = math.atan2(side * ahead, side * to_center) * radius
+            offset = radius - side * math.hypot(ahead, to_center)
         before = max(-station, 0.0) if i > 0 else 0.0
         behind = max(station - lanes[i, EGO_LENGTH], 0.0) if i < last else 0.0
         gap = math.hypot(offset, before + behind)

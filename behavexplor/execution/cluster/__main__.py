@@ -1,4 +1,4 @@
-"""The process of a cluster node: `python -m behavexplor.execution.cluster SETTINGS` answers calls on stdin and stdout."""
+"""The process of a cluster node: `python -m behavexplor.execution.cluster SETTINGS` takes calls on stdin."""
 
 import json
 import os

@@ -23,7 +23,7 @@ from behavexplor.ads.rule.memory import (
     DECISION,
     LANE,
     LENGTH,
-    MANOEUVRE,
+    MANEUVER,
     N_MEMORIES,
     ORIGIN,
     OVERTAKING,
@@ -61,7 +61,7 @@ COLUMNS = {
     "lane": LANE,
     "start": START,
     "length": LENGTH,
-    "manoeuvre": MANOEUVRE,
+    "maneuver": MANEUVER,
     "stood": STOOD,
     "decision": DECISION,
     "sharp": SHARP,
@@ -77,15 +77,15 @@ def test_at_first_it_is_in_the_lane_where_it_stands(offset, lane):
 
 
 def test_a_lane_change_ends_at_its_end():
-    before = remembered(64.9, -3.5, lane=-1, start=50.0, length=15.0, manoeuvre=CHANGE, since=3.0)
-    assert (before[LENGTH], before[MANOEUVRE]) == (15.0, CHANGE)
-    after = remembered(65.0, -3.5, lane=-1, start=50.0, length=15.0, manoeuvre=CHANGE, since=3.0)
-    assert (after[LENGTH], after[MANOEUVRE], after[SINCE]) == (0.0, KEEP, 0.0)
+    before = remembered(64.9, -3.5, lane=-1, start=50.0, length=15.0, maneuver=CHANGE, since=3.0)
+    assert (before[LENGTH], before[MANEUVER]) == (15.0, CHANGE)
+    after = remembered(65.0, -3.5, lane=-1, start=50.0, length=15.0, maneuver=CHANGE, since=3.0)
+    assert (after[LENGTH], after[MANEUVER], after[SINCE]) == (0.0, KEEP, 0.0)
 
 
 @pytest.mark.parametrize(("offset", "ends"), [(-3.0, True), (-1.0, False)])
 def test_who_gets_stuck_in_the_lane_changed_to_decides_anew(offset, ends):
-    known = {"lane": -1, "start": 50.0, "length": 15.0, "manoeuvre": ABORT}
+    known = {"lane": -1, "start": 50.0, "length": 15.0, "maneuver": ABORT}
     assert remembered(55.0, offset, 0.0, stood=STUCK, **known)[LENGTH] == 15.0
     assert (remembered(55.0, offset, 0.0, stood=STUCK + 0.1, **known)[LENGTH] == 0.0) == ends
 

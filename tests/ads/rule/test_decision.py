@@ -27,7 +27,7 @@ def memory(**columns):
 
 
 @pytest.mark.parametrize(("stood", "ahead", "creeps"), [(20.0, 10.0, True), (5.0, 10.0, False), (20.0, 0.5, False)])
-def test_who_has_stood_for_long_creeps_if_the_next_metre_is_free(stood, ahead, creeps):
+def test_who_has_stood_for_long_creeps_if_the_next_meter_is_free(stood, ahead, creeps):
     room, state, p = graph(low=30.0 + ahead), memory(stood=stood), numbers(Parameters())
     assert creep(room, 30.0, np.inf, state, room.bits, p) == creeps
     assert state[CREEPS] == (CREEP_TIME if creeps else 0.0)

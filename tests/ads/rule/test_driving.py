@@ -32,7 +32,7 @@ def boxes(frames):
 
 
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
-def test_alone_it_arrives_on_its_centre_line_within_all_limits(roadmap):
+def test_alone_it_arrives_on_its_center_line_within_all_limits(roadmap):
     frames, decisions = drive(roadmap)
     along = stations(roadmap, frames)
     offset = np.hypot(*(frames[:, [X, Y]] - roadmap.ego_route.pose(along)[:, :2]).T)

@@ -3,7 +3,7 @@ import pytest
 
 from behavexplor.ads.road.lane_arrays import pose_on_lane
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, travelled
+from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, traveled
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 
 LOGICAL = IntersectionStraightEnv.logical
@@ -57,13 +57,13 @@ def test_a_vehicle_on_no_lane_goes_straight_on():
 
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(5.0, 0.0), (5.0, 3.0), (9.0, 4.0), (5.0, -1.0), (3.0, -6.0)])
-def test_the_distance_travelled_agrees_with_small_steps(speed, acceleration):
+def test_the_distance_traveled_agrees_with_small_steps(speed, acceleration):
     limit, step, distance, v = 11.0, 1e-4, 0.0, speed
     for i in range(int(6 / step)):
         after = np.clip(v + acceleration * step, 0.0, limit) if i * step < 2.0 else v
         distance += (v + after) / 2 * step
         v = after
-    assert travelled(speed, acceleration, 2.0, limit, 6.0) == pytest.approx(distance, abs=1e-2)
+    assert traveled(speed, acceleration, 2.0, limit, 6.0) == pytest.approx(distance, abs=1e-2)
 
 
 def test_the_reach_spans_keeping_the_speed_and_keeping_the_acceleration():

@@ -36,7 +36,7 @@ def graph_of(roadmap, npcs, station=20.0):
 
 
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
-def test_the_path_is_the_centre_line_of_the_route(roadmap):
+def test_the_path_is_the_center_line_of_the_route(roadmap):
     path = ego_path(roadmap)
     for station in np.linspace(0, roadmap.ego_route.length, 50):
         pose = pose_on_path(path, station)

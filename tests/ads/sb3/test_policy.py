@@ -116,7 +116,7 @@ def test_a_recurrent_policy_carries_its_state_and_forgets_it_at_an_episode_start
     assert np.abs(np.array([actions[0] for actions in got[1:]]) - blank).max() > 1e-4
 
 
-def normalised(stack):
+def normalized(stack):
     """Stable-Baselines3's own preparation of observations, its statistics those of some random steps."""
     env = VecNormalize(DummyVecEnv([lambda: Still(gymnasium.spaces.Box(-3.0, 9.0, (7, 5), np.float32))]), clip_obs=1.5)
     env.reset()
@@ -128,7 +128,7 @@ def normalised(stack):
 
 @pytest.mark.parametrize("stack", [1, 3])
 def test_observations_are_prepared_as_in_training(stack, tmp_path):
-    statistics, env = normalised(stack)
+    statistics, env = normalized(stack)
     model = make_model("PPO", env.observation_space)
     model.save(tmp_path / "model")
     statistics.save(str(tmp_path / "vecnormalize.pkl"))
@@ -144,7 +144,7 @@ def test_observations_are_prepared_as_in_training(stack, tmp_path):
 
 
 def test_statistics_are_those_of_vecnormalize(tmp_path):
-    env, _ = normalised(1)
+    env, _ = normalized(1)
     env.save(str(tmp_path / "saved.pkl"))
     statistics = Statistics.read(tmp_path / "saved.pkl")
     raw = np.random.default_rng(3).uniform(-30, 30, (50, 7, 5)).astype(np.float32)
@@ -153,7 +153,7 @@ def test_statistics_are_those_of_vecnormalize(tmp_path):
 
 
 def test_statistics_that_leave_observations_alone_are_none(tmp_path):
-    env, _ = normalised(1)
+    env, _ = normalized(1)
     env.norm_obs = False
     env.save(str(tmp_path / "saved.pkl"))
     assert Statistics.read(tmp_path / "saved.pkl") is None
@@ -198,7 +198,7 @@ def test_a_payload_among_the_weights_does_nothing_and_is_named(tmp_path, ppo):
 
 
 def test_a_payload_in_the_statistics_does_nothing_and_is_named(tmp_path, ppo, caplog):
-    env, _ = normalised(1)
+    env, _ = normalized(1)
     env.extra = Payload(tmp_path / "proof")
     env.save(str(tmp_path / "vecnormalize.pkl"))
     (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
@@ -334,7 +334,7 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
     ("settings", "message"),
     [
         ({"env_wrapper": "os.system"}, "trained in the wrapper 'os.system', which is not applied"),
-        ({"normalize": True}, r"observations were normalised, but vecnormalize\.pkl is missing"),
+        ({"normalize": True}, r"observations were normalized, but vecnormalize\.pkl is missing"),
         ({"frame_stack": "many"}, "frame_stack in .*valid integer"),
         ({"frame_stack": -2}, "must be at least 1"),
     ],

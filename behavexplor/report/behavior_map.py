@@ -1,4 +1,4 @@
-"""The behaviours of a run: abstract states over time, and a map on which like behaviours lie near each other."""
+"""The behaviors of a run: abstract states over time, and a map on which like behaviors lie near each other."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -42,13 +42,13 @@ class State:
 
 
 @dataclass(frozen=True)
-class Behaviours:
+class Behaviors:
     """What the ego did in some executions.
 
     Attributes:
         states: the abstract states, the slowest first.
         labels: abstract trace of each execution by its number, indices of `states`, one for each `TIME_STEP`.
-        places: on the map, by number of the execution; distances on it are about those between behaviours.
+        places: on the map, by number of the execution; distances on it are about those between behaviors.
     """
 
     states: tuple[State, ...]
@@ -64,7 +64,7 @@ class Behaviours:
         return ", ".join(f"{letter} {count * TIME_STEP:.1f} s" for letter, count in self.stretches(number))
 
 
-def behaviours(traces: Mapping[int, Trace]) -> Behaviours:
+def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
     """Abstract all traces with clusters that are fitted to them once.
 
     Args:
@@ -82,7 +82,7 @@ def behaviours(traces: Mapping[int, Trace]) -> Behaviours:
     order, states = _states(np.concatenate(merged), np.concatenate(found))
     labels = {number: order[old] for number, old in zip(traces, found, strict=True)}
     places = {number: (float(x), float(y)) for number, (x, y) in zip(traces, scaled(distances), strict=True)}
-    return Behaviours(states, labels, places)
+    return Behaviors(states, labels, places)
 
 
 def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
@@ -126,9 +126,9 @@ def scaled(distances: Floats) -> Floats:
         Shape (n, 2); of the mirror images the one in which the farthest point of each axis is on its positive side.
     """
     squared = distances**2
-    centred = squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean()
+    centered = squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean()
     with threadpool_limits(limits=1):  # last bits must not depend on the machine's cores
-        values, vectors = np.linalg.eigh(-centred / 2)
+        values, vectors = np.linalg.eigh(-centered / 2)
     points = np.zeros((len(distances), 2))
     for axis, index in enumerate(range(len(values) - 1, max(len(values) - 3, -1), -1)):
         column = vectors[:, index] * np.sqrt(max(values[index], 0.0))
