@@ -168,7 +168,7 @@ def config_of(method):
 def of_experiment(value, folder, capfd):
     experiment = read_experiment(str(to_yaml(folder / "experiment.yaml", value)))
     assert experiment.to_yaml()
-    assert all(not cell.folder.is_absolute() and ".." not in cell.folder.parts for cell in experiment.cells())
+    assert all(not run.folder.is_absolute() and ".." not in run.folder.parts for run in experiment.runs())
 
 
 def of_environment(value, folder, capfd):

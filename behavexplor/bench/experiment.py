@@ -1,4 +1,4 @@
-"""What an experiment is: read from a file, checked, and spread out into its cells, one campaign each."""
+"""Experiments: read from a file, validated, and laid out as runs, one campaign each."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config, checked
 from behavexplor.errors import InputError, unknown_name
 
 EXPERIMENT: Final = "experiment.yaml"  # in an experiment's folder
-MOST_CELLS: Final = 100_000
+MOST_RUNS: Final = 100_000
 _FROM_CONFIG: Final = ("method", "options")  # all that an experiment takes from a campaign's file
 
 
@@ -55,6 +55,7 @@ class Experiment:
         workers: processes that execute the scenarios of one campaign; 0 is the campaign's own, without limits of
             time and memory.
         trust: as a campaign's `trust`.
+        specs: requirements of the user, as a campaign's `specs`.
         reference: the method that is compared with each other one; the first by default.
         baseline: the method that each other one is compared with, if any.
         groups: tables of some methods only, by name, beside the one of all.
@@ -75,6 +76,7 @@ class Experiment:
     batch: int = 8
     workers: int = 0
     trust: tuple[str, ...] = ()
+    specs: tuple[str, ...] = ()
     reference: str = ""
     baseline: str = ""
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -97,16 +99,16 @@ class Experiment:
             if name not in self.methods:
                 raise unknown_name("method of the experiment", name, self.methods)
         count = len(self.envs) * len(self.ads) * len(self.methods) * self.seeds
-        if count > MOST_CELLS:
-            raise InputError(f"The experiment has {count} campaigns: more than {MOST_CELLS} are surely a mistake")
-        self.cells()
+        if count > MOST_RUNS:
+            raise InputError(f"The experiment has {count} campaigns: more than {MOST_RUNS} are surely a mistake")
+        self.runs()
 
     @property
     def compared(self) -> str:
         """The name of the reference."""
         return self.reference or next(iter(self.methods))
 
-    def cells(self) -> list["Cell"]:
+    def runs(self) -> list["PlannedRun"]:
         """All campaigns: seed by seed, so that whatever part of them has run is balanced."""
         campaigns = [
             (env, ads, method, self._campaign(env, ads, choice))
@@ -115,7 +117,7 @@ class Experiment:
             for method, choice in self.methods.items()
         ]
         return [
-            Cell(env, ads, method, seed, replace(config, seed=seed))
+            PlannedRun(env, ads, method, seed, replace(config, seed=seed))
             for seed in range(self.first_seed, self.first_seed + self.seeds)
             for env, ads, method, config in campaigns
         ]
@@ -123,18 +125,20 @@ class Experiment:
     def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
         """All campaigns of a method in one place but for their seeds."""
         values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
-        return campaign_config({**values, "budget": self.budget, "batch": self.batch, "trust": self.trust})
+        return campaign_config(
+            {**values, "budget": self.budget, "batch": self.batch, "trust": self.trust, "specs": self.specs}
+        )
 
     def to_yaml(self) -> str:
         """The whole experiment, its methods with their options."""
         values = asdict(self)
-        values |= {key: list(values[key]) for key in ("envs", "ads", "trust")}
+        values |= {key: list(values[key]) for key in ("envs", "ads", "trust", "specs")}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}
         return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
 
 
 @dataclass(frozen=True)
-class Cell:
+class PlannedRun:
     """One campaign of an experiment.
 
     Attributes:

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from behavexplor.bench.experiment import Cell, Experiment
-from behavexplor.bench.runs import state
+from behavexplor.bench.experiment import Experiment, PlannedRun
+from behavexplor.bench.runs import run_state
 from behavexplor.bench.timing import read_timing
 from behavexplor.execution.simulation import Simulation
 
@@ -17,7 +17,7 @@ _WARMING: Final = 2  # executions before, in which what is compiled is compiled
 
 
 def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
-    """The time that the cells which are not finished will take [s].
+    """Return the time that the unfinished runs will take [s].
 
     What a method needs for its own thinking counts where a campaign of it has been measured already; else it is a
     few executions, timed here and now, that are taken for all.
@@ -25,28 +25,28 @@ def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
     Raises:
         InputError: if an ADS or an environment cannot be used.
     """
-    cells = experiment.cells()
-    measured = _measured(cells, root)
+    runs = experiment.runs()
+    measured = _measured(runs, root)
     seconds = 0.0
-    for cell in cells:
-        found = state(cell, root)
+    for run in runs:
+        found = run_state(run, root)
         if found.finished:
             continue
-        place = (cell.env, cell.ads)
-        if (*place, cell.method) not in measured and place not in measured:
+        place = (run.env, run.ads)
+        if (*place, run.method) not in measured and place not in measured:
             measured[place] = trial(*place, experiment.batch, experiment.trust)
-        seconds += (experiment.budget - found.executions) * measured.get((*place, cell.method), measured.get(place, 0))
+        seconds += (experiment.budget - found.executions) * measured.get((*place, run.method), measured.get(place, 0))
     return seconds / jobs
 
 
-def _measured(cells: Sequence[Cell], root: Path) -> dict[tuple[str, ...], float]:
+def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], float]:
     """Seconds an execution by environment, ADS and method, where any was measured."""
     found: dict[tuple[str, ...], list[float]] = {}
-    for cell in cells:
-        timing = read_timing(root / cell.folder)
+    for run in runs:
+        timing = read_timing(root / run.folder)
         if timing.executions:
             seconds = (timing.executing + timing.analysing) / timing.executions
-            found.setdefault((cell.env, cell.ads, cell.method), []).append(seconds)
+            found.setdefault((run.env, run.ads, run.method), []).append(seconds)
     return {key: float(np.mean(values)) for key, values in found.items()}
 
 

@@ -3,25 +3,24 @@
 import csv
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.stats import pearsonr
 
-from behavexplor.bench.experiment import Cell
+from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
-from behavexplor.campaign.campaign import ERROR
+from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
+from behavexplor.data.decision_log import ENVIRONMENT
+from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import NPC_CAUSED
-from behavexplor.judge.specs import SPECS
-from behavexplor.triage.counterfactual import ENVIRONMENT
 from behavexplor.triage.signatures import signature
 
-COLLISION, LINES, DESTINATION = (spec.name for spec in SPECS)
-LABELS: Final = {COLLISION: "R1", LINES: "R2", DESTINATION: "R3", ERROR: "error"}  # what tables call them
+LABELS: Final = {**REQUIREMENTS, ERROR: "error"}  # what tables call the specs; a user's spec goes by its name
 UNEXPLAINED: Final = "unexplained"
 _LEAST_PAIRS: Final = 3  # of a correlation
 
@@ -32,7 +31,7 @@ class Failure:
 
     Attributes:
         number: of the execution, counted from 0.
-        label: "R1", "R2" or "R3", the first requirement that it violates; or "error".
+        label: "R1", "R2", "R3" or the name of a user's spec, the first spec that it violates; or "error".
         npc_caused: whether it is a collision that an NPC caused, as far as its trace alone tells.
         kind: its class of violations, if it has been classified.
         signature: the weakness of the rule planner that its decision log hints at, or "environment" or "unexplained";
@@ -63,6 +62,7 @@ class Summary:
         r: Pearson's correlation of violation degree and behavior distance (the paper's r_BF), where the method
             measures that distance.
         r_p: its p.
+        labels: what tables call the specs, in their order: "R1", "R2", "R3", specs of the user, and "error".
     """
 
     env: str
@@ -76,6 +76,7 @@ class Summary:
     analysing: float
     r: float | None = None
     r_p: float | None = None
+    labels: tuple[str, ...] = tuple(LABELS.values())
 
     def total(self, label: str | None = None) -> int:
         """How many failed, of one label or of all."""
@@ -111,26 +112,27 @@ class Summary:
         return sum(failure.npc_caused for failure in self.failures)
 
 
-def summarize(cell: Cell, root: Path) -> Summary:
-    """What the campaign of a cell found.
+def summarize(run: PlannedRun, root: Path) -> Summary:
+    """What the campaign of a run found.
 
     Args:
-        cell: whose run folder is read.
+        run: whose run folder is read.
         root: the experiment's folder.
 
     Raises:
         InputError: if the run folder is damaged.
     """
-    folder = root / cell.folder
+    folder = root / run.folder
     store = Store.read(folder)
     novel, pairs, failures = 0, [], []
-    count = 0
+    count, specs = 0, dict.fromkeys(REQUIREMENTS)
     for record in store.records():
         count += 1
-        novel += bool(record["novel"])
-        if "novelty" in record["search"] and ERROR not in record:
-            pairs.append((float(record["degree"]), float(record["search"]["novelty"])))
-        if record["violated"]:
+        novel += record.novel
+        specs |= dict.fromkeys(record.degrees)
+        if "novelty" in record.search and record.error is None and record.degree is not None:
+            pairs.append((record.degree, float(record.search["novelty"])))
+        if record.failed:
             failures.append(_failure(record))
     failures = _with_signatures(failures, store)
     store.close()
@@ -138,10 +140,10 @@ def summarize(cell: Cell, root: Path) -> Summary:
     share = count / timing.executions if timing.executions else math.nan
     r, p = correlation(pairs)
     return Summary(
-        cell.env,
-        cell.ads,
-        cell.method,
-        cell.seed,
+        run.env,
+        run.ads,
+        run.method,
+        run.seed,
         count,
         tuple(failures),
         novel / count,
@@ -149,12 +151,13 @@ def summarize(cell: Cell, root: Path) -> Summary:
         timing.analysing * share,
         r,
         p,
+        tuple(LABELS.get(name, name) for name in (*specs, ERROR)),
     )
 
 
-def _failure(record: Mapping[str, Any]) -> Failure:
-    name = record["violated"][0]
-    return Failure(int(record["id"]), LABELS.get(name, name), record.get("fault") in NPC_CAUSED, record.get("class"))
+def _failure(record: Record) -> Failure:
+    label = LABELS.get(record.violated[0], record.violated[0])
+    return Failure(record.id, label, record.fault in NPC_CAUSED, record.violation_class)
 
 
 def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]:
@@ -165,7 +168,7 @@ def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]
         trace = execution.load_trace()
         if failure.label != LABELS[ERROR] and "triggered" not in trace.decisions:
             return list(failures)
-        found = signature(trace, tuple(execution.record["violated"]))
+        found = signature(trace, execution.record.violated)
         signed.append(replace(failure, signature=found or UNEXPLAINED))
     return signed
 
@@ -189,10 +192,16 @@ def all_signed(summaries: Sequence[Summary]) -> bool:
     return all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries)
 
 
+def all_labels(summaries: Sequence[Summary]) -> tuple[str, ...]:
+    """Return the labels of all specs of an experiment, in their order, "error" last."""
+    named = dict.fromkeys(label for summary in summaries for label in summary.labels)
+    return (*(label for label in named if label != LABELS[ERROR]), LABELS[ERROR])
+
+
 def summary_rows(summaries: Sequence[Summary]) -> list[dict[str, object]]:
     """The columns of each campaign by name; what not all failures of the experiment have is left out."""
-    unique, signed = all_classified(summaries), all_signed(summaries)
-    return [_row(summary, unique=unique, signed=signed) for summary in summaries]
+    unique, signed, labels = all_classified(summaries), all_signed(summaries), all_labels(summaries)
+    return [_row(summary, labels, unique=unique, signed=signed) for summary in summaries]
 
 
 def summaries_csv(summaries: Sequence[Summary]) -> str:
@@ -205,8 +214,7 @@ def summaries_csv(summaries: Sequence[Summary]) -> str:
     return text.getvalue()
 
 
-def _row(summary: Summary, *, unique: bool, signed: bool) -> dict[str, object]:
-    labels = LABELS.values()
+def _row(summary: Summary, labels: Sequence[str], *, unique: bool, signed: bool) -> dict[str, object]:
     values: dict[str, object] = {name: getattr(summary, name) for name in ("env", "ads", "method", "seed")}
     values |= {"executions": summary.executions, "failed": summary.total()}
     values |= {f"failed_{label}": summary.total(label) for label in labels}

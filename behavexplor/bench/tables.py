@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, Estimate, compare, estimate, least_p
-from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_signed
+from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_labels, all_signed
+from behavexplor.campaign.record import ERROR
 
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
@@ -279,9 +280,9 @@ def _mean(found: Sequence[Summary], figure: Figure) -> Estimate:
 
 
 def _labels(summaries: Sequence[Summary]) -> list[str]:
-    """R1 to R3, and errors if there were any."""
+    """Return the labels of all specs, and that of errors if there were any."""
     seen = {failure.label for summary in summaries for failure in summary.failures}
-    return [label for label in LABELS.values() if label.startswith("R") or label in seen]
+    return [label for label in all_labels(summaries) if label != LABELS[ERROR] or label in seen]
 
 
 def _of(summaries: Sequence[Summary], group: Group) -> list[Summary]:

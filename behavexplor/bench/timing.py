@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from behavexplor.campaign.campaign import Progress
 from behavexplor.campaign.config import checked
+from behavexplor.campaign.progress import Progress
 from behavexplor.errors import InputError
 
-TIMING: Final = "timing.json"  # in the run folder of a cell
+TIMING: Final = "timing.json"  # in the run folder of an experiment's run
 WRITE_SECONDS: Final = 5.0  # between two times that it is written [s]
 
 

@@ -8,70 +8,40 @@ interruption is nothing but running it again with the stored traces in place of 
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig, checked
+from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import evaluate
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import R1, REQUIREMENTS
 from behavexplor.judge.fault import contact_fault
-from behavexplor.judge.specs import SPECS, Verdict, judge
+from behavexplor.judge.specs import SPECS, Spec, Verdict, judge
 
 COMMIT_ROWS = 50  # executions that are brought to disk together at most
 COMMIT_SECONDS = 0.25  # and how long one waits for the others at most [s]
 
 
-ERROR = "error"  # violated by an ADS that does something else than driving
 _ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # of an object: it differs from run to run
 
 
 class ExecutionError(Exception):
     """An execution could not be carried out, though not for anything that the ADS did: no finding."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a campaign has come; every execution counted here is on disk.
-
-    Attributes:
-        executions: how many are stored.
-        failed: how many of them violate a spec.
-        violations: failures by the first spec that they violate, R1 before R2 before R3: a collision keeps
-            the ego from its destination, too; and "error", what else an ADS did than driving.
-        classes: failures by their class, see `behavexplor.judge.classes`; one for each unique violation.
-        novel: how many showed a behavior that was new to the campaign.
-        elapsed: running time, also before an interruption [s].
-        earlier: part of it before the interruption [s].
-        executing: part of the rest spent waiting for executions [s].
-        resumed: executions that had been stored by an earlier run.
-        method: figures of the search method by name.
-        last: the latest execution that was "novel", of a new "class", or counts for a spec, by that name.
-    """
-
-    executions: int = 0
-    failed: int = 0
-    violations: Mapping[str, int] = field(default_factory=dict)
-    classes: Mapping[str, int] = field(default_factory=dict)
-    novel: int = 0
-    elapsed: float = 0.0
-    earlier: float = 0.0
-    executing: float = 0.0
-    resumed: int = 0
-    method: Mapping[str, float] = field(default_factory=dict)
-    last: Mapping[str, int] = field(default_factory=dict)
 
 
 class Campaign:
@@ -82,7 +52,8 @@ class Campaign:
         method: asks for scenarios, see `search_method`.
         logical: which scenarios are possible.
         store: where its executions go; what it holds already is not executed again.
-        executor: runs `behavexplor.execution.executor.evaluate`.
+        executor: executes scenarios, see `behavexplor.execution.evaluator.Evaluator`.
+        specs: requirements that judge each execution.
     """
 
     def __init__(
@@ -92,6 +63,7 @@ class Campaign:
         logical: LogicalScenario,
         store: Store,
         executor: Executor,
+        specs: Sequence[Spec] = SPECS,
     ) -> None:
         self._config = config
         self._method = method
@@ -99,13 +71,14 @@ class Campaign:
         self._budget = Budget.parse(config.budget)
         self._store = store
         self._executor = executor
+        self._specs = specs
         self._archive = NoveltyArchive()
         self._stored = store.end  # candidates before this one have been executed, unless the store has lost them
         self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
-        self.progress = Progress(violations={spec.name: 0 for spec in SPECS}, earlier=store.elapsed)
+        self.progress = Progress(violations={spec.name: 0 for spec in specs}, earlier=store.elapsed)
         self.stopping = False
 
     def stop(self) -> None:
@@ -172,13 +145,13 @@ class Campaign:
 
     def _submit(self, candidate: Candidate) -> Future[bytes]:
         try:
-            return self._executor.submit(evaluate, candidate.scenario.to_json().encode())
+            return self._executor.submit(EXECUTE, candidate.scenario.to_json().encode())
         except RuntimeError as error:  # a worker has died, and the others with it
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
 
     def _tell(self, candidate: Candidate, result: Future[bytes] | Execution) -> None:
         if isinstance(result, Execution):
-            self._told(candidate, result.trace, result.record.get(ERROR), result)
+            self._told(candidate, result.trace, result.record.error, result)
             return
         data, failure = b"", None
         try:
@@ -200,13 +173,13 @@ class Campaign:
         self.progress = replace(self.progress, executing=self.progress.executing + time.monotonic() - before)
 
     def _told(
-        self, candidate: Candidate, data: bytes, failure: Mapping[str, str] | None, stored: Execution | None
+        self, candidate: Candidate, data: bytes, failure: dict[str, str] | None, stored: Execution | None
     ) -> None:
         """Judge an execution, tell the method, and store the record unless it was stored before."""
         record = self._record(candidate, Trace.from_bytes(data), failure)
         if stored is None:
             self._store.add(Execution(record, data, self.elapsed))
-        elif any(record.get(name) != value for name, value in stored.record.items()):  # old records say less
+        elif not stored.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
             raise InputError(
                 f"The run cannot be resumed: execution {candidate.number} is judged otherwise now, so the "
                 f"configuration or the program has changed"
@@ -214,28 +187,36 @@ class Campaign:
         else:
             self._count(stored, resumed=1)
 
-    def _record(self, candidate: Candidate, trace: Trace, failure: Mapping[str, str] | None) -> dict[str, Any]:
-        verdict = judge(trace, SPECS)
+    def _record(self, candidate: Candidate, trace: Trace, failure: dict[str, str] | None) -> Record:
+        verdict = self._judge(candidate, trace)
         if failure is not None:
             verdict = replace(verdict, violated=(ERROR,))
         novelty = self._archive.observe(trace)
         learned = self._method.tell(candidate, trace, verdict)
-        return {
-            "id": candidate.number,
-            "origin": candidate.origin,
-            "parent": candidate.parent,
-            "end": trace.end,
-            **({ERROR: dict(failure)} if failure is not None else {}),
-            "duration": trace.duration,
-            "violated": list(verdict.violated),
-            **_described(trace, verdict, failure),
-            "degree": verdict.degree,
-            "degrees": dict(verdict.degrees),
-            "novelty": novelty,
-            "novel": novelty > self._archive.options.threshold,
-            "search": dict(learned),
-            "scenario": candidate.scenario.to_dict(),
-        }
+        return Record(
+            id=candidate.number,
+            origin=candidate.origin,
+            parent=candidate.parent,
+            end=trace.end,
+            error=failure,
+            duration=trace.duration,
+            violated=verdict.violated,
+            violation_class=_class_id(trace, verdict, failure),
+            fault=_fault(trace, verdict),
+            degree=verdict.degree,
+            degrees=dict(verdict.degrees),
+            novelty=novelty,
+            novel=novelty > self._archive.options.threshold,
+            search=dict(learned),
+            scenario=candidate.scenario.to_dict(),
+        )
+
+    def _judge(self, candidate: Candidate, trace: Trace) -> Verdict:
+        try:
+            return judge(trace, self._specs)
+        except InputError as error:
+            place = f"in execution {candidate.number} of {self._store.folder}"
+            raise InputError(f"{error}, {place}: mend the spec, then go on with fuzz --resume") from error
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:
         """Bring what was told to disk if it is enough or waited long enough, then count it."""
@@ -250,32 +231,35 @@ class Campaign:
 
     def _count(self, execution: Execution, resumed: int = 0) -> None:
         record, progress = execution.record, self.progress
-        first = record["violated"][:1]
-        kind = record.get("class")
-        marks = (["novel"] if record["novel"] else []) + first
+        first, kind = record.violated[:1], record.violation_class
+        marks = [*(["novel"] if record.novel else []), *first]
         marks += ["class"] if kind is not None and kind not in progress.classes else []
         self.progress = replace(
             progress,
             executions=progress.executions + 1,
-            failed=progress.failed + bool(record["violated"]),
+            failed=progress.failed + record.failed,
             violations={**progress.violations, **{name: progress.violations.get(name, 0) + 1 for name in first}},
             classes=progress.classes if kind is None else {**progress.classes, kind: progress.classes.get(kind, 0) + 1},
-            novel=progress.novel + record["novel"],
+            novel=progress.novel + record.novel,
             resumed=progress.resumed + resumed,
             last={**progress.last, **dict.fromkeys(marks, execution.id)},
         )
 
 
-def _described(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> dict[str, str | None]:
-    """For the record of a failure: its class, and the verdict on the contact if there is one."""
+def _class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> str | None:
+    """Return the class of a failure for its record; None for a passed execution."""
     if failure is not None:
-        return {"class": f"{ERROR}/{failure['kind']}"}
+        return f"{ERROR}/{failure['kind']}"
     if not verdict.violated:
-        return {}
-    first, kind = verdict.violated[0], violation_class(trace, verdict)
-    spec = REQUIREMENTS.get(first, first)
-    fault = contact_fault(trace) if spec == R1 else None
-    return {"class": kind.id if kind else spec, **({"fault": fault} if fault is not None else {})}
+        return None
+    first, kind = verdict.violated[0], violation_class(trace, verdict.violated)
+    return kind.id if kind else REQUIREMENTS.get(first, first)
+
+
+def _fault(trace: Trace, verdict: Verdict) -> str | None:
+    """Return the fault for a collision for its record; None if the failure counts for another spec."""
+    is_collision = bool(verdict.violated) and REQUIREMENTS.get(verdict.violated[0]) == R1
+    return contact_fault(trace) if is_collision else None
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self, TypeVar, get_type_hints
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
 
@@ -66,6 +67,8 @@ class CampaignConfig:
         unconfined: whether an ADS that is not shipped with this package may write files and use the network. Else
             its worker processes may not, where the system can prevent it.
         trust: digests ("sha256:...") of policies' files that may run code of their own while they are loaded.
+        specs: requirements of the user beside R1, R2 and R3, each as "package.module:attribute"; see
+            `behavexplor.judge.robustness`.
         options: of the search method; see its `Options`.
 
     Raises:
@@ -80,10 +83,11 @@ class CampaignConfig:
     budget: str = "750"
     seed: int = 0
     batch: int = 8
-    time_limit: float = 300.0
-    memory_limit: float = 8.0
+    time_limit: float = TIME_LIMIT
+    memory_limit: float = MEMORY_LIMIT
     unconfined: bool = False
     trust: tuple[str, ...] = ()
+    specs: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -99,9 +103,14 @@ class CampaignConfig:
             if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
                 raise InputError(f"--trust {digest!r} must be sha256: and 64 hexadecimal digits, of a policy's file")
 
+    @property
+    def target(self) -> Target:
+        """The driving system in its environment, with the limits of its processes."""
+        return Target(self.env, self.ads, self.trust, self.unconfined, self.time_limit, self.memory_limit)
+
     def to_yaml(self) -> str:
         """The whole configuration; a campaign that is given this file is the same campaign."""
-        return yaml.safe_dump({**asdict(self), "trust": list(self.trust)}, sort_keys=False)
+        return yaml.safe_dump({**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}, sort_keys=False)
 
 
 def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:

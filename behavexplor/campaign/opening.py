@@ -1,21 +1,17 @@
 """A campaign made ready to run: its ADS loaded, its run folder open, what executes it started; and all of it closed."""
 
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
-from behavexplor.execution.cluster.address import cluster_executor
-from behavexplor.execution.executor import begin, make_executor, warm_up
 from behavexplor.execution.simulation import logical_scenario
-
-_SETTINGS = ("env", "ads", "trust", "time_limit", "memory_limit", "unconfined")  # what an execution needs
+from behavexplor.execution.start import check_ads, start_executor
+from behavexplor.judge.robustness import load_specs
 
 
 @dataclass(frozen=True)
@@ -55,25 +51,19 @@ def opened(
         patience: entered while the ADS is loaded and tried.
 
     Raises:
-        InputError: if the ADS, the environment, the search method, the cluster or the run folder cannot be used.
+        InputError: if the ADS, the environment, the search method, a spec, the cluster or the run folder cannot be
+            used.
     """
     logical = logical_scenario(config.env)
-    search = search_method(config, logical)
+    search, specs = search_method(config, logical), load_specs(config.specs)
     with ExitStack() as stack:
         with patience or nullcontext():
-            if workers == 0 and not cluster:
-                begin(config.env, config.ads, config.trust)
-            executor = _executor(config, workers, cluster)
-            stack.callback(executor.shutdown, wait=False, cancel_futures=True)
-            warnings = warm_up(executor)
+            executor = start_executor(config.target, workers, cluster)
+            stack.callback(executor.shutdown, wait=False)
+            warnings = check_ads(executor)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
-        yield Ready(Campaign(config, search, logical, store, executor), store, warnings)
-
-
-def _executor(config: CampaignConfig, workers: int, cluster: str) -> Executor:
-    settings: dict[str, Any] = {name: getattr(config, name) for name in _SETTINGS}
-    return cluster_executor(cluster, workers, settings) if cluster else make_executor(workers, **settings)
+        yield Ready(Campaign(config, search, logical, store, executor, specs), store, warnings)
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:

@@ -33,6 +33,7 @@ from behavexplor.campaign.database import (
     upgrade,
     written_format,
 )
+from behavexplor.campaign.record import Record
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
@@ -51,24 +52,24 @@ class Execution:
     """One stored execution.
 
     Attributes:
-        record: its figures as JSON values; `id` counts from 0 in the order in which they were asked for.
+        record: its figures.
         trace: as bytes, see `behavexplor.data.trace.Trace.from_bytes`.
         elapsed: running time of the campaign up to it [s].
     """
 
-    record: dict[str, Any]
+    record: Record
     trace: bytes
     elapsed: float
 
     @property
     def id(self) -> int:
         """Its number."""
-        return int(self.record["id"])
+        return self.record.id
 
     @property
     def scenario(self) -> Scenario:
         """What was executed."""
-        return Scenario.from_dict(self.record["scenario"])
+        return self.record.load_scenario()
 
     def load_trace(self) -> Trace:
         """What happened."""
@@ -219,9 +220,9 @@ class Store:
         """
         rows = []
         for execution in self._pending:
-            record = json.dumps(execution.record, allow_nan=False).encode()
+            record = execution.record.to_json().encode()
             rows.append(Row(execution.id, record, execution.trace, float(execution.elapsed)))
-            if execution.record["violated"]:
+            if execution.record.failed:
                 self._write_failure(execution)
         insert(self._connection, rows)
         committed, self._pending = self._pending, []
@@ -232,7 +233,7 @@ class Store:
         return self.folder / FAILURES / f"{number:06d}.json"
 
     def _write_failure(self, execution: Execution) -> None:
-        write_durably(self.failure_path(execution.id), json.dumps(execution.record, indent=1) + "\n")
+        write_durably(self.failure_path(execution.id), json.dumps(execution.record.to_dict(), indent=1) + "\n")
 
     def executions(self) -> Iterator[Execution]:
         """All committed executions in order.
@@ -245,7 +246,7 @@ class Store:
                 raise self._damaged(number)
             yield self._checked(row)
 
-    def records(self, losses: Losses | None = None) -> Iterator[dict[str, Any]]:
+    def records(self, losses: Losses | None = None) -> Iterator[Record]:
         """The records of all committed executions in order; no trace is read.
 
         Args:
@@ -259,7 +260,7 @@ class Store:
             with suppress(DamagedError):
                 record = None if row is None else _record(row)
             if record is not None:
-                if losses is not None and record["violated"] and not self.failure_path(number).is_file():
+                if losses is not None and record.failed and not self.failure_path(number).is_file():
                     losses.files.append(number)
                 yield record
             elif losses is None:
@@ -311,7 +312,7 @@ class Store:
             execution = _execution(row)
         except DamagedError:
             return None
-        if execution.record["violated"] and not self.failure_path(number).is_file():
+        if execution.record.failed and not self.failure_path(number).is_file():
             self._write_failure(execution)
         return execution
 
@@ -333,21 +334,18 @@ def _execution(row: Row) -> Execution:
     return Execution(_record(row), row.trace, row.elapsed)
 
 
-def _record(row: Row) -> dict[str, Any]:
-    """What a row says, if a campaign can have said it.
+def _record(row: Row) -> Record:
+    """Return the record in a row.
 
     Raises:
-        DamagedError: if it cannot.
+        DamagedError: if there is none, or that of another execution.
     """
     try:
-        record = json.loads(row.record)
-    except (ValueError, RecursionError) as error:
+        record = Record.from_json(row.record)
+    except ValueError as error:
         raise DamagedError(str(error)) from None
-    if not isinstance(record, dict) or record.get("id") != row.id or not isinstance(record.get("scenario"), dict):
-        raise DamagedError("it is no record")
-    violated = record.get("violated")
-    if not isinstance(violated, list) or not all(isinstance(name, str) for name in violated):
-        raise DamagedError("it is no record")
+    if record.id != row.id:
+        raise DamagedError("it is the record of another execution")
     return record
 
 

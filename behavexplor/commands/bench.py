@@ -9,9 +9,9 @@ from typing import Annotated
 import tyro
 
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
-from behavexplor.bench.experiment import EXPERIMENT, Cell, Experiment, read_experiment
+from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.forecast import forecast
-from behavexplor.bench.runs import Cells, Progress, state
+from behavexplor.bench.runs import ExperimentProgress, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.tables import Table, tables
 from behavexplor.bench.writing import table_csv, table_latex
@@ -23,8 +23,10 @@ from behavexplor.commands.report import PAGE
 from behavexplor.commands.signals import stopped_by_signals
 from behavexplor.commands.terminal_tables import text
 from behavexplor.errors import InputError
+from behavexplor.execution.cluster.address import parse_cluster
 from behavexplor.execution.executor import available_cores
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.robustness import load_specs
 from behavexplor.report.experiment_page import experiment_page
 
 _MAX_JOBS = 1024
@@ -37,6 +39,7 @@ def bench(
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ and its name)")
     ] = None,
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the available cores)")] = None,
+    cluster: Annotated[str, tyro.conf.arg(metavar="ray|dask[:ADDRESS]", help_behavior_hint="")] = "",
     dry_run: bool = False,
     tables_only: bool = False,
     quiet: bool = False,
@@ -48,13 +51,15 @@ def bench(
     Args:
         experiment: File of the experiment, or the name of one that is shipped: "quick", "methods", "windows", "paper".
         out: Folder of the experiment.
-        jobs: Campaigns that run at a time, each on one core.
+        jobs: Campaigns that run at a time, each on one core; with --cluster the number of nodes.
+        cluster: Run the campaigns on a cluster of Ray or Dask (see docs/robustness.md). Without an address, one is
+            started on this machine.
         dry_run: Only say how many campaigns there are and how long they will take.
         tables_only: Run nothing; make the tables of what is finished.
         quiet: Only the tables.
     """
     chosen = read_experiment(experiment)
-    jobs = _checked_jobs(jobs)
+    jobs = _checked_jobs(jobs, cluster)
     root = out or Path("runs") / chosen.name
     if dry_run:
         print(_plan(chosen, root, jobs))
@@ -62,19 +67,22 @@ def bench(
     code = OK
     if not tables_only:
         _prepare(chosen, root)
-        code = _run(chosen, root, jobs, quiet=quiet)
-    finished = [cell for cell in chosen.cells() if state(cell, root).finished]
+        code = _run(chosen, root, jobs, cluster, quiet=quiet)
+    finished = [run for run in chosen.runs() if run_state(run, root).finished]
     if finished:
         _report(chosen, root, _summaries(finished, root, quiet=quiet))
-    print(f"{len(finished)} of {len(chosen.cells())} campaigns are finished; everything is kept in {root}")
+    print(f"{len(finished)} of {len(chosen.runs())} campaigns are finished; everything is kept in {root}")
     if finished:
         print(f"As a page: {root / PAGE}")
     return code
 
 
-def _checked_jobs(jobs: int | None) -> int:
+def _checked_jobs(jobs: int | None, cluster: str) -> int:
+    """Return the number of jobs; 0 for as many as a cluster has cores."""
+    if cluster:
+        parse_cluster(cluster)
     if jobs is None:
-        return available_cores()
+        return 0 if cluster else available_cores()
     if not 1 <= jobs <= _MAX_JOBS:
         raise InputError(f"--jobs {jobs} must lie between 1 and {_MAX_JOBS}")
     return jobs
@@ -82,14 +90,14 @@ def _checked_jobs(jobs: int | None) -> int:
 
 def _plan(experiment: Experiment, root: Path, jobs: int) -> str:
     """What would be run, in words."""
-    cells = experiment.cells()
-    states = [state(cell, root) for cell in cells]
+    runs = experiment.runs()
+    states = [run_state(run, root) for run in runs]
     finished = sum(found.finished for found in states)
     left = sum(experiment.budget - found.executions for found in states if not found.finished)
     parts = f"{len(experiment.envs)} environments, {len(experiment.ads)} ADS, {len(experiment.methods)} methods"
-    seconds = forecast(experiment, root, jobs)
+    seconds = forecast(experiment, root, jobs or available_cores())
     return (
-        f"{len(cells)} campaigns of {experiment.budget} executions: {parts}, {experiment.seeds} seeds\n"
+        f"{len(runs)} campaigns of {experiment.budget} executions: {parts}, {experiment.seeds} seeds\n"
         f"{finished} are finished; {left} executions are left, about {clock(seconds)} with {jobs} at a time"
     )
 
@@ -98,18 +106,19 @@ def _prepare(experiment: Experiment, root: Path) -> None:
     """Refuse at once what no campaign could do, then make the folder.
 
     Raises:
-        InputError: if an environment, an ADS or a method cannot be used, or the folder is another's.
+        InputError: if an environment, an ADS, a method or a spec cannot be used, or the folder is another's.
     """
     if root.is_dir() and any(root.iterdir()) and not (root / EXPERIMENT).is_file():
         raise InputError(f"{root} is not empty and no experiment's folder: choose another --out")
-    unlike: dict[tuple[str, str], list[Cell]] = {}
-    for cell in experiment.cells():
-        if cell.seed == experiment.first_seed:
-            unlike.setdefault((cell.env, cell.ads), []).append(cell)
-    for (env, ads), cells in unlike.items():
+    load_specs(experiment.specs)
+    unlike: dict[tuple[str, str], list[PlannedRun]] = {}
+    for run in experiment.runs():
+        if run.seed == experiment.first_seed:
+            unlike.setdefault((run.env, run.ads), []).append(run)
+    for (env, ads), runs in unlike.items():
         simulation = Simulation(env, ads, experiment.trust)
-        for cell in cells:
-            search_method(cell.config, simulation.logical)
+        for run in runs:
+            search_method(run.config, simulation.logical)
         simulation.close()
     try:
         root.mkdir(parents=True, exist_ok=True)
@@ -118,34 +127,34 @@ def _prepare(experiment: Experiment, root: Path) -> None:
         raise InputError(f"The experiment's folder {root} cannot be written: {error.strerror}") from None
 
 
-def _run(experiment: Experiment, root: Path, jobs: int, *, quiet: bool) -> int:
-    """Run what is left; the exit code."""
-    running = Cells(experiment.cells(), root, jobs, experiment.workers)
-    total = len(experiment.cells()) * experiment.budget
+def _run(experiment: Experiment, root: Path, jobs: int, cluster: str, *, quiet: bool) -> int:
+    """Run what is left, and return the exit code."""
+    running = ExperimentRunner(experiment.runs(), root, jobs, experiment.workers, cluster)
+    total = len(experiment.runs()) * experiment.budget
     with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
         ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
     for warning in ended.warnings:
-        print(f"Beware: {warning}", file=sys.stderr)
-    for cell, failure in ended.failed.items():
-        print(f"{program()}: {cell}: {failure}", file=sys.stderr)
+        print(f"Warning: {warning}", file=sys.stderr)
+    for run, failure in ended.failed.items():
+        print(f"{program()}: {run}: {failure}", file=sys.stderr)
     if running.stopping:
         print("Interrupted; the same command goes on", file=sys.stderr)
         return INTERRUPTED
     return EXECUTION_FAILED if ended.failed else OK
 
 
-def _words(progress: Progress) -> str:
+def _words(progress: ExperimentProgress) -> str:
     failed = f", {len(progress.failed)} failed" if progress.failed else ""
     left = f", about {clock(progress.left)} left" if progress.left is not None else ""
-    return f"{progress.finished} of {progress.cells} campaigns{failed}{left}"
+    return f"{progress.finished} of {progress.runs} campaigns{failed}{left}"
 
 
-def _summaries(cells: Sequence[Cell], root: Path, *, quiet: bool) -> list[Summary]:
+def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> list[Summary]:
     """What each campaign found; of a large experiment with many failures that takes a minute or two."""
-    with Meter(sys.stderr, len(cells), "campaigns read", quiet=quiet) as meter:
+    with Meter(sys.stderr, len(runs), "campaigns read", quiet=quiet) as meter:
         found = []
-        for cell in cells:
-            found.append(summarize(cell, root))
+        for run in runs:
+            found.append(summarize(run, root))
             meter.show(len(found))
     return found
 
@@ -174,9 +183,9 @@ def _files(table: Table) -> dict[str, str]:
     return {"csv": table_csv(table), "tex": table_latex(table)}
 
 
-def _stoppable(cells: Cells) -> AbstractContextManager[None]:
+def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:
     def stop() -> None:
-        cells.stop()
+        runner.stop()
         print("Stopping after the executions that are running; once more to stop at once.", file=sys.stderr)
 
     return stopped_by_signals(stop, _interrupt)

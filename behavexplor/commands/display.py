@@ -14,8 +14,8 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 
-from behavexplor.campaign.campaign import Progress
 from behavexplor.campaign.config import Budget
+from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 
 LINE_SECONDS = 10.0  # between two plain lines [s]

@@ -3,6 +3,7 @@
 import signal
 import sqlite3
 import sys
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -60,6 +61,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     workers: Annotated[int | None, _flag("N", "the available cores")] = None,
     cluster: Annotated[str | None, _flag("ray|dask[:ADDRESS]", None)] = None,
     trust: Annotated[str | None, _flag("DIGEST", None)] = None,
+    spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, _flag("MODULE:NAME", None)] = (),
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, _flag("RUN", None)] = None,
     unconfined: bool = False,
@@ -81,6 +83,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         cluster: Have the workers on a cluster of Ray's or Dask's (see docs/robustness.md); without an address one is
             started on this machine.
         trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
+        spec: A requirement of your own beside R1, R2 and R3: a function of a trace that returns its signed robustness
+            (docs/specs.md). May be given several times; adds to those of --config.
         out: Run folder, new or empty.
         resume: Go on with the campaign in this run folder; a larger --budget extends it, a smaller one ends it earlier
             this time.
@@ -92,9 +96,11 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None}
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers, cluster)
-    if resume and (config or out):
-        raise InputError("--config and --out cannot be given with --resume: the run folder has its configuration")
-    chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
+    if resume and (config or out or spec):
+        raise InputError(
+            "--config, --spec and --out cannot be given with --resume: the run folder has its configuration"
+        )
+    chosen = _resumed_config(resume, given) if resume else _new_config(given, spec, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     folder = resume or out or run_folder(chosen, Path("runs"))
@@ -110,7 +116,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         if ready.store.repaired:
             display.say(ready.store.repaired)
         for warning in ready.warnings:
-            display.say(f"Beware: {warning}")
+            display.say(f"Warning: {warning}")
         code = _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
         if code == OK and 0 < ready.campaign.progress.executions == ready.campaign.progress.resumed:
             display.say("There was nothing left to do: a larger --budget extends the run.")
@@ -153,8 +159,11 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
     return default if workers is None else workers
 
 
-def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
-    return campaign_config({**(read_config(file) if file else {}), **given})
+def _new_config(given: dict[str, Any], specs: Sequence[str], file: str | None) -> CampaignConfig:
+    values = {**(read_config(file) if file else {}), **given}
+    if specs:
+        values["specs"] = [*values.get("specs", ()), *specs]
+    return campaign_config(values)
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:

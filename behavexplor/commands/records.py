@@ -22,7 +22,7 @@ def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RU
     """
     store, losses = Store.read(run), Losses()
     for record in store.records(losses):
-        sys.stdout.write(json.dumps(record, separators=(",", ":")) + "\n")
+        sys.stdout.write(json.dumps(record.to_dict(), separators=(",", ":")) + "\n")
     sys.stdout.flush()
     store.close()
     lost = losses.sentences(run)

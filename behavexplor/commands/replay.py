@@ -7,16 +7,17 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.campaign import ERROR, ads_failure
+from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import evaluate, make_executor
+from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation, logical_scenario
+from behavexplor.execution.start import start_executor
 from behavexplor.report.drawing import decisive_frame, draw, save_animation
 from behavexplor.triage.findings import read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
@@ -58,8 +59,7 @@ def replay(
     logical = logical_scenario(config.env)
     if avoided:
         return _avoid(execution, config, run, out or run / "replays")
-    if ERROR in execution.record:
-        failure = execution.record[ERROR]
+    if (failure := execution.record.error) is not None:
         print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
     else:
         _show(execution, logical.roadmap, out or run / "replays")
@@ -84,8 +84,8 @@ def _show(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
 def _draw(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
     """Make the pictures, and say what they show."""
     trace, caption = execution.load_trace(), _verdict(execution)
-    frame = decisive_frame(trace, execution.record["violated"])
-    degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record["degrees"].items())
+    frame = decisive_frame(trace, execution.record.violated)
+    degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record.degrees.items())
     animation, picture = _save(trace, roadmap, frame, caption, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s; violation degrees: {degrees}")
     print(f"Animation: {animation}\nDecisive moment, at {trace.time[frame]:.2f} s: {picture}")
@@ -138,12 +138,11 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
 
 def _compare(execution: Execution, config: CampaignConfig) -> int:
     """Run an execution again, in a process of its own for whatever its ADS may do."""
-    limits = (config.time_limit, config.memory_limit)
-    with make_executor(1, config.env, config.ads, config.trust, *limits, config.unconfined) as executor:
+    with start_executor(config.target, 1) as executor:
         try:
-            again = executor.submit(evaluate, execution.scenario.to_json().encode()).result()
+            again = executor.submit(EXECUTE, execution.scenario.to_json().encode()).result()
         except ADSError as error:
-            if execution.record.get(ERROR) == ads_failure(error):
+            if execution.record.error == ads_failure(error):
                 print("Running it again, it failed in the same way.")
                 return OK
             print(f"Running it again, {error}", file=sys.stderr)
@@ -157,5 +156,5 @@ def _compare(execution: Execution, config: CampaignConfig) -> int:
 
 def _verdict(execution: Execution) -> str:
     """What an execution did, after its number."""
-    violated = " and ".join(execution.record["violated"]) or "nothing"
-    return f"violates {violated}, ended by {_ENDED_BY[execution.record['end']]}"
+    violated = " and ".join(execution.record.violated) or "nothing"
+    return f"violates {violated}, ended by {_ENDED_BY[execution.record.end]}"

@@ -5,7 +5,7 @@ import shlex
 import sys
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -14,27 +14,32 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.campaign.campaign import ERROR, ads_failure
+from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store, write_durably
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
+from behavexplor.data.decision_log import UNKNOWN
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import (
-    InProcessExecutor,
-    available_cores,
-    compile_for_workers,
-    evaluate,
-    prepare_worker,
-)
-from behavexplor.execution.pool import WorkerPool
+from behavexplor.execution.evaluator import EXECUTE, recipe_for
+from behavexplor.execution.executor import Executor, available_cores
 from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.start import start_executor
 from behavexplor.triage.agreement import agreement
-from behavexplor.triage.counterfactual import UNKNOWN
 from behavexplor.triage.coverage import weakness_records
-from behavexplor.triage.examination import begin, begin_worker, error_finding, examination, examine, seen
-from behavexplor.triage.findings import TRIAGE, WITNESSES, Finding, Sighting, Triage, counted, witness_path
+from behavexplor.triage.examination import EXAMINE, Examiner, examination
+from behavexplor.triage.findings import (
+    TRIAGE,
+    WITNESSES,
+    Finding,
+    Sighting,
+    Triage,
+    counted,
+    error_finding,
+    trace_finding,
+    witness_path,
+)
 
 WRITTEN_AFTER = 10  # findings, so that an interruption costs no more than that
 AHEAD = 4  # failures that are read ahead for each worker
@@ -66,16 +71,13 @@ def triage(
     config = stored_config(run)
     store = Store.read(run)
     known = {} if afresh else _known(run)
-    failures = [record["id"] for record in store.records() if record["violated"]]
+    failures = [record.id for record in store.records() if record.failed]
     waiting = [number for number in failures if number not in known]
-    if waiting and count == 0:
-        begin(config.env, config.ads, config.trust)
-    pool = _executor(min(count, len(waiting)), config)
     total = len(store)
     try:
         (run / WITNESSES).mkdir(exist_ok=True)
         with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-            for done, finding in enumerate(_examined(pool, store, waiting, config.seed, AHEAD * count), 1):
+            for done, finding in enumerate(_examined(store, config, waiting, count), 1):
                 known[finding.id] = finding
                 if done % WRITTEN_AFTER == 0:
                     _triage(config, total, known.values()).write(run)
@@ -91,7 +93,6 @@ def triage(
         print(f"{program()}: A failure could not be examined: {error}", file=sys.stderr)
         return EXECUTION_FAILED
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
         store.close()
     print(report(found))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
@@ -112,32 +113,31 @@ def _triage(config: CampaignConfig, total: int, findings: Iterable[Finding]) -> 
     return Triage(config.env, config.ads, total, tuple(sorted(findings, key=lambda finding: finding.id)))
 
 
-def _executor(workers: int, config: CampaignConfig) -> Executor:
-    if workers == 0:
-        return InProcessExecutor()
-    functions = {"evaluate": evaluate, "examine": examine}
-    compile_for_workers(config.env, config.ads, unconfined=config.unconfined)
-    arguments = (config.env, config.ads, tuple(config.trust), config.unconfined)
-    limits = (TIME_LIMIT * config.time_limit, config.memory_limit)
-    return WorkerPool(workers, functions, begin_worker, arguments, *limits, prepare=prepare_worker)
-
-
-def _examined(pool: Executor, store: Store, waiting: Iterable[int], seed: int, ahead: int) -> Iterator[Finding]:
-    """What is found out about failures, in their order, so many of which are read ahead; witnesses are written."""
+def _examined(store: Store, config: CampaignConfig, waiting: Sequence[int], workers: int) -> Iterator[Finding]:
+    """Examine failures in their order, and write the witnesses."""
+    if not waiting:
+        return
+    target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
+    executor = start_executor(
+        target, min(workers, len(waiting)), recipe=recipe_for(Examiner, target, specs=config.specs)
+    )
     pending: deque[tuple[Execution, Future[bytes]]] = deque()
-    for number in waiting:
-        execution = store.execution(number)
-        pending.append((execution, _submitted(pool, execution, seed)))
-        if len(pending) > ahead:
+    try:
+        for number in waiting:
+            execution = store.execution(number)
+            pending.append((execution, _submitted(executor, execution, config.seed)))
+            if len(pending) > AHEAD * workers:
+                yield _finding(store.folder, *pending.popleft())
+        while pending:
             yield _finding(store.folder, *pending.popleft())
-    while pending:
-        yield _finding(store.folder, *pending.popleft())
+    finally:
+        executor.shutdown(wait=False)
 
 
 def _submitted(pool: Executor, execution: Execution, seed: int) -> Future[bytes]:
-    if ERROR in execution.record:
-        return pool.submit(evaluate, execution.scenario.to_json().encode())
-    return pool.submit(examine, examination(execution.record, execution.trace, seed))
+    if execution.record.error is not None:
+        return pool.submit(EXECUTE, execution.scenario.to_json().encode())
+    return pool.submit(EXAMINE, examination(execution.record, execution.trace, seed))
 
 
 def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
@@ -145,10 +145,10 @@ def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
     try:
         answer = future.result()
     except ADSError as error:
-        if ERROR in record:
-            return error_finding(record, happened_again=record[ERROR] == ads_failure(error))
-        return Finding(**seen(record, execution.load_trace()), same_verdict=False, same_trace=False)
-    if ERROR in record:
+        if record.error is not None:
+            return error_finding(record, happened_again=record.error == ads_failure(error))
+        return trace_finding(record, execution.load_trace())
+    if record.error is not None:
         return error_finding(record, happened_again=False)
     values = json.loads(answer)
     if values["witness"] is not None:

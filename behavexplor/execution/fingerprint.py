@@ -1,4 +1,4 @@
-"""What results depend on beside the configuration: two machines that agree in it give the same records."""
+"""Fingerprints of machines: two machines with equal fingerprints give the same records for the same configuration."""
 
 import hashlib
 import json
@@ -13,9 +13,10 @@ from typing import Final
 
 from behavexplor.ads.loading import SYSTEMS
 
-NODE: Final = "node"  # key of an identity that says whose it is
+FINGERPRINT: Final = "fingerprint"  # the function of a service
+NODE: Final = "node"  # key of the machine's name
 _PACKAGE = Path(__file__).parent.parent
-_LIBRARIES = {  # whose arithmetic results go through, by the module that is imported
+_LIBRARIES = {  # libraries that compute results, by the name of the imported module
     "gymnasium": "gymnasium",
     "highway_env": "highway-env",
     "numba": "numba",
@@ -27,21 +28,25 @@ _LIBRARIES = {  # whose arithmetic results go through, by the module that is imp
 }
 
 
-def identify(ads: bytes) -> bytes:
-    """The identity of this process, which has loaded an ADS: a JSON object of texts.
+def fingerprint(ads: bytes) -> bytes:
+    """Return the fingerprint of this process, which has loaded its libraries: a JSON object of texts.
 
     Args:
-        ads: its name, see `behavexplor.ads.loading.load_ads`.
+        ads: JSON list of names of driving systems, see `behavexplor.ads.loading.load_ads`.
     """
-    return _identity(ads.decode(), [name for module, name in _LIBRARIES.items() if module in sys.modules])
+    return _fingerprint(json.loads(ads), [name for module, name in _LIBRARIES.items() if module in sys.modules])
 
 
-def identify_machine(ads: bytes) -> bytes:
-    """The same of this machine: of all that a process on it might load; the ADS itself is not loaded."""
-    return _identity(ads.decode(), [name for name in _LIBRARIES.values() if _is_installed(name)])
+def machine_fingerprint(ads: Iterable[str]) -> bytes:
+    """Return the fingerprint of this machine, with all libraries that are installed. No ADS is loaded.
+
+    Args:
+        ads: names of driving systems.
+    """
+    return _fingerprint(ads, [name for name in _LIBRARIES.values() if _is_installed(name)])
 
 
-def _identity(ads: str, libraries: Iterable[str]) -> bytes:
+def _fingerprint(ads: Iterable[str], libraries: Iterable[str]) -> bytes:
     found = {
         NODE: socket.gethostname(),
         "Python": ".".join(platform.python_version_tuple()[:2]),
@@ -49,7 +54,9 @@ def _identity(ads: str, libraries: Iterable[str]) -> bytes:
         "behavexplor": _digest(_PACKAGE, [*_PACKAGE.rglob("*.py"), *_PACKAGE.rglob("*.npz")]),
     }
     found |= {library: version(library) for library in libraries}
-    return json.dumps(found | _ads_digest(ads)).encode()
+    for name in ads:
+        found |= _ads_digest(name)
+    return json.dumps(found).encode()
 
 
 def _is_installed(library: str) -> bool:
@@ -61,11 +68,11 @@ def _is_installed(library: str) -> bool:
 
 
 def difference(theirs: bytes, ours: bytes) -> str | None:
-    """Why a node would not give the results that this machine gives, as a sentence; None if there is no reason.
+    """Return why a node would not give the results of this machine, as a sentence; None if it would.
 
     Args:
-        theirs: what `identify` gives on the node.
-        ours: what `identify_machine` gives here.
+        theirs: the node's `fingerprint`.
+        ours: the `machine_fingerprint` of this machine.
     """
     found, wanted = json.loads(theirs), json.loads(ours)
     for name in sorted(found.keys() & wanted.keys() - {NODE}):
@@ -76,7 +83,7 @@ def difference(theirs: bytes, ours: bytes) -> str | None:
 
 
 def _ads_digest(name: str) -> dict[str, str]:
-    """Of the file or folder that an ADS is loaded from, if it is none of this package's."""
+    """Return the digest of the file or folder that an ADS is loaded from, unless it is shipped with this package."""
     path, module = Path(name), name.partition(":")[0]
     if module in SYSTEMS:
         return {}
@@ -88,7 +95,7 @@ def _ads_digest(name: str) -> dict[str, str]:
 
 
 def _source(module: str) -> Path | None:
-    """The file of a module, found without importing it or its packages."""
+    """Return the file of a module, found without importing the module or its packages."""
     places: Sequence[str] | None = None
     origin = None
     for i in range(len(parts := module.split("."))):

@@ -1,37 +1,29 @@
-"""Worker processes under supervision: whatever an ADS does in one, the campaign and the other workers go on."""
+"""The parent's side of the process boundary: worker processes under supervision.
 
-import json
+The campaign and the other workers go on whatever an ADS does in one of them.
+"""
+
+import math
 import multiprocessing
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future
+from collections.abc import Iterable
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from multiprocessing.connection import Connection, wait
 from tempfile import TemporaryDirectory
 from threading import Lock, Thread
-from typing import Any, Final, ParamSpec, TypeVar, cast
+from typing import Any, Final
 
 from behavexplor.errors import InputError
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.messages import READY, SUSPECT, Request, settle, split_key
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.worker import (
-    ADS_FAILED,
-    CLOSED,
-    FAILED,
-    KEY_BYTES,
-    READY,
-    SUSPECT,
-    Functions,
-    Request,
-    Together,
-    serve,
-)
-
-P = ParamSpec("P")
-T = TypeVar("T")
+from behavexplor.execution.service import Recipe
+from behavexplor.execution.worker import CLOSED, serve
 
 BEGIN_SECONDS: Final = 600.0  # in which a worker must be ready [s]
 CRASHES: Final = 2  # of a process that an execution has to itself, until they are laid to its ADS
@@ -62,41 +54,24 @@ class _Task:
 
 
 class WorkerPool(Executor):
-    """Runs functions from bytes to bytes in worker processes, each of them replaced when it dies or hangs.
+    """Calls functions of a service in worker processes, each of which is replaced when it dies or hangs.
 
-    What comes back from a worker is bytes; nothing of it is unpickled. One thread supervises all workers. What fails
-    while a worker works on many calls together is not known to be any one's doing: each of them is run again alone, so
-    that its outcome does not depend on its company.
+    One thread supervises all workers. If a call fails in a batch, it is unknown which call of the batch is to blame:
+    each of them is made again alone, so that its outcome does not depend on the others.
 
     Args:
         n_workers: number of processes.
-        functions: those that may be submitted, by name.
-        begin: called in each process; gives what works on many calls together, or None.
-        arguments: of `begin`.
-        time_limit: of one call that a worker has to itself, and between two answers of other workers [s]; the process
-            is killed after it.
-        memory_limit: of one process [GiB], where the system can set it.
-        together: name of the function that can be worked on together.
-        prepare: called before `begin`, with the same arguments; what it takes from the process, all its threads lack.
+        recipe: how each process makes its service.
+        time_limit: limit of one call that has a worker to itself, and of the time between two answers of other workers
+            [s]. The process is killed after it.
+        memory_limit: limit of one process [GiB], where the system can set it.
     """
 
-    def __init__(
-        self,
-        n_workers: int,
-        functions: Functions,
-        begin: Callable[..., Together | None],
-        arguments: tuple[Any, ...],
-        time_limit: float,
-        memory_limit: float,
-        together: str | None = None,
-        prepare: Callable[..., None] | None = None,
-    ) -> None:
-        self._names = {function: name for name, function in functions.items()}
-        self._together = together
-        self._folder = TemporaryDirectory(
-            prefix="behavexplor-", ignore_cleanup_errors=True
-        )  # of the workers' own files
-        self._serving = (functions, prepare, begin, arguments, memory_limit, self._folder.name)
+    def __init__(self, n_workers: int, recipe: Recipe, time_limit: float, memory_limit: float) -> None:
+        recipe.make().prepare()
+        self._recipe = recipe
+        self._folder = TemporaryDirectory(prefix="behavexplor-", ignore_cleanup_errors=True)
+        self._serving = (recipe, memory_limit, self._folder.name)
         self._time_limit = time_limit
         self._keys = count()
         self._lock = Lock()  # of what follows, which is changed by those who submit
@@ -107,34 +82,41 @@ class WorkerPool(Executor):
         self._thread = Thread(target=self._supervise, daemon=True)
         self._thread.start()
 
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Call one of the functions on bytes, as soon as a worker is free.
-
-        The future's exception is an `ADSError` for what the ADS has done, whatever that was, and an `InputError` if a
-        worker could not begin.
-        """
-        if kwargs or len(args) != 1 or not isinstance(args[0], bytes):
-            raise TypeError("a worker's function takes bytes and nothing else")
-        name = self._names[cast("Callable[[bytes], bytes]", fn)]
-        future: Future[T] = Future()
+    def submit(self, function: str, data: bytes) -> "Future[bytes]":
+        """Call a function as soon as a worker is free; see `Executor.submit`."""
+        future: Future[bytes] = Future()
         with self._lock:
             if self._closed:
                 raise RuntimeError("the workers have been shut down")
-            self._waiting.append(_Task(future, name, args[0], alone=name != self._together))
-        with suppress(OSError):  # it is being shut down
-            self._wake.send_bytes(b"")
+            self._waiting.append(_Task(future, function, data, alone=function != self._recipe.batched))
+        self._interrupt()
         return future
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the workers: after their work if it is waited for, else at once."""
+    def stop(self) -> None:
+        """Cancel calls that have not begun, and ask the others to end early."""
+        with self._lock:
+            self._cancel_waiting()
+        for worker in self._workers:
+            if worker is not None:
+                worker.stop()
+
+    def shutdown(self, *, wait: bool = True) -> None:
+        """End the workers: after all calls if `wait`, else at once."""
         with self._lock:
             self._closed = True
             self._aborted = not wait
-            cancelled = [task for task in self._waiting if cancel_futures and task.future.cancel()]
-            self._waiting = deque(task for task in self._waiting if task not in cancelled)
-        with suppress(OSError):  # it was shut down before
-            self._wake.send_bytes(b"")
+            if not wait:
+                self._cancel_waiting()
+        self._interrupt()
         self._thread.join()
+
+    def _cancel_waiting(self) -> None:
+        self._waiting = deque(task for task in self._waiting if not task.future.cancel())
+
+    def _interrupt(self) -> None:
+        """Have the supervising thread look at what is new."""
+        with suppress(OSError):  # the pool was shut down before
+            self._wake.send_bytes(b"")
 
     def _supervise(self) -> None:
         """Hand out calls and listen to the workers, until all is done."""
@@ -143,7 +125,7 @@ class WorkerPool(Executor):
                 self._hand_out()
                 busy = {worker.connection: worker for worker in self._workers if worker and worker.is_listened_to}
                 deadline = min((worker.deadline for worker in busy.values()), default=None)
-                patience = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+                patience = None if deadline in (None, math.inf) else max(deadline - time.monotonic(), 0.0)
                 ready = set(wait([self._woken, *busy], patience))
                 if self._woken in ready:
                     self._woken.recv_bytes()
@@ -173,7 +155,7 @@ class WorkerPool(Executor):
                 task = self._waiting.popleft()
             if not task.future.running() and not task.future.set_running_or_notify_cancel():
                 continue
-            worker = self._workers[place] or _Worker(self._serving)
+            worker = self._workers[place] or _Worker(*self._serving)
             self._workers[place] = worker
             worker.ask(next(self._keys), task, self._time_limit)
 
@@ -207,12 +189,10 @@ class WorkerPool(Executor):
             self._remove(worker)
         elif tag == SUSPECT:
             self._again([worker.tasks.pop(key)])
-        elif tag == ADS_FAILED:
-            worker.tasks.pop(key).future.set_exception(ADSError(**json.loads(content)))
-        elif tag == FAILED:
-            worker.tasks.pop(key).future.set_exception(RuntimeError(content.decode()))
         else:
-            worker.tasks.pop(key).future.set_result(content)
+            settle(worker.tasks.pop(key).future, answer)
+            if self._recipe.long_calls:
+                self._remove(worker)
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
         """Replace a worker that has died, or must."""
@@ -251,15 +231,16 @@ class _Worker:
         deadline: of its next answer, on the monotonic clock [s].
     """
 
-    def __init__(self, serving: tuple[Any, ...]) -> None:
+    def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
         methods = multiprocessing.get_all_start_methods()
         context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
         if context.get_start_method() == "forkserver":
-            context.set_forkserver_preload(["behavexplor.execution.executor"])
+            context.set_forkserver_preload(list(recipe.preload))
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)
-        self._process = context.Process(target=serve, args=(theirs, self.asking, *serving), daemon=True)
+        arguments = (theirs, self.asking, recipe, memory_limit, folder)
+        self._process = context.Process(target=serve, args=arguments, daemon=not recipe.long_calls)
         self._process.start()
         theirs.close()
         self.tasks: dict[int, _Task] = {}
@@ -294,7 +275,7 @@ class _Worker:
         """
         message = self.connection.recv_bytes()
         self._wait_for(time_limit)
-        return int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:]
+        return split_key(message)
 
     def has_closed(self) -> bool:
         """Whether it has lost its connection, which nobody closes but an ADS: it has said so, or still runs."""
@@ -309,6 +290,10 @@ class _Worker:
         if code is not None and code < 0:
             return f"its process was ended by {signal.Signals(-code).name}"
         return f"its process ended with exit code {code}"
+
+    def stop(self) -> None:
+        """Ask the service to end its call early."""
+        self._process.terminate()
 
     def kill(self) -> None:
         """End the process, and release the pipe."""

@@ -30,7 +30,7 @@ class _Witness:
         return answer
 
 
-def health_warnings(simulation: Simulation) -> list[str]:
+def preflight_warnings(simulation: Simulation) -> list[str]:
     """Drive a few scenarios and say what no driver that can be tested should do.
 
     Returns:

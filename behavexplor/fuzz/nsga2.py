@@ -19,7 +19,7 @@ from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.options import MAX_POPULATION, check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.vector_search import Asker
-from behavexplor.judge.specs import SPECS, Verdict
+from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 
@@ -121,6 +121,9 @@ class NSGA2:
         from pymoo.problems.static import StaticProblem  # noqa: PLC0415
 
         values = np.array([generation.values[index] for index in range(len(generation.vectors))])
+        self._algorithm.problem.n_obj = values.shape[
+            1
+        ]  # known from the first verdict on: users have specs of their own
         generation.population.set("X", generation.vectors)
         Evaluator().eval(StaticProblem(self._algorithm.problem, F=values), generation.population)
         self._algorithm.advance(infills=generation.population)
@@ -150,5 +153,5 @@ def _algorithm(size: int, options: NSGA2Options) -> Any:
         crossover=SBX(prob=options.crossover_probability, eta=options.crossover_eta),
         mutation=PM(eta=options.mutation_eta),
     )
-    algorithm.setup(Problem(n_var=size, n_obj=len(SPECS), xl=0.0, xu=1.0), termination=NoTermination(), seed=0)
+    algorithm.setup(Problem(n_var=size, n_obj=1, xl=0.0, xu=1.0), termination=NoTermination(), seed=0)
     return algorithm

@@ -5,6 +5,7 @@ other came from, how large it was. Bounds lie where traffic has gaps, such as be
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -13,9 +14,8 @@ from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.judge.events import R1, R2, R3, Moment, recent, violation_moment
+from behavexplor.judge.events import R1, R2, R3, ViolationEvent, recent, violation_event
 from behavexplor.judge.fault import ALIGNED, CUT_IN_TIME, STATIONARY_SPEED
-from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class ViolationClass:
     """What a violation looks like; equal in all campaigns.
 
     Attributes:
-        spec: "R1", "R2" or "R3".
+        spec: "R1", "R2", "R3", or the name of a user's spec.
         maneuver: of the ego.
         conflict: where the other was or came from (R1), on which side the touched line was (R2), how the drive ended
             (R3).
@@ -67,29 +67,29 @@ class ViolationClass:
             R1: f"Collision with a {self.mark} vehicle {self.conflict}",
             R2: f"Touched a line on the {self.conflict}, {self.mark}",
             R3: ", ".join(filter(None, (f"Not at the destination: {self.conflict}", self.mark))),
-        }[self.spec]
+        }.get(self.spec, f"Violated {self.spec}; the episode {self.conflict}")
         words = f"{what}; the ego was {self.maneuver}" + (f", {self.detail}" if self.detail else "")
         return words.replace("-", " ")
 
 
-def violation_class(trace: Trace, verdict: Verdict) -> ViolationClass | None:
-    """The class of the first violated spec, R1 before R2 before R3.
+def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | None:
+    """Return the class of the first violated spec, R1 before R2 before R3 before the specs of a user.
 
     Args:
-        trace: of an episode; its decision log is not looked at.
-        verdict: on it.
+        trace: the trace of an episode. Its decision log is not looked at.
+        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
 
     Returns:
-        None if none of the paper's specs is violated.
+        The class, or None if no spec is violated.
     """
-    moment = violation_moment(trace, verdict.violated)
-    if moment is None:
+    event = violation_event(trace, violated)
+    if event is None:
         return None
-    return {R1: _collision, R2: _line, R3: _destination}[moment.spec](trace, moment)
+    return {R1: _collision, R2: _line, R3: _destination}.get(event.spec, _other)(trace, event)
 
 
-def _collision(trace: Trace, moment: Moment) -> ViolationClass:
-    frame, npc = moment.frame, moment.partner
+def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
+    frame, npc = event.frame, event.partner
     size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
     motion = motion_of(trace, frame, npc)
     other = f"the other {motion}, " if motion else ""
@@ -97,9 +97,9 @@ def _collision(trace: Trace, moment: Moment) -> ViolationClass:
     return ViolationClass(R1, maneuver_of(trace, frame), _bearing(trace, frame, npc), size, detail)
 
 
-def _line(trace: Trace, moment: Moment) -> ViolationClass:
-    frame = moment.frame
-    start, end = trace.illegal_lines[moment.partner]
+def _line(trace: Trace, event: ViolationEvent) -> ViolationClass:
+    frame = event.frame
+    start, end = trace.illegal_lines[event.partner]
     place, along = trace.position[frame, 0], end - start
     nearest = start + np.clip((place - start) @ along / (along @ along), 0.0, 1.0) * along
     side = "right" if _across(nearest - place, trace.heading[frame, 0]) > 0 else "left"
@@ -107,8 +107,8 @@ def _line(trace: Trace, moment: Moment) -> ViolationClass:
     return ViolationClass(R2, maneuver_of(trace, frame), side, speed)
 
 
-def _destination(trace: Trace, moment: Moment) -> ViolationClass:
-    frame, maneuver = moment.frame, maneuver_of(trace, moment.frame)
+def _destination(trace: Trace, event: ViolationEvent) -> ViolationClass:
+    frame, maneuver = event.frame, maneuver_of(trace, event.frame)
     if trace.end == "passed":
         offset = trace.position[frame, 0] - trace.destination
         side = "right" if _across(offset, trace.heading[frame, 0]) > 0 else "left"
@@ -116,6 +116,12 @@ def _destination(trace: Trace, moment: Moment) -> ViolationClass:
     leader = _ahead(trace, frame)
     behind = "nobody-ahead" if leader is None else f"behind-a-{motion_of(trace, frame, leader) or 'moving'}-vehicle"
     return ViolationClass(R3, maneuver, f"ended-by-{trace.end}", behind, _behavior(trace, frame))
+
+
+def _other(trace: Trace, event: ViolationEvent) -> ViolationClass:
+    """Return the class of a user's spec: only its name, the ego's maneuver and the end of the episode are known."""
+    frame = event.frame
+    return ViolationClass(event.spec, maneuver_of(trace, frame), f"ended-by-{trace.end}", "", _behavior(trace, frame))
 
 
 def _way_there(trace: Trace) -> str:

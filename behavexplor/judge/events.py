@@ -1,5 +1,6 @@
 """When and where a trace violated a spec."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from behavexplor.data.geometry import box_corners, box_segment_distance, point_segment_distance
 from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.judge.fault import touched_npc
-from behavexplor.judge.specs import Collision, Destination, Lines, gap_across
+from behavexplor.judge.specs import ERROR, Collision, Destination, Lines, gap_across
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -20,14 +21,14 @@ REQUIREMENTS: Final = {Collision().name: R1, Lines().name: R2, Destination().nam
 
 
 @dataclass(frozen=True)
-class Moment:
+class ViolationEvent:
     """When a spec was violated first.
 
     Attributes:
-        spec: "R1", "R2" or "R3".
-        frame: of the trace; the last one for R1 and R3.
-        partner: the vehicle touched (R1, an index of `trace.size`), or the line touched (R2, an index of
-            `trace.illegal_lines`); -1 for R3.
+        spec: "R1", "R2", "R3", or the name of a user's spec.
+        frame: frame of the trace; the last frame for all but R2.
+        partner: the touched vehicle (R1, an index of `trace.size`), or the touched line (R2, an index of
+            `trace.illegal_lines`); -1 for all others.
     """
 
     spec: str
@@ -35,27 +36,31 @@ class Moment:
     partner: int = -1
 
 
-def violation_moment(trace: Trace, violated: tuple[str, ...]) -> Moment | None:
-    """The moment of the first violated spec, R1 before R2 before R3: a collision keeps the ego from its destination.
+def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
+    """Return the violation event of the first violated spec.
+
+    R1 comes before R2 before R3, since a collision keeps the ego from its destination. Specs of a user come last.
 
     Args:
-        trace: of an episode.
+        trace: the trace of an episode.
         violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
 
     Returns:
-        None if none of the paper's specs is violated.
+        The event, or None if no spec is violated.
     """
-    spec = next((REQUIREMENTS[name] for name in REQUIREMENTS if name in violated), None)
-    last = len(trace.time) - 1
+    ranked = [*(name for name in REQUIREMENTS if name in violated), *violated]
+    if not ranked or ranked[0] == ERROR:
+        return None
+    spec, last = REQUIREMENTS.get(ranked[0], ranked[0]), len(trace.time) - 1
     if spec == R1:
         npc = touched_npc(trace)
-        return None if npc is None else Moment(R1, last, npc)
+        return None if npc is None else ViolationEvent(R1, last, npc)
     if spec == R2:
         return first_line_touch(trace)
-    return None if spec is None else Moment(R3, last)
+    return ViolationEvent(spec, last)
 
 
-def first_line_touch(trace: Trace) -> Moment | None:
+def first_line_touch(trace: Trace) -> ViolationEvent | None:
     """The first frame in which the ego's box touches an illegal line, and the line."""
     lines, position, heading = trace.illegal_lines, trace.position[:, 0], trace.heading[:, 0]
     if not len(lines):
@@ -73,7 +78,7 @@ def first_line_touch(trace: Trace) -> Moment | None:
     if not len(touching):
         return None
     earliest = touching[frame[touching].argmin()]
-    return Moment(R2, int(frame[earliest]), int(line[earliest]))
+    return ViolationEvent(R2, int(frame[earliest]), int(line[earliest]))
 
 
 def recent(trace: Trace, frame: int, seconds: float) -> Ints:

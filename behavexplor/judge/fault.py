@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 
 Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "other"]
 NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})
+# Verdicts of this module, and those of `behavexplor.triage.blame`, which looks for a way to avoid the collision.
+AT_FAULT: Final = frozenset({"ego_cut_in", "preventable"})
+NOT_AT_FAULT: Final = NPC_CAUSED | {"unpreventable"}
 
 STATIONARY_SPEED: Final = 0.3  # an ego slower than this stands [m/s]
 ALIGNED: Final = 0.8  # greatest difference of the headings in a rear-end contact [rad]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from behavexplor.errors import InputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
+ERROR: Final = "error"  # stands for the violated specs of an execution in which the ADS failed instead of driving
 NOTHING_NEAR = 1000.0  # degree where there is nothing to hit: no NPC, or no illegal line [m]
 _TOLERANCE = 1e-10  # of bounds [m]; far below the resolution of a trace, so that parallel motion is not a long tie
 _BLOCK = 8  # frames that share one bound in the search for the nearest line
@@ -136,7 +137,7 @@ def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
     """What the specs say of a trace.
 
     Raises:
-        InputError: if two specs have the same name, or a degree is not a finite number.
+        InputError: if two specs have the same name, a degree is not a finite number, or a user's spec fails.
     """
     degrees: dict[str, float] = {}
     for spec in specs:

@@ -73,7 +73,7 @@ def experiment_page(
         "experiment.html.jinja",
         ("theme.js",),
         experiment=experiment,
-        total=len(experiment.cells()),
+        total=len(experiment.runs()),
         finished=len(summaries),
         figures=_figures(experiment, curves),
         tables=[_table(table) for table in tables],
@@ -157,7 +157,7 @@ def _table(table: Table) -> dict[str, object]:
 
 def _campaigns(experiment: Experiment, summaries: Sequence[Summary]) -> list[dict[str, str]]:
     """Every campaign with its run folder."""
-    folders = {(cell.env, cell.ads, cell.method, cell.seed): cell.folder.as_posix() for cell in experiment.cells()}
+    folders = {(run.env, run.ads, run.method, run.seed): run.folder.as_posix() for run in experiment.runs()}
     rows = []
     for summary, row in zip(summaries, summary_rows(summaries), strict=True):
         kept = {name: str(value) for name, value in row.items() if name not in _TOO_WIDE}

@@ -1,15 +1,15 @@
 """The gallery: a card for each class of violations, and the replays on the cards."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.campaign.record import Record
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.trace import Trace
-from behavexplor.judge.events import R1, R2, Moment, violation_moment
+from behavexplor.judge.events import R1, R2, ViolationEvent, violation_event
 from behavexplor.report.behavior_map import Behaviors
 from behavexplor.report.packing import pack
 from behavexplor.report.reading import Run
@@ -95,7 +95,7 @@ def _nearest(run: Run) -> Card | None:
     return Card(PASSED, PASSED, words, len(passed), passed[0].id, numbers[0], replays=numbers)
 
 
-def replay_values(trace: Trace, record: Mapping[str, Any], found: Behaviors) -> dict[str, Any]:
+def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, Any]:
     """A replay as JSON values.
 
     Args:
@@ -104,38 +104,38 @@ def replay_values(trace: Trace, record: Mapping[str, Any], found: Behaviors) -> 
         found: the behaviors, with the execution's among them.
 
     Raises:
-        KeyError: if the record lacks something.
+        InputError: if the record holds no valid scenario.
     """
-    moment = violation_moment(trace, tuple(record["violated"]))
-    packed = pack(trace, moment.frame if moment else len(trace.time) - 1)
-    npcs = record["scenario"]["npcs"]
-    mark = None if moment is None else _mark(trace, moment)
+    event = violation_event(trace, record.violated)
+    packed = pack(trace, event.frame if event else len(trace.time) - 1)
+    npcs = record.load_scenario().npcs
+    mark = None if event is None else _mark(trace, event)
     return {
         **packed.values(),
         "size": [[round(float(value), 2) for value in size] for size in trace.size],
-        "types": [str(npc["type"]) for npc in npcs],
-        "routes": [str(npc["route"]) for npc in npcs],
+        "types": [npc.type for npc in npcs],
+        "routes": [npc.route for npc in npcs],
         "end": trace.end,
-        "violated": [str(name) for name in record["violated"]],
+        "violated": list(record.violated),
         "mark": mark and [round(value, 2) for value in mark],
-        "moment": packed.frames - 1 if moment is None else int(np.searchsorted(packed.kept, moment.frame)),
-        "partner": moment.partner if moment and moment.spec == R1 else 0,
-        "states": found.stretches(int(record["id"])),
+        "moment": packed.frames - 1 if event is None else int(np.searchsorted(packed.kept, event.frame)),
+        "partner": event.partner if event and event.spec == R1 else 0,
+        "states": found.stretches(record.id),
     }
 
 
-def _mark(trace: Trace, moment: Moment) -> tuple[float, float]:
+def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
     """Where a violation happened [m]."""
-    ego = trace.position[moment.frame, 0]
-    if moment.spec == R2:
-        start, end = trace.illegal_lines[moment.partner]
+    ego = trace.position[event.frame, 0]
+    if event.spec == R2:
+        start, end = trace.illegal_lines[event.partner]
         along = end - start
         place = start + np.clip((ego - start) @ along / max(along @ along, 1e-12), 0.0, 1.0) * along
-    elif moment.spec == R1:
+    elif event.spec == R1:
         place = ego
         for _ in range(20):  # alternating projections lead into what two boxes share
-            place = _into_box(place, trace, moment.frame, moment.partner)
-            place = _into_box(place, trace, moment.frame, 0)
+            place = _into_box(place, trace, event.frame, event.partner)
+            place = _into_box(place, trace, event.frame, 0)
     else:
         place = trace.destination
     return float(place[0]), float(place[1])

@@ -11,9 +11,16 @@ from typing import Any, Self
 from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.errors import InputError
-from behavexplor.triage.blame import AT_FAULT, NOT_AT_FAULT
-from behavexplor.triage.examination import error_finding, seen
-from behavexplor.triage.findings import TRIAGE, Finding, Triage, WeaknessRecord
+from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT
+from behavexplor.judge.specs import SPECS
+from behavexplor.triage.findings import (
+    TRIAGE,
+    Finding,
+    Triage,
+    WeaknessRecord,
+    error_finding,
+    trace_finding,
+)
 
 
 @dataclass(frozen=True)
@@ -44,15 +51,14 @@ class Entry:
     def of(cls, execution: Execution) -> Self:
         """What the record says; anything that it lacks is left out."""
         record = execution.record
-        search = record.get("search")
         return cls(
-            id=execution.id,
-            end=str(record.get("end", "")),
-            violated=tuple(str(name) for name in record["violated"]),
-            degree=_number(record.get("degree")),
-            novelty=_number(record.get("novelty")),
-            novel=record.get("novel") is True,
-            energy=_number(search.get("parent_energy") if isinstance(search, Mapping) else None),
+            id=record.id,
+            end=record.end,
+            violated=record.violated,
+            degree=math.nan if record.degree is None else record.degree,
+            novelty=math.nan if record.novelty is None else record.novelty,
+            novel=record.novel,
+            energy=_number(record.search.get("parent_energy")),
             elapsed=execution.elapsed,
         )
 
@@ -101,7 +107,7 @@ class Run:
 
     def specs(self) -> dict[str, int]:
         """Failures by the first spec that they violate."""
-        counts = dict.fromkeys(("collision", "lines", "destination"), 0)
+        counts = dict.fromkeys((spec.name for spec in SPECS), 0)
         for entry in self.entries:
             for name in entry.violated[:1]:
                 counts[name] = counts.get(name, 0) + 1
@@ -128,11 +134,11 @@ def read_run(folder: Path) -> Run:
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()
     for execution in stored(folder):
-        entries.append(_entry(folder, execution))
+        entries.append(Entry.of(execution))
         digest.update(execution.trace)
-        digest.update(json.dumps(execution.record, sort_keys=True).encode())
+        digest.update(json.dumps(execution.record.to_dict(), sort_keys=True).encode())
         if entries[-1].violated:
-            findings.append(known.get(execution.id) or _finding(folder, execution))
+            findings.append(known.get(execution.id) or _finding(execution))
     if not entries:
         raise InputError(f"{folder} has no executions yet: go on with `behavexplor fuzz --resume {folder}`")
     digests = {CONFIG: _digest(folder / CONFIG), "executions": digest.hexdigest()}
@@ -152,27 +158,11 @@ def stored(folder: Path) -> Iterator[Execution]:
         store.close()
 
 
-def _entry(folder: Path, execution: Execution) -> Entry:
-    try:
-        return Entry.of(execution)
-    except (KeyError, TypeError, ValueError) as error:
-        raise damaged(folder, error) from None
-
-
-def _finding(folder: Path, execution: Execution) -> Finding:
-    """What the record and the trace alone tell; nobody has run the failure again."""
-    record = execution.record
-    try:
-        if "error" in record:
-            return error_finding(record, happened_again=False)
-        return Finding(**seen(record, execution.load_trace()), same_verdict=False, same_trace=False)
-    except (KeyError, TypeError) as error:
-        raise damaged(folder, error) from None
-
-
-def damaged(folder: Path, error: Exception) -> InputError:
-    """The error for a run that no campaign has written like this."""
-    return InputError(f"{folder} has a record that is not one of a campaign: {error!r:.80}")
+def _finding(execution: Execution) -> Finding:
+    """Return what the record and the trace of a failure tell, before triage."""
+    if execution.record.error is not None:
+        return error_finding(execution.record, happened_again=False)
+    return trace_finding(execution.record, execution.load_trace())
 
 
 def _digest(path: Path) -> str:

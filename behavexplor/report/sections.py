@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
+from behavexplor.campaign.record import Record
 from behavexplor.data.logical import VEHICLE_SIZES
 from behavexplor.data.trace import Trace
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart
 from behavexplor.report.gallery import PASSED, Card, cards, replay_values
-from behavexplor.report.reading import Run, damaged, stored
+from behavexplor.report.reading import Run, stored
 from behavexplor.report.road_shapes import known_road, road_values
 
 Floats = NDArray[np.float64]
@@ -154,17 +155,17 @@ def section(number: int, run: Run, limit: int) -> Section:
         has_road=roadmap is not None,
         values={
             "road": road_values(roadmap, next(iter(traces.values()))),
-            "replays": _replays(run, traces, records, found),
+            "replays": _replays(traces, records, found),
         },
     )
 
 
 def _looked_at(
     run: Run, wanted: Collection[int], replayed: Collection[int]
-) -> tuple[dict[int, Trace], dict[int, Mapping[str, Any]]]:
+) -> tuple[dict[int, Trace], dict[int, Record]]:
     """The traces of some executions, and the records of those that are replayed, by their numbers."""
     traces: dict[int, Trace] = {}
-    records: dict[int, Mapping[str, Any]] = {}
+    records: dict[int, Record] = {}
     for execution in stored(run.folder):
         if execution.id in wanted:
             traces[execution.id] = execution.load_trace()
@@ -173,13 +174,8 @@ def _looked_at(
     return traces, records
 
 
-def _replays(
-    run: Run, traces: Mapping[int, Trace], records: Mapping[int, Mapping[str, Any]], found: Behaviors
-) -> dict[str, Any]:
-    try:
-        return {str(name): replay_values(traces[name], record, found) for name, record in records.items()}
-    except (KeyError, TypeError) as error:
-        raise damaged(run.folder, error) from None
+def _replays(traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
+    return {str(name): replay_values(traces[name], record, found) for name, record in records.items()}
 
 
 def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:

@@ -1,7 +1,7 @@
 """Whose fault a collision was: what the trace alone tells, and for the rest whether it could have been avoided."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -9,15 +9,12 @@ from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.events import R1, violation_moment
-from behavexplor.judge.fault import NPC_CAUSED, contact_fault
-from behavexplor.triage.witness import Witness, find_witness
+from behavexplor.judge.events import R1, violation_event
+from behavexplor.judge.fault import AT_FAULT, contact_fault
+from behavexplor.triage.findings import Witness
+from behavexplor.triage.witness import find_witness
 
 Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "preventable", "unpreventable", "other"]
-
-
-AT_FAULT: Final = frozenset({"ego_cut_in", "preventable"})  # kinds for which the ego answers,
-NOT_AT_FAULT: Final = NPC_CAUSED | {"unpreventable"}  # and those for which it does not
 
 
 @dataclass(frozen=True)
@@ -56,13 +53,13 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     Returns:
         None if the ego touches nobody in the end.
     """
-    quick, moment = contact_fault(trace), violation_moment(trace, ("collision",))
-    if quick is None or moment is None or moment.spec != R1:
+    quick, event = contact_fault(trace), violation_event(trace, ("collision",))
+    if quick is None or event is None or event.spec != R1:
         return None
     inside = in_junction(simulation.logical.roadmap, trace)
     if quick != "other":
         return Blame(quick, inside)
-    witness, tried = find_witness(simulation, scenario, trace, moment, rng)
+    witness, tried = find_witness(simulation, scenario, trace, event, rng)
     if witness is not None:
         return Blame("preventable", inside, witness, tried)
     return Blame("unpreventable" if tried else "other", inside, None, tried)

@@ -15,17 +15,17 @@ from typing import Final
 import numpy as np
 
 from behavexplor.ads.rule import RulePlanner
-from behavexplor.ads.rule.weaknesses import WEAKNESSES, names
+from behavexplor.ads.rule.weaknesses import WEAKNESSES
+from behavexplor.data.decision_log import ENVIRONMENT, UNKNOWN, weakness_names
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.events import R3, REQUIREMENTS, Moment, recent_decisions, violation_moment
+from behavexplor.judge.events import R3, REQUIREMENTS, ViolationEvent, recent_decisions, violation_event
 from behavexplor.judge.specs import judge
 from behavexplor.triage.forks import Fork, run_forks, without
 
 OUTLOOKS: Final = (6.0, 15.0)  # before a violation, in which its causes are looked for; the longer if in vain [s]
 AFTERMATH: Final = 6.0  # behind it: a violation that is put off for longer is another one [s]
-ENVIRONMENT, UNKNOWN = "environment", "unknown"
 UPSTREAM: Final = ("prediction", "decision", "path", "speed", "control")  # the order of the planner's modules
 
 
@@ -57,19 +57,19 @@ def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Caus
         None if nothing is violated, or the ADS is not the rule planner.
     """
     planner = simulation.ads
-    moment = violation_moment(trace, judge(trace).violated)
-    if moment is None or not isinstance(planner, RulePlanner):
+    event = violation_event(trace, judge(trace).violated)
+    if event is None or not isinstance(planner, RulePlanner):
         return None
     hardened = Fork(without(planner.parameters, _switches(WEAKNESSES)))
     careful = run_forks(simulation, scenario, trace, [hardened])[0]
     necessary: tuple[str, ...] = ()
     sufficient: tuple[str, ...] = ()
-    for outlook in OUTLOOKS if moment.spec != R3 else (trace.duration,):
+    for outlook in OUTLOOKS if event.spec != R3 else (trace.duration,):
         if not (necessary or sufficient):
-            necessary, sufficient = _causes(simulation, scenario, trace, moment, outlook)
-    if _violates(careful, moment.spec):
+            necessary, sufficient = _causes(simulation, scenario, trace, event, outlook)
+    if _violates(careful, event.spec):
         return Cause(ENVIRONMENT, necessary, sufficient)
-    return Cause(primary_cause(moment.spec, necessary, sufficient), necessary, sufficient)
+    return Cause(primary_cause(event.spec, necessary, sufficient), necessary, sufficient)
 
 
 def primary_cause(spec: str, necessary: tuple[str, ...], sufficient: tuple[str, ...]) -> str:
@@ -84,10 +84,10 @@ def primary_cause(spec: str, necessary: tuple[str, ...], sufficient: tuple[str, 
     return next((name for name in order if name.startswith(spec)), order[0])
 
 
-def suspected(trace: Trace, moment: Moment, outlook: float) -> tuple[str, ...]:
+def suspected(trace: Trace, event: ViolationEvent, outlook: float) -> tuple[str, ...]:
     """The weaknesses that were reached in the time before a violation [s], upstream first."""
-    bits = trace.decisions["reached"][recent_decisions(trace, moment.frame, outlook)]
-    return upstream_first(names(int(np.bitwise_or.reduce(bits.astype(np.int64)))))
+    bits = trace.decisions["reached"][recent_decisions(trace, event.frame, outlook)]
+    return upstream_first(weakness_names(int(np.bitwise_or.reduce(bits.astype(np.int64)))))
 
 
 def upstream_first(weaknesses: Iterable[str]) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ def upstream_first(weaknesses: Iterable[str]) -> tuple[str, ...]:
 
 
 def _causes(
-    simulation: Simulation, scenario: Scenario, trace: Trace, moment: Moment, outlook: float
+    simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, outlook: float
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The necessary and the sufficient weaknesses, if others are switched off so long before the violation [s].
 
@@ -104,16 +104,16 @@ def _causes(
     """
     planner = simulation.ads
     assert isinstance(planner, RulePlanner)  # noqa: S101 - asked before
-    decisions = recent_decisions(trace, moment.frame, outlook)
+    decisions = recent_decisions(trace, event.frame, outlook)
     begin = int(decisions[0]) if len(decisions) else 0
-    until = None if moment.spec == R3 else float(trace.time[moment.frame]) + AFTERMATH
-    suspects = suspected(trace, moment, outlook)
-    family = {name for name in WEAKNESSES if name.startswith(moment.spec)}
+    until = None if event.spec == R3 else float(trace.time[event.frame]) + AFTERMATH
+    suspects = suspected(trace, event, outlook)
+    family = {name for name in WEAKNESSES if name.startswith(event.spec)}
     kin = [name for name in suspects if name in family]
     off = [set(WEAKNESSES), family, *({name} for name in suspects), *(family - {name} for name in kin)]
     forks = [Fork(without(planner.parameters, _switches(switched)), begin) for switched in off]
     others = run_forks(simulation, scenario, trace, forks, until)
-    too_late, without_kin, *fails = (_violates(other, moment.spec, until) for other in others)
+    too_late, without_kin, *fails = (_violates(other, event.spec, until) for other in others)
     if too_late:  # whatever is switched off
         return (), ()
     necessary = tuple(name for name, fail in zip(suspects, fails, strict=False) if not fail)
@@ -124,8 +124,8 @@ def _causes(
 def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:
     """Whether a drive violates a spec, up to a time [s]."""
     violated = tuple(name for name in judge(trace).violated if REQUIREMENTS.get(name) == spec)
-    moment = violation_moment(trace, violated)
-    return moment is not None and (until is None or bool(trace.time[moment.frame] <= until))
+    event = violation_event(trace, violated)
+    return event is not None and (until is None or bool(trace.time[event.frame] <= until))
 
 
 def _switches(weaknesses: Iterable[str]) -> list[str]:

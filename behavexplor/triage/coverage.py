@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from behavexplor.ads.rule.weaknesses import WEAKNESSES, names
+from behavexplor.data.decision_log import WEAKNESS_NAMES, weakness_names
 from behavexplor.data.trace import Trace
 from behavexplor.triage.findings import Finding, Sighting, WeaknessRecord
 
@@ -17,12 +17,12 @@ def weakness_records(traces: Iterable[tuple[int, Trace]], findings: Sequence[Fin
         findings: of its failures, in order.
     """
     bits = ("reached", "triggered")
-    seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESSES}
+    seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESS_NAMES}
     for number, trace in traces:
         for bit in bits if len(trace.actions) else ():
-            for name in names(int(np.bitwise_or.reduce(trace.decisions[bit].astype(np.int64)))):
+            for name in weakness_names(int(np.bitwise_or.reduce(trace.decisions[bit].astype(np.int64)))):
                 seen[name][bit].append(number)
-    detected = {name: [finding.id for finding in findings if finding.cause == name] for name in WEAKNESSES}
+    detected = {name: [finding.id for finding in findings if finding.cause == name] for name in WEAKNESS_NAMES}
     return {
         name: WeaknessRecord(
             Sighting.of(found["reached"]), Sighting.of(found["triggered"]), Sighting.of(detected[name])

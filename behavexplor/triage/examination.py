@@ -1,94 +1,117 @@
-"""One failure, looked at from all sides; as a function from bytes to bytes, for worker processes."""
+"""Examination of a failure: is it reproducible, whose fault was it, and what caused it?"""
 
 import json
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.campaign.record import Record
 from behavexplor.data.trace import Trace
-from behavexplor.execution import executor
+from behavexplor.execution.evaluator import Evaluator
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.classes import violation_class
-from behavexplor.judge.events import REQUIREMENTS
-from behavexplor.judge.specs import judge
+from behavexplor.judge.robustness import load_specs
+from behavexplor.judge.specs import SPECS, Spec
 from behavexplor.triage.blame import Blame, blame
 from behavexplor.triage.counterfactual import find_cause
-from behavexplor.triage.findings import Finding, witness_values
+from behavexplor.triage.findings import Finding, Witness, trace_finding, witness_values
 from behavexplor.triage.flakiness import repeat
 from behavexplor.triage.signatures import signature
-from behavexplor.triage.witness import Witness
 
 STREAM: Final = 0x7472_6961  # sets the draws of triage apart from those of campaigns
 
-_simulation: list[Simulation] = []  # the one of this process, once it has begun
+EXAMINE: Final = "examine"  # function of the service
 
 
-def begin(env: str, ads: str, trust: Collection[str] = ()) -> Simulation:
-    """Make this process ready to examine failures; see `behavexplor.execution.executor.begin`."""
-    _simulation[:] = [executor.begin(env, ads, trust)]
-    return _simulation[0]
-
-
-def begin_worker(env: str, ads: str, trust: Collection[str], unconfined: bool) -> None:  # noqa: ARG001
-    """The same in a worker process, which examines one failure at a time."""
-    begin(env, ads, trust)
-
-
-def examination(record: Mapping[str, Any], trace: bytes, seed: int) -> bytes:
-    """What `examine` is asked about a stored execution.
+class Examiner(Evaluator):
+    """The evaluator that also examines failures.
 
     Args:
-        record: of the execution.
-        trace: of it.
-        seed: of the campaign.
+        specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
+        target: the fields of a `behavexplor.data.target.Target`.
     """
-    return json.dumps({"record": dict(record), "seed": seed}).encode() + b"\n" + trace
+
+    def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
+        super().__init__(**target)
+        self.functions = {**self.functions, EXAMINE: self.examine}
+        self._specs = tuple(specs)
+
+    def begin(self) -> None:
+        """Load the ADS and make its environment. Failures are examined one by one, so nothing runs in batches."""
+        super().begin()
+        self.batch = None
+
+    def examine(self, request: bytes) -> bytes:
+        """Examine a failure.
+
+        Args:
+            request: the failure as `examination` gives it.
+
+        Returns:
+            The finding, and the witness if there is one, as JSON.
+        """
+        head, record, trace = request.split(b"\n", 2)
+        failure = Failure(Record.from_json(record), Trace.from_bytes(trace))
+        finding, witness = examined(self.simulation, failure, int(head), load_specs(self._specs))
+        shown = None if witness is None else witness_values(witness)
+        return json.dumps({"finding": asdict(finding), "witness": shown}).encode()
 
 
-def examine(request: bytes) -> bytes:
-    """Look at a failure from all sides.
+@dataclass(frozen=True)
+class Failure:
+    """A failed execution.
+
+    Attributes:
+        record: its record.
+        trace: its trace.
+    """
+
+    record: Record
+    trace: Trace
+
+
+def examination(record: Record, trace: bytes, seed: int) -> bytes:
+    """Return the request for `Examiner.examine` about a stored execution.
 
     Args:
-        request: what `examination` gives.
-
-    Returns:
-        The finding, and the witness if there is one, as JSON.
+        record: the record of the execution.
+        trace: its trace as bytes.
+        seed: the seed of the campaign.
     """
-    head, _, data = request.partition(b"\n")
-    values = json.loads(head)
-    record = values["record"]
-    finding, witness = examined(_simulation[0], record, Trace.from_bytes(data), values["seed"])
-    shown = None if witness is None else witness_values(witness)
-    return json.dumps({"finding": asdict(finding), "witness": shown}).encode()
+    return b"%d\n%b\n%b" % (seed, record.to_json().encode(), trace)
 
 
 def examined(
-    simulation: Simulation, record: Mapping[str, Any], trace: Trace, seed: int
+    simulation: Simulation, failure: Failure, seed: int, specs: Sequence[Spec] = SPECS
 ) -> tuple[Finding, Witness | None]:
-    """What is found out about a failure, and a witness against it if there is one.
+    """Examine a failure: execute it again, find out whose fault it was and what caused it.
 
     Args:
-        simulation: with the ADS that drove, in the environment where it did.
-        record: of the execution.
-        trace: of it.
-        seed: of the campaign.
+        simulation: a simulation with the ADS that drove, in the environment in which it drove.
+        failure: the failed execution.
+        seed: the seed of the campaign.
+        specs: the specs that judged it.
+
+    Returns:
+        The finding, and a witness if the collision could have been avoided.
     """
-    scenario = Scenario.from_dict(record["scenario"])
-    again = repeat(simulation, scenario, trace)
-    rng = np.random.default_rng([STREAM, seed, record["id"]])
+    record, trace = failure.record, failure.trace
+    scenario = record.load_scenario()
+    again = repeat(simulation, scenario, trace, specs)
+    rng = np.random.default_rng([STREAM, seed, record.id])
     verdict = blame(simulation, scenario, trace, rng)
     cause = find_cause(simulation, scenario, trace) if again.same_trace else None
-    finding = Finding(
-        **seen(record, trace), same_verdict=again.same_verdict, same_trace=again.same_trace, **_collision(verdict)
+    finding = replace(
+        trace_finding(record, trace),
+        same_verdict=again.same_verdict,
+        same_trace=again.same_trace,
+        **_collision(verdict),
     )
     if cause is not None:
-        named = signature(trace, tuple(record["violated"]))
         finding = replace(
             finding,
-            signature=named,
+            signature=signature(trace, record.violated),
             cause=cause.primary,
             necessary=cause.necessary,
             sufficient=cause.sufficient,
@@ -107,24 +130,3 @@ def _collision(verdict: Blame | None) -> dict[str, Any]:
         "avoidance": avoidance,
         "tried": verdict.tried,
     }
-
-
-def seen(record: Mapping[str, Any], trace: Trace) -> dict[str, Any]:
-    """What the trace alone tells: the first fields of a `Finding`."""
-    kind = violation_class(trace, judge(trace))
-    spec = next((short for name, short in REQUIREMENTS.items() if name in record["violated"]), "other")
-    class_id, words = (kind.id, kind.words) if kind else (spec, "Violates " + ", ".join(record["violated"]))
-    return {"id": record["id"], "spec": spec, "class_id": class_id, "words": words}
-
-
-def error_finding(record: Mapping[str, Any], *, happened_again: bool) -> Finding:
-    """What is known of an execution in which the ADS did something else than driving."""
-    failure = record["error"]
-    return Finding(
-        id=record["id"],
-        spec="error",
-        class_id=f"error/{failure['kind']}",
-        words=f"The ADS failed: {failure['message']}",
-        same_verdict=happened_again,
-        same_trace=happened_again,
-    )

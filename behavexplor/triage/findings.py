@@ -8,11 +8,17 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behavexplor.campaign.config import checked
+from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import write_durably
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.triage.witness import Witness
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.events import REQUIREMENTS
+
+Floats = NDArray[np.float64]
 
 FORMAT: Final = 1
 TRIAGE, WITNESSES = "triage.json", "witnesses"
@@ -141,6 +147,23 @@ class Triage:
         return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
 
 
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """How a collision could have been avoided.
+
+    Attributes:
+        name: kind of the evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
+        begin: up to then it drives as recorded [s].
+        frequency: of the commands, one for each step of the simulation [Hz].
+        commands: acceleration [m/s2] and steering [rad], shape (T, 2).
+    """
+
+    name: str
+    begin: float
+    frequency: int
+    commands: Floats
+
+
 def counted(names: Iterable[str | None]) -> str:
     """Names in words, the most frequent first, with their counts where there are several."""
     counts = Counter(name for name in names if name is not None).most_common()
@@ -182,3 +205,24 @@ def witness_from(values: Mapping[str, Any]) -> Witness:
     if not len(commands) or not np.isfinite(commands).all() or frequency < 1:
         raise ValueError("it has no commands that can be driven")
     return Witness(str(values["name"]), float(values["begin"]), frequency, commands)
+
+
+def trace_finding(record: Record, trace: Trace) -> Finding:
+    """Return what the record and the trace of a failure tell, before the failure has been executed again."""
+    kind = violation_class(trace, record.violated)
+    spec = kind.spec if kind else REQUIREMENTS.get(record.violated[0], record.violated[0])
+    class_id, words = (kind.id, kind.words) if kind else (spec, "Violates " + ", ".join(record.violated))
+    return Finding(id=record.id, spec=spec, class_id=class_id, words=words, same_verdict=False, same_trace=False)
+
+
+def error_finding(record: Record, *, happened_again: bool) -> Finding:
+    """Return the finding for an execution in which the ADS failed."""
+    failure = record.error or {}
+    return Finding(
+        id=record.id,
+        spec=ERROR,
+        class_id=f"{ERROR}/{failure.get('kind', '')}",
+        words=f"The ADS failed: {failure.get('message', '')}",
+        same_verdict=happened_again,
+        same_trace=happened_again,
+    )

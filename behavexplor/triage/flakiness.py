@@ -1,5 +1,6 @@
 """Whether a failure happens again: only what does is a finding."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.specs import judge
+from behavexplor.judge.specs import SPECS, Spec, judge
 
 
 @dataclass(frozen=True)
@@ -26,13 +27,14 @@ class Repetition:
     deviation: float
 
 
-def repeat(simulation: Simulation, scenario: Scenario, trace: Trace) -> Repetition:
+def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Repetition:
     """Run a scenario again and compare what happens.
 
     Args:
         simulation: with the ADS that drove, in the environment where it did.
         scenario: that was driven.
         trace: of it.
+        specs: what judges both.
     """
     try:
         again = simulation.run(scenario)
@@ -41,7 +43,7 @@ def repeat(simulation: Simulation, scenario: Scenario, trace: Trace) -> Repetiti
     frames = min(len(again.time), len(trace.time))
     apart = again.position[:frames, 0] - trace.position[:frames, 0]
     return Repetition(
-        same_verdict=judge(again).violated == judge(trace).violated,
+        same_verdict=judge(again, specs).violated == judge(trace, specs).violated,
         same_trace=again.to_bytes() == trace.to_bytes(),
         deviation=float(np.hypot(apart[:, 0], apart[:, 1]).max()),
     )

@@ -6,19 +6,18 @@ several the one farthest upstream, with those last that apply nearly always. The
 `behavexplor.triage.counterfactual` says how often they are right.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.rule.weaknesses import names
+from behavexplor.data.decision_log import ENVIRONMENT, weakness_names
 from behavexplor.data.trace import Trace
 from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, maneuver_of, speed_of, wrapped
-from behavexplor.judge.events import R1, R3, Moment, recent, recent_decisions, violation_moment
+from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
 from behavexplor.judge.fault import STATIONARY_SPEED, contact_fault
-from behavexplor.triage.counterfactual import ENVIRONMENT
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +26,7 @@ SUDDEN: Final = 2.0  # change of another's speed [m/s2]
 HIDDEN: Final = 0.2  # share of the time for which another was hidden that matters
 
 
-def signature(trace: Trace, violated: tuple[str, ...]) -> str | None:
+def signature(trace: Trace, violated: Sequence[str]) -> str | None:
     """The likely cause of the first violated spec.
 
     Args:
@@ -38,88 +37,88 @@ def signature(trace: Trace, violated: tuple[str, ...]) -> str | None:
         One of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back; None if none of
         them fits, or there is nothing to explain.
     """
-    moment = violation_moment(trace, violated)
-    if moment is None or "triggered" not in trace.decisions:
+    event = violation_event(trace, violated)
+    if event is None or "triggered" not in trace.decisions:
         return None
-    if moment.spec == R1 and contact_fault(trace) == "npc_rear_end":
+    if event.spec == R1 and contact_fault(trace) == "npc_rear_end":
         return ENVIRONMENT
-    seconds = trace.duration if moment.spec == R3 else OUTLOOK
-    bits = trace.decisions["triggered"][recent_decisions(trace, moment.frame, seconds)].astype(np.int64)
-    triggered = names(int(np.bitwise_or.reduce(bits)))
-    kindred = (name for name in _RULES if name in triggered and name.startswith(moment.spec))
-    return next((name for name in kindred if _RULES[name](trace, moment)), None)
+    seconds = trace.duration if event.spec == R3 else OUTLOOK
+    bits = trace.decisions["triggered"][recent_decisions(trace, event.frame, seconds)].astype(np.int64)
+    triggered = weakness_names(int(np.bitwise_or.reduce(bits)))
+    kindred = (name for name in _RULES if name in triggered and name.startswith(event.spec))
+    return next((name for name in kindred if _RULES[name](trace, event)), None)
 
 
-def _changing_lanes(trace: Trace, moment: Moment) -> bool:
-    return maneuver_of(trace, moment.frame).startswith("changing")
+def _changing_lanes(trace: Trace, event: ViolationEvent) -> bool:
+    return maneuver_of(trace, event.frame).startswith("changing")
 
 
-def _overtaken_from(trace: Trace, moment: Moment) -> bool:
+def _overtaken_from(trace: Trace, event: ViolationEvent) -> bool:
     """Whether the other came from behind while the ego changed lanes."""
-    gap = trace.position[moment.frame, moment.partner] - trace.position[moment.frame, 0]
-    heading = trace.heading[moment.frame, 0]
-    return _changing_lanes(trace, moment) and float(gap @ (np.cos(heading), np.sin(heading))) < 0.0
+    gap = trace.position[event.frame, event.partner] - trace.position[event.frame, 0]
+    heading = trace.heading[event.frame, 0]
+    return _changing_lanes(trace, event) and float(gap @ (np.cos(heading), np.sin(heading))) < 0.0
 
 
-def _restarted(trace: Trace, moment: Moment) -> bool:
+def _restarted(trace: Trace, event: ViolationEvent) -> bool:
     """Whether the ego stood shortly before."""
-    frames = recent(trace, moment.frame, OUTLOOK)
+    frames = recent(trace, event.frame, OUTLOOK)
     return bool((np.hypot(*trace.velocity[frames, 0].T) < STATIONARY_SPEED).any())
 
 
-def _crept(trace: Trace, moment: Moment) -> bool:
+def _crept(trace: Trace, event: ViolationEvent) -> bool:
     """Whether the other crept most of the time."""
-    speed = np.hypot(*trace.velocity[recent(trace, moment.frame, OUTLOOK), moment.partner].T)
+    speed = np.hypot(*trace.velocity[recent(trace, event.frame, OUTLOOK), event.partner].T)
     return float(np.median(speed)) < CREEPING
 
 
-def _turned(trace: Trace, moment: Moment) -> bool:
+def _turned(trace: Trace, event: ViolationEvent) -> bool:
     """Whether the other turned."""
-    now = trace.heading[moment.frame, moment.partner]
-    return abs(wrapped(now - heading_before(trace, moment.frame, moment.partner))) > TURNED
+    now = trace.heading[event.frame, event.partner]
+    return abs(wrapped(now - heading_before(trace, event.frame, event.partner))) > TURNED
 
 
-def _was_large(trace: Trace, moment: Moment) -> bool:
-    return bool(trace.size[moment.partner, 0] > LARGE)
+def _was_large(trace: Trace, event: ViolationEvent) -> bool:
+    return bool(trace.size[event.partner, 0] > LARGE)
 
 
-def _was_hidden(trace: Trace, moment: Moment) -> bool:
+def _was_hidden(trace: Trace, event: ViolationEvent) -> bool:
     """Whether the middle of the other was out of the ego's sight for a while."""
-    frames = recent(trace, moment.frame, OUTLOOK)
+    frames = recent(trace, event.frame, OUTLOOK)
     gap = trace.position[frames] - trace.position[frames][:, :1]
     distance = np.hypot(gap[..., 0], gap[..., 1])
     bearing = np.arctan2(gap[..., 1], gap[..., 0])
-    apart = np.abs(np.remainder(bearing - bearing[:, [moment.partner]] + np.pi, 2 * np.pi) - np.pi)
+    apart = np.abs(np.remainder(bearing - bearing[:, [event.partner]] + np.pi, 2 * np.pi) - np.pi)
     covers = apart < np.arctan2(trace.size[:, 1] / 2, np.maximum(distance, 0.1))
-    covers &= distance < distance[:, [moment.partner]]
+    covers &= distance < distance[:, [event.partner]]
     covers[:, 0] = False
     return bool(covers.any(1).mean() > HIDDEN)
 
 
-def _changed_suddenly(trace: Trace, moment: Moment) -> bool:
+def _changed_suddenly(trace: Trace, event: ViolationEvent) -> bool:
     """Whether the other changed its speed suddenly."""
-    frames = recent(trace, moment.frame, OUTLOOK)
-    speed = np.hypot(*trace.velocity[frames, moment.partner].T)
+    frames = recent(trace, event.frame, OUTLOOK)
+    speed = np.hypot(*trace.velocity[frames, event.partner].T)
     return bool((np.abs(np.diff(speed) / np.diff(trace.time[frames])) > SUDDEN).any())
 
 
-def _slow(trace: Trace, moment: Moment) -> bool:
-    return speed_of(trace, moment.frame, 0) < STATIONARY_SPEED
+def _slow(trace: Trace, event: ViolationEvent) -> bool:
+    return speed_of(trace, event.frame, 0) < STATIONARY_SPEED
 
 
-def _passed(trace: Trace, moment: Moment) -> bool:  # noqa: ARG001 - a rule
+def _passed(trace: Trace, event: ViolationEvent) -> bool:  # noqa: ARG001 - a rule
     return trace.end == "passed"
 
 
-def _ended_standing(trace: Trace, moment: Moment) -> bool:
-    return trace.end != "passed" and _slow(trace, moment)
+def _ended_standing(trace: Trace, event: ViolationEvent) -> bool:
+    return trace.end != "passed" and _slow(trace, event)
 
 
-def _always(trace: Trace, moment: Moment) -> bool:  # noqa: ARG001 - a rule
+def _always(trace: Trace, event: ViolationEvent) -> bool:  # noqa: ARG001 - a rule
     return True
 
 
-_RULES: Final = MappingProxyType[str, Callable[[Trace, Moment], bool]](
+_RULES: Final = MappingProxyType[str, Callable[[Trace, ViolationEvent], bool]](
     {  # in the order in which they are tried
         "R1-6": _overtaken_from,
         "R1-5": _changing_lanes,

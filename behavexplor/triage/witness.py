@@ -6,7 +6,6 @@ The models of drivers are those of UN Regulation 157 (annex 4, appendix 3) and m
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -17,8 +16,9 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.events import Moment, first_line_touch
+from behavexplor.judge.events import ViolationEvent, first_line_touch
 from behavexplor.triage.evasion import Evasion, EvasionDriver, path_beside_route, path_straight_on
+from behavexplor.triage.findings import Witness
 from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency, recorded_commands
 
 Floats = NDArray[np.float64]
@@ -40,25 +40,8 @@ SIDEWAYS: Final = 3.5  # as far as they go to either side [m]
 CAREFUL, IDEAL, ANTICIPATION, SAMPLED = "careful and competent", "ideal braking", "anticipation", "sampled"
 
 
-@dataclass(frozen=True, eq=False)
-class Witness:
-    """How a collision could have been avoided.
-
-    Attributes:
-        name: kind of the evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
-        begin: up to then it drives as recorded [s].
-        frequency: of the commands, one for each step of the simulation [Hz].
-        commands: acceleration [m/s2] and steering [rad], shape (T, 2).
-    """
-
-    name: str
-    begin: float
-    frequency: int
-    commands: Floats
-
-
 def find_witness(
-    simulation: Simulation, scenario: Scenario, trace: Trace, moment: Moment, rng: np.random.Generator
+    simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, rng: np.random.Generator
 ) -> tuple[Witness | None, int]:
     """How a collision could have been avoided: at first as drivers would, mildest model first, then by drawn evasions.
 
@@ -66,7 +49,7 @@ def find_witness(
         simulation: in whose environment it happened; its ADS is not asked.
         scenario: that was driven.
         trace: of it.
-        moment: of the collision.
+        event: of the collision.
         rng: for the draws.
 
     Returns:
@@ -75,7 +58,7 @@ def find_witness(
     """
     tried = 0
     for batch in range(1 + SAMPLES // BATCH):
-        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modeled(trace, moment)
+        evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modeled(trace, event)
         path = path_beside_route(trace) if batch else path_straight_on(trace)
         driven = drive(simulation, scenario, trace, evasions, path)
         tried += len(driven)
@@ -136,9 +119,9 @@ def _config(rate: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def modeled(trace: Trace, moment: Moment) -> list[Evasion]:
+def modeled(trace: Trace, event: ViolationEvent) -> list[Evasion]:
     """What models of drivers would have done."""
-    alarm, end = alarm_time(trace, moment), float(trace.time[moment.frame])
+    alarm, end = alarm_time(trace, event), float(trace.time[event.frame])
     earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
     careful = Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
     return [careful, Evasion(IDEAL, alarm, -IDEAL_BRAKING), *earlier]
@@ -158,10 +141,10 @@ def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
     )
 
 
-def alarm_time(trace: Trace, moment: Moment) -> float:
+def alarm_time(trace: Trace, event: ViolationEvent) -> float:
     """When the time to collision was first below `ALARM`, if everybody kept their velocity and heading [s]."""
-    frames = np.arange(max(moment.frame - round(EARLIEST * frequency(trace)), 0), moment.frame + 1)
-    pair = [0, moment.partner]
+    frames = np.arange(max(event.frame - round(EARLIEST * frequency(trace)), 0), event.frame + 1)
+    pair = [0, event.partner]
     position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
     ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # boxes do not pass through each other in between
     boxes = box_corners(position + ahead * velocity, trace.heading[frames][:, pair], trace.size[pair])

@@ -1,4 +1,4 @@
-"""Experiments in files: what their cells are, and one sentence for whatever is wrong."""
+"""Experiments in files: what their runs are, and one sentence for whatever is wrong."""
 
 from pathlib import Path
 
@@ -20,9 +20,9 @@ def test_the_shipped_experiments_can_be_run(path):
     experiment = read_experiment(path.stem)
     assert experiment.name == path.stem
     logical = Simulation(experiment.envs[0], "constant").logical
-    for cell in experiment.cells():
-        if cell.seed == experiment.first_seed and cell.env == experiment.envs[0]:
-            search_method(cell.config, logical)
+    for run in experiment.runs():
+        if run.seed == experiment.first_seed and run.env == experiment.envs[0]:
+            search_method(run.config, logical)
 
 
 def test_what_the_shipped_experiments_are():
@@ -30,29 +30,29 @@ def test_what_the_shipped_experiments_are():
     paper = read_experiment("paper")
     assert (paper.seeds, paper.budget, len(paper.envs), paper.ads) == (10, 750, 4, ("rule:apollo-like",))
     assert read_experiment("methods").ads == ("rule",)
-    assert [cell.config.options["miner"]["window"] for cell in read_experiment("windows").cells()[:4]] == [10, 1, 5, 15]
+    assert [run.config.options["miner"]["window"] for run in read_experiment("windows").runs()[:4]] == [10, 1, 5, 15]
 
 
 def test_cells_come_seed_by_seed_and_say_all_of_their_campaign():
     experiment = experiment_config({**SMALL, "seeds": 2, "first_seed": 7, "envs": ["lane-change", "lane-follow"]})
-    cells = experiment.cells()
-    assert [(cell.seed, cell.env, cell.method) for cell in cells[:3]] == [
+    runs = experiment.runs()
+    assert [(run.seed, run.env, run.method) for run in runs[:3]] == [
         (7, "lane-change", "A"),
         (7, "lane-change", "B"),
         (7, "lane-follow", "A"),
     ]
-    assert [cell.seed for cell in cells] == [7] * 4 + [8] * 4
-    last = cells[-1].config
+    assert [run.seed for run in runs] == [7] * 4 + [8] * 4
+    last = runs[-1].config
     assert (last.env, last.method, last.seed, last.budget) == ("lane-follow", "random", 8, "750")
-    assert len({cell.folder for cell in cells}) == 8
+    assert len({run.folder for run in runs}) == 8
 
 
 def test_a_method_from_a_preset_has_its_options():
     experiment = experiment_config({"name": "x", "methods": {"w/o BG": {"config": "without-behavior-guidance"}}})
-    (cell, *_) = experiment.cells()
-    assert cell.config.method == "behavexplor"
-    assert cell.config.options == {"novelty": "none"}
-    assert cell.folder == Path("runs/intersection-straight/rule/w-o-BG/1")
+    (run, *_) = experiment.runs()
+    assert run.config.method == "behavexplor"
+    assert run.config.options == {"novelty": "none"}
+    assert run.folder == Path("runs/intersection-straight/rule/w-o-BG/1")
 
 
 def test_a_written_experiment_is_the_same_experiment():

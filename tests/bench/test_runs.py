@@ -143,9 +143,9 @@ def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, caps
 def test_a_forecast_takes_what_was_measured_and_knows_what_is_left(whole, tmp_path):
     experiment = read_experiment(str(write(tmp_path, 50)))
     root = whole[0] / "out"
-    timings = {cell: read_timing(root / cell.folder) for cell in experiment.cells()}
+    timings = {run: read_timing(root / run.folder) for run in experiment.runs()}
     seconds = {
-        method: np.mean([(t.executing + t.analysing) / 20 for cell, t in timings.items() if cell.method == method])
+        method: np.mean([(t.executing + t.analysing) / 20 for run, t in timings.items() if run.method == method])
         for method in experiment.methods
     }
     assert forecast(experiment, root, 4) == pytest.approx(2 * 30 * sum(seconds.values()) / 4)
@@ -215,10 +215,10 @@ def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
     (folder / "other.yaml").write_text((folder / "small.yaml").read_text() + "batch: 3\n")
     experiment = read_experiment(str(folder / "other.yaml"))
     with pytest.raises(InputError, match="holds another campaign than the experiment's now"):
-        Cells(experiment.cells(), folder / "out", 1, 0)
+        Cells(experiment.runs(), folder / "out", 1, 0)
     smaller = read_experiment(str(write(folder / "out", 10)))
     with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):
-        state(smaller.cells()[0], folder / "out")
+        state(smaller.runs()[0], folder / "out")
 
 
 def test_a_search_that_ends_early_has_finished(tmp_path):
@@ -226,47 +226,47 @@ def test_a_search_that_ends_early_has_finished(tmp_path):
         "  Uniform: {method: uniform}\n", ""
     )
     experiment = read_experiment(str(write(tmp_path, 20, text.replace("baseline: Uniform\n", ""))))
-    cell, other = experiment.cells()
+    run, other = experiment.runs()
     said = []
-    folder = tmp_path / cell.folder
-    assert _campaign(yaml.safe_load(cell.config.to_yaml()), folder, 0, _Stop(), lambda *words: said.append(words))
+    folder = tmp_path / run.folder
+    assert _campaign(yaml.safe_load(run.config.to_yaml()), folder, 0, _Stop(), lambda *words: said.append(words))
     assert ("progress", 5) in said
     assert read_timing(folder).ended == "Five are enough."
     assert read_timing(folder).executions == 5
-    assert state(cell, tmp_path) == State(5, finished=True)
+    assert state(run, tmp_path) == State(5, finished=True)
     assert state(other, tmp_path) == State(0, finished=False)
-    assert Cells([cell], tmp_path, 1, 0).run(lambda _: None).finished == 1
+    assert Cells([run], tmp_path, 1, 0).run(lambda _: None).finished == 1
 
 
 def test_a_campaign_told_to_stop_before_it_began_does_nothing_and_is_not_finished(tmp_path):
-    cell, *_ = read_experiment(str(write(tmp_path, 20))).cells()
+    run, *_ = read_experiment(str(write(tmp_path, 20))).runs()
     stop = _Stop()
     stop()
-    assert not _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, stop, lambda *_: None)
-    assert state(cell, tmp_path) == State(0, finished=False)
+    assert not _campaign(yaml.safe_load(run.config.to_yaml()), tmp_path / run.folder, 0, stop, lambda *_: None)
+    assert state(run, tmp_path) == State(0, finished=False)
 
 
 def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
     root = whole[0] / "out"
-    cell, *_ = read_experiment(str(whole[0] / "small.yaml")).cells()
-    summary = summarize(cell, root)
+    run, *_ = read_experiment(str(whole[0] / "small.yaml")).runs()
+    summary = summarize(run, root)
     assert summary.failures
     assert summary.classified
     assert all(kind.startswith(("R1/", "R2/", "R3/")) for kind in summary.kinds())
-    store = Store.read(root / cell.folder)
+    store = Store.read(root / run.folder)
     faults = [contact_fault(store.execution(failure.number).load_trace()) for failure in summary.failures]
     store.close()
     assert [failure.npc_caused for failure in summary.failures] == [fault in NPC_CAUSED for fault in faults]
 
 
 def test_signatures_are_of_drivers_with_the_planners_log_alone(whole, tmp_path):
-    (cruiser, *_) = read_experiment(str(whole[0] / "small.yaml")).cells()
+    (cruiser, *_) = read_experiment(str(whole[0] / "small.yaml")).runs()
     assert {failure.signature for failure in summarize(cruiser, whole[0] / "out").failures} == {None}
     text = TEXT.replace("tests.drivers:cruiser", "rule")
-    (cell, *_) = read_experiment(str(write(tmp_path, 30, text))).cells()
-    assert _campaign(yaml.safe_load(cell.config.to_yaml()), tmp_path / cell.folder, 0, _Stop(), lambda *_: None)
-    summary = summarize(cell, tmp_path)
-    store = Store.read(tmp_path / cell.folder)
+    (run, *_) = read_experiment(str(write(tmp_path, 30, text))).runs()
+    assert _campaign(yaml.safe_load(run.config.to_yaml()), tmp_path / run.folder, 0, _Stop(), lambda *_: None)
+    summary = summarize(run, tmp_path)
+    store = Store.read(tmp_path / run.folder)
     failed = [store.execution(failure.number) for failure in summary.failures]
     store.close()
     expected = [signature(execution.load_trace(), tuple(execution.record["violated"])) for execution in failed]

@@ -134,6 +134,6 @@ def test_what_a_system_cannot_prevent_is_said(monkeypatch):
     assert confine() == ("write files", "use the network")
     monkeypatch.setattr(executor, "_loose", ["write files"])
     monkeypatch.setattr(executor, "_simulation", [])
-    monkeypatch.setattr(executor, "health_warnings", lambda _: [])
+    monkeypatch.setattr(executor, "preflight_warnings", lambda _: [])
     executor.begin("lane-follow", "constant")
     assert b"write files" in executor.examine(b"")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.execution.preflight import SCENARIOS, health_warnings
+from behavexplor.execution.preflight import SCENARIOS, preflight_warnings
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser, Lost
 
@@ -26,7 +26,7 @@ def warnings_about(driver):
     simulation = Simulation("lane-follow", f"tests.drivers:{Cruiser.__name__}")
     simulation.ads = driver
     try:
-        return health_warnings(simulation)
+        return preflight_warnings(simulation)
     finally:
         simulation.close()
 

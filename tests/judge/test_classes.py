@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.data.trace import Trace
 from behavexplor.judge.classes import violation_class
-from behavexplor.judge.events import first_line_touch, violation_moment
+from behavexplor.judge.events import first_line_touch, violation_event
 from behavexplor.judge.specs import judge
 from tests.judge.test_fault import BEHIND, SIZE, trace
 
@@ -93,10 +93,10 @@ def test_the_first_touch_is_the_first_frame_that_the_spec_would_call_one():
     drifting = trace(9.0, (-60.0, 30.0), 9.0, swerve=0.0)
     shifted = drifting.position + np.array([0.0, 2.6])
     touching = replace(drifting, position=shifted, illegal_lines=RIGHT_OF_IT, end="passed")
-    moment = first_line_touch(touching)
-    assert "lines" in judge(upto(touching, moment.frame)).violated
-    assert "lines" not in judge(upto(touching, moment.frame - 1)).violated
-    assert first_line_touch(upto(touching, moment.frame - 1)) is None
+    event = first_line_touch(touching)
+    assert "lines" in judge(upto(touching, event.frame)).violated
+    assert "lines" not in judge(upto(touching, event.frame - 1)).violated
+    assert first_line_touch(upto(touching, event.frame - 1)) is None
 
 
 def upto(recorded: Trace, frame: int) -> Trace:
@@ -117,6 +117,6 @@ def test_missed_destinations_by_how_it_ended_and_behind_whom():
 def test_a_collision_goes_before_the_missed_destination_and_nothing_has_no_class():
     recorded = trace(5.0, BEHIND, 9.0)
     assert judge(recorded).violated == ("collision", "destination")
-    assert violation_moment(recorded, judge(recorded).violated).spec == "R1"
+    assert violation_event(recorded, judge(recorded).violated).spec == "R1"
     arrived = replace(trace(5.0, (50.0, 9.0), 0.0), destination=np.zeros(2), end="arrived")
     assert class_of(arrived) is None

@@ -23,23 +23,23 @@ def experiment(ads=("rule",), seeds=3):
 
 
 def campaigns(chosen, rng):
-    """A campaign for each cell, the first methods failing the more often."""
+    """A campaign for each run, the first methods failing the more often."""
     return [
         Summary(
-            cell.env,
-            cell.ads,
-            cell.method,
-            cell.seed,
+            run.env,
+            run.ads,
+            run.method,
+            run.seed,
             100,
             tuple(
                 Failure(int(number), "R1", npc_caused=False, kind=f"R1/{number % 7}", signature=f"R1-{number % 8 + 1}")
-                for number in np.flatnonzero(rng.random(100) < 0.3 / (1 + METHODS.index(cell.method)))
+                for number in np.flatnonzero(rng.random(100) < 0.3 / (1 + METHODS.index(run.method)))
             ),
             0.2,
             8.0,
             2.0,
         )
-        for cell in chosen.cells()
+        for run in chosen.runs()
     ]
 
 
@@ -92,7 +92,7 @@ def test_part_of_an_experiment_is_said_to_be_one():
 
 def test_campaigns_without_any_failure_have_a_page():
     chosen = experiment(seeds=1)
-    none = [Summary(cell.env, cell.ads, cell.method, 1, 100, (), 0.2, 8.0, 2.0) for cell in chosen.cells()]
+    none = [Summary(run.env, run.ads, run.method, 1, 100, (), 0.2, 8.0, 2.0) for run in chosen.runs()]
     assert "All 6 campaigns" in plain(made(chosen, none))
 
 

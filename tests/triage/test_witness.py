@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.events import violation_moment
+from behavexplor.judge.events import violation_event
 from behavexplor.judge.specs import judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.evasion import Evasion, path_straight_on
@@ -91,8 +91,8 @@ def test_no_collision_no_verdict():
 
 def test_the_alarm_is_where_two_seconds_are_left():
     _, _, trace = slow_leader()
-    moment = violation_moment(trace, ("collision",))
-    at = round(alarm_time(trace, moment) * 20)
+    event = violation_event(trace, ("collision",))
+    at = round(alarm_time(trace, event) * 20)
     gap = trace.position[:, 1, 0] - trace.position[:, 0, 0] - trace.size[:, 0].mean()
     closing = trace.velocity[:, 0, 0] - trace.velocity[:, 1, 0]
     assert gap[at] / closing[at] < 2.05

@@ -101,7 +101,7 @@ class RulePlanner:
             `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, that of
             `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's and 1 the next to the right; `survived`,
             how long the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
-            `behavexplor.ads.rule.weaknesses.names`. Each of shape (B,).
+            `behavexplor.data.decision_log.weakness_names`. Each of shape (B,).
         """
         return {name: state[:, column] for name, column in _LOG.items()}
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.decision_log import bit_of
 from behavexplor.jit import kernel_in_place
 
 Ints = NDArray[np.int64]
@@ -165,15 +166,9 @@ WEAKNESSES = MappingProxyType(
     }
 )
 
-_BITS = {name: 1 << i for i, name in enumerate(WEAKNESSES)}
-(R1_1, R1_2, R1_3, R1_4, R1_5, R1_6, R1_7, R1_8) = (_BITS[f"R1-{i}"] for i in range(1, 9))
-(R2_1, R2_2, R2_3, R2_4) = (_BITS[f"R2-{i}"] for i in range(1, 5))
-(R3_1, R3_2, R3_3, R3_4) = (_BITS[f"R3-{i}"] for i in range(1, 5))
-
-
-def names(bits: int) -> tuple[str, ...]:
-    """The weaknesses of the bits of an entry of the decision log, such as `trace.decisions["triggered"][i]`."""
-    return tuple(name for name, bit in _BITS.items() if int(bits) & bit)
+(R1_1, R1_2, R1_3, R1_4, R1_5, R1_6, R1_7, R1_8) = (bit_of(f"R1-{i}") for i in range(1, 9))
+(R2_1, R2_2, R2_3, R2_4) = (bit_of(f"R2-{i}") for i in range(1, 5))
+(R3_1, R3_2, R3_3, R3_4) = (bit_of(f"R3-{i}") for i in range(1, 5))
 
 
 @kernel_in_place

@@ -12,45 +12,40 @@ from threading import Lock
 from typing import IO
 
 from behavexplor.execution.cluster.node import read_message, write_message
-from behavexplor.execution.executor import FUNCTIONS, make_executor
-from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.worker import ADS_FAILED, FAILED, KEY_BYTES, RESULT, Request
+from behavexplor.execution.messages import RESULT, Request, error_answer, with_key
+from behavexplor.execution.pool import WorkerPool
+from behavexplor.execution.service import Recipe
 
 
 def main(settings: str) -> None:
     """Answer calls until stdin is closed.
 
     Args:
-        settings: arguments of `behavexplor.execution.executor.make_executor`, as JSON.
+        settings: JSON object with the recipe of the service and the limits of its worker.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what an ADS prints is no answer
-    executor, lock = make_executor(1, **json.loads(settings)), Lock()
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # an ADS may print; stdout is for answers
+    values, lock = json.loads(settings), Lock()
+    pool = WorkerPool(1, Recipe.from_json(values["recipe"]), values["time_limit"], values["memory_limit"])
     try:
         while (message := read_message(sys.stdin.buffer)) is not None:
             request = Request.from_bytes(message)
-            future = executor.submit(FUNCTIONS[request.function], request.data)
+            future = pool.submit(request.function, request.data)
             future.add_done_callback(partial(_answer, answers, lock, request.key))
     finally:
-        executor.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(wait=False)
 
 
 def _answer(answers: IO[bytes], lock: Lock, key: int, future: "Future[bytes]") -> None:
-    with lock, suppress(OSError):  # nobody waits for it any more
-        write_message(answers, key.to_bytes(KEY_BYTES) + _tagged(future))
+    with lock, suppress(OSError):  # the campaign may have ended
+        write_message(answers, with_key(key, _outcome(future)))
 
 
-def _tagged(future: "Future[bytes]") -> bytes:
-    """The outcome of a call, as `behavexplor.execution.worker` says it."""
-    if future.cancelled():
-        return FAILED + b"it was cancelled"
-    error = future.exception()
-    if error is None:
-        return RESULT + future.result()
-    if isinstance(error, ADSError):
-        return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message}).encode()
-    return FAILED + f"{error} (on the node {socket.gethostname()})".encode(errors="replace")
+def _outcome(future: "Future[bytes]") -> bytes:
+    """Return the answer for a finished call."""
+    error = RuntimeError("the call was cancelled") if future.cancelled() else future.exception()
+    return RESULT + future.result() if error is None else error_answer(error, f" (on the node {socket.gethostname()})")
 
 
 if __name__ == "__main__":

@@ -1,18 +1,15 @@
-"""A cluster by its name on the command line."""
+"""Clusters by their names on the command line."""
 
-import json
 import re
 import socket
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
-from behavexplor.ads.loading import check_name
 from behavexplor.errors import InputError, missing_library, unknown_name
 from behavexplor.execution.cluster.on_dask import DaskCluster
 from behavexplor.execution.cluster.on_ray import RayCluster
-from behavexplor.execution.cluster.supervisor import Cluster, ClusterExecutor
+from behavexplor.execution.cluster.supervisor import Cluster
 
 MAX_NODES: Final = 256
 CONNECT_SECONDS: Final = 20.0  # in which a cluster must have answered [s]
@@ -23,14 +20,14 @@ _SCHEMES = {"ray": {None, "ray"}, "dask": {None, "tcp", "tls"}}
 
 
 def parse_cluster(text: str) -> tuple[str, str]:
-    """The kind of a cluster and its address, which is empty for one that is to be started on this machine.
+    """Split the name of a cluster into its kind and its address, which is empty for a new cluster on this machine.
 
     Args:
         text: "ray" or "dask", alone or followed by ":" and an address: "ray:10.0.0.5:6379", "ray://10.0.0.5:10001",
             "dask:tcp://10.0.0.5:8786"; "ray:auto" is the one that this machine belongs to.
 
     Raises:
-        InputError: if it is nothing of this.
+        InputError: if the name is none of these.
     """
     kind, separator, address = text.partition(":")
     if kind not in KINDS:
@@ -45,32 +42,31 @@ def parse_cluster(text: str) -> tuple[str, str]:
     return kind, address
 
 
-def cluster_executor(text: str, workers: int, settings: Mapping[str, Any]) -> ClusterExecutor:
-    """An executor on a cluster.
+def open_cluster(text: str, nodes: int) -> tuple[Cluster, int]:
+    """Join a cluster, or start one on this machine.
 
     Args:
         text: see `parse_cluster`.
-        workers: how many nodes, each with one worker; 0 stands for as many as the cluster has cores.
-        settings: arguments of `behavexplor.execution.executor.make_executor` beside the workers.
+        nodes: number of nodes; 0 for as many as the cluster has cores.
+
+    Returns:
+        The cluster, and the number of nodes.
 
     Raises:
-        InputError: if there is no such cluster, no ADS can have such a name, or a node cannot do what this machine
-            does.
+        InputError: if there is no such cluster, or its library is not installed.
     """
     kind, address = parse_cluster(text)
-    check_name(settings["ads"])
     if found := _ADDRESS.fullmatch(address):
         _reach(found["host"].strip("[]"), int(found["port"]))
     try:
-        cluster = KINDS[kind](address, workers)
+        cluster = KINDS[kind](address, nodes)
     except ModuleNotFoundError as error:
         raise missing_library(f"--cluster {kind}", error.name, kind) from None
-    count = workers or max(min(cluster.cores, MAX_NODES), 1)
-    return ClusterExecutor(cluster, count, settings["ads"], (json.dumps(dict(settings)), str(Path.cwd())))
+    return cluster, nodes or max(min(cluster.cores, MAX_NODES), 1)
 
 
 def _reach(host: str, port: int) -> None:
-    """Whether somebody listens there: Ray would try for minutes, and end this process."""
+    """Check that a server listens at an address: Ray would try for minutes, and then end this process."""
     try:
         socket.create_connection((host, port), CONNECT_SECONDS).close()
     except OSError as error:

@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Lock, Thread
 from typing import IO, Final
 
-from behavexplor.execution.worker import KEY_BYTES, Request
+from behavexplor.execution.messages import Request, split_key
 
 SIZE_BYTES: Final = 8
 _ENDED: Final = "its process has ended"
@@ -27,10 +27,10 @@ class NodeLostError(RuntimeError):
 
 
 class Node:
-    """Answers calls in tagged bytes, as `behavexplor.execution.worker` does, many at a time.
+    """Answers calls in tagged bytes, as `behavexplor.execution.messages` defines, many at a time.
 
     Args:
-        settings: arguments of `behavexplor.execution.executor.make_executor`, as JSON.
+        settings: JSON object with the recipe of the service and the limits of its worker.
         folder: in which the campaign was started; the process works there, if this node has such a folder.
     """
 
@@ -130,7 +130,7 @@ def read_message(stream: IO[bytes]) -> bytes | None:
 def _listen(stream: IO[bytes], calls: _Calls) -> None:
     """Take in answers until the process has ended; knows nothing of the `Node`, which may be forgotten meanwhile."""
     while (message := read_message(stream)) is not None:
-        calls.answer(int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:])
+        calls.answer(*split_key(message))
     calls.close()
     stream.close()
 

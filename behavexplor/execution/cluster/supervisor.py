@@ -1,26 +1,22 @@
-"""An executor for the nodes of a cluster: a node that is lost costs only that its calls are made again elsewhere."""
+"""Executor on the nodes of a cluster. If a node is lost, its calls are made again on another node."""
 
 import json
 import queue
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from threading import Lock, Thread
-from typing import Any, Final, ParamSpec, Protocol, TypeVar, cast
+from typing import Any, Final, Protocol
 
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import FUNCTIONS
-from behavexplor.execution.fingerprint import difference, identify, identify_machine
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.fingerprint import FINGERPRINT, difference, machine_fingerprint
+from behavexplor.execution.messages import RESULT, settle
 from behavexplor.execution.pool import BEGIN_SECONDS
-from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.worker import ADS_FAILED, RESULT
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 LOSSES: Final = 3  # nodes that may be lost with one call, and in a row before they have begun
 
@@ -84,16 +80,19 @@ class _Node:
 
 
 class ClusterExecutor(Executor):
-    """Runs the functions of `behavexplor.execution.executor` on cluster nodes, each with its own supervised worker.
+    """Calls functions of a service on the nodes of a cluster, each of which has a supervised worker of its own.
 
-    One thread decides everything; others hand it events. Bytes go out, and what comes back is bytes with a tag.
+    One thread takes all decisions. Other threads hand it events.
 
     Args:
-        cluster: where to.
-        n_nodes: how many; with room for fewer, the others begin when there is some.
-        ads: name of the driving system.
-        arguments: of `behavexplor.execution.cluster.node.Node`.
-        patience: how long there may be no node that is ready [s].
+        cluster: the cluster.
+        n_nodes: number of nodes. If the cluster has room for fewer, the others begin when there is room.
+        ads: names of the driving systems, which must be equal on all machines.
+        arguments: arguments of `behavexplor.execution.cluster.node.Node`.
+        patience: greatest time without any node that is ready [s].
+
+    Attributes:
+        n_nodes: number of nodes.
 
     Raises:
         InputError: if the first node to answer cannot load the ADS or the environment, or would give other results.
@@ -101,12 +100,17 @@ class ClusterExecutor(Executor):
     """
 
     def __init__(
-        self, cluster: Cluster, n_nodes: int, ads: str, arguments: tuple[str, ...], patience: float = BEGIN_SECONDS
+        self,
+        cluster: Cluster,
+        n_nodes: int,
+        ads: tuple[str, ...],
+        arguments: tuple[str, ...],
+        patience: float = BEGIN_SECONDS,
     ) -> None:
+        self.n_nodes = n_nodes
         self._cluster = cluster
-        self._ads, self._arguments = ads.encode(), arguments
-        self._identity = identify_machine(self._ads)
-        self._names = {function: name for name, function in FUNCTIONS.items()}
+        self._ads, self._arguments = json.dumps(ads).encode(), arguments
+        self._fingerprint = machine_fingerprint(ads)
         self._patience = patience
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._lock = Lock()  # of whether it is closed
@@ -124,35 +128,33 @@ class ClusterExecutor(Executor):
         try:
             self._ready.result()
         except BaseException:
-            self.shutdown(wait=False, cancel_futures=True)
+            self.shutdown(wait=False)
             raise
 
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        """Call one of the functions on bytes.
-
-        The future's exception is an `ADSError` for what the ADS has done, as that of a `WorkerPool`.
-        """
-        if kwargs or len(args) != 1 or not isinstance(args[0], bytes):
-            raise TypeError("a node's function takes bytes and nothing else")
-        name = self._names[cast("Callable[[bytes], bytes]", fn)]
-        future: Future[T] = Future()
+    def submit(self, function: str, data: bytes) -> "Future[bytes]":
+        """Call a function on the node that has the least to do; see `Executor.submit`."""
+        future: Future[bytes] = Future()
         with self._lock:
             if self._closed:
                 raise RuntimeError("the cluster has been left")
-            self._events.put(partial(self._take, [_Call(future, name, args[0])]))
+            self._events.put(partial(self._take, [_Call(future, function, data)]))
         return future
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the cluster: after the work if it is waited for, else at once."""
+    def stop(self) -> None:
+        """Cancel the calls that have not begun; those under way go on until `shutdown`."""
+        self._events.put(self._cancel_waiting)
+
+    def shutdown(self, *, wait: bool = True) -> None:
+        """Leave the cluster: after all calls if `wait`, else at once."""
         with self._lock:
             first, self._closed = not self._closed, True
-            self._events.put(partial(self._leave, aborted=not wait, cancelling=cancel_futures))
+            self._events.put(partial(self._leave, aborted=not wait))
         self._thread.join()
         if first:
             self._cluster.close()
 
     def _supervise(self) -> None:
-        """Let happen what is due, until all is done."""
+        """Run the event loop."""
         deadline = time.monotonic() + self._patience
         while not self._aborted and not (self._ending and not self._waiting and not self._working()):
             if self._error or any(node.is_ready for node in self._nodes):
@@ -172,10 +174,13 @@ class ClusterExecutor(Executor):
     def _working(self) -> bool:
         return any(node.calls for node in self._nodes)
 
-    def _leave(self, *, aborted: bool, cancelling: bool) -> None:
+    def _leave(self, *, aborted: bool) -> None:
         self._ending, self._aborted = True, aborted
-        if cancelling:
-            self._waiting = deque(call for call in self._waiting if not call.future.cancel())
+        if aborted:
+            self._cancel_waiting()
+
+    def _cancel_waiting(self) -> None:
+        self._waiting = deque(call for call in self._waiting if not call.future.cancel())
 
     def _take(self, calls: list[_Call]) -> None:
         """Have calls wait for a node, the first of them before all others."""
@@ -207,10 +212,10 @@ class ClusterExecutor(Executor):
     def _start(self) -> None:
         node = _Node(self._cluster.start(*self._arguments))
         self._nodes.append(node)
-        self._ask(node, identify.__name__, self._ads, partial(self._introduced, node))
+        self._ask(node, FINGERPRINT, self._ads, partial(self._introduced, node))
 
     def _introduced(self, node: _Node, answer: "Future[bytes]") -> None:
-        """Let a node work that has loaded the ADS, if it is of the same mind as this machine."""
+        """Let a node work that has loaded the ADS, if its fingerprint equals this machine's."""
         if node not in self._nodes:
             return
         try:
@@ -221,7 +226,7 @@ class ClusterExecutor(Executor):
                 self._give_up(ClusterError(f"no node of the cluster can begin: {_words(error)}"))
             self._lost(node, error)
             return
-        problem = difference(content, self._identity) if tag == RESULT else content.decode()
+        problem = difference(content, self._fingerprint) if tag == RESULT else content.decode()
         if problem is not None:
             self._give_up(InputError(problem))
             return
@@ -238,7 +243,7 @@ class ClusterExecutor(Executor):
             self._lost(node, error)
             return
         node.calls.remove(call)
-        _settle(call.future, content)
+        settle(call.future, content)
 
     def _lost(self, node: _Node, error: BaseException) -> None:
         """Have another node in place of one, and its calls made again, before all others."""
@@ -273,17 +278,6 @@ def _fail(calls: list[_Call], error: Exception) -> None:
     for call in calls:
         if call.future.running() or call.future.set_running_or_notify_cancel():
             call.future.set_exception(error)
-
-
-def _settle(future: "Future[Any]", answer: bytes) -> None:
-    """Give a future what a node has answered."""
-    tag, content = answer[:1], answer[1:]
-    if tag == RESULT:
-        future.set_result(content)
-    elif tag == ADS_FAILED:
-        future.set_exception(ADSError(**json.loads(content)))
-    else:
-        future.set_exception(RuntimeError(content.decode()))
 
 
 def _words(error: BaseException) -> str:

@@ -11,7 +11,8 @@ import pytest
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, rule_planner
-from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES, names
+from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES
+from behavexplor.data.decision_log import weakness_names
 from behavexplor.data.scenario import Scenario
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
@@ -31,7 +32,7 @@ def test_the_violation_occurs_with_the_weakness_and_not_without(name):
     requirement = {"R1": "collision", "R2": "lines", "R3": "destination"}[name[:2]]
     assert requirement in judge(weak).violated
     assert not judge(careful).violated
-    assert name in names(np.bitwise_or.reduce(weak.decisions["triggered"].astype(int)))
+    assert name in weakness_names(np.bitwise_or.reduce(weak.decisions["triggered"].astype(int)))
     assert not careful.decisions["reached"].any()
 
 
@@ -70,9 +71,9 @@ def test_every_weakness_is_a_parameter_of_its_own_that_is_off_in_the_careful_pla
 
 
 def test_bits_of_the_log_are_read_as_names():
-    assert names(0) == ()
-    assert names(R1_1 | R2_4 | R3_4) == ("R1-1", "R2-4", "R3-4")
-    assert names(float(2**16 - 1)) == tuple(WEAKNESSES)
+    assert weakness_names(0) == ()
+    assert weakness_names(R1_1 | R2_4 | R3_4) == ("R1-1", "R2-4", "R3-4")
+    assert weakness_names(float(2**16 - 1)) == tuple(WEAKNESSES)
 
 
 def test_weaknesses_are_added_and_taken():

@@ -1,0 +1,165 @@
+"""The service that runs whole campaigns in worker processes and on clusters."""
+
+import io
+import json
+import tarfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+from threadpoolctl import threadpool_limits
+
+from behavexplor.bench.timing import Stopwatch
+from behavexplor.campaign.campaign import Campaign, ExecutionError
+from behavexplor.campaign.config import CampaignConfig, campaign_config
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.opening import opened
+from behavexplor.errors import InputError
+from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
+from behavexplor.execution.service import Recipe, Service
+
+RUN: Final = "run"  # function of the service
+_PRELOAD: Final = ("behavexplor.bench.campaign_service", "behavexplor.envs.driving", "sklearn.cluster")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a campaign.
+
+    Attributes:
+        finished: whether nothing is left to do.
+        failure: why the campaign failed, as a sentence; None if it did not.
+        warnings: what is wrong with the ADS, a sentence each.
+    """
+
+    finished: bool
+    failure: str | None = None
+    warnings: tuple[str, ...] = ()
+
+
+class CampaignService(Service):
+    """Runs campaigns to their ends, one for each call, and stops them when it is told to."""
+
+    def __init__(self) -> None:
+        self.functions: Mapping[str, Callable[[bytes], bytes]] = {
+            RUN: self.run,
+            FINGERPRINT: lambda ads: machine_fingerprint(json.loads(ads)),
+        }
+        self._campaign: Campaign | None = None
+        self._stopping = False
+
+    def stop(self) -> None:
+        """End the campaign after the execution that is being told, also if it has not begun yet."""
+        self._stopping = True
+        if self._campaign is not None:
+            self._campaign.stop()
+
+    def run(self, request: bytes) -> bytes:
+        """Run a campaign, or go on with it.
+
+        Args:
+            request: what `campaign_request` gives.
+
+        Returns:
+            An `Outcome` as JSON, and the packed run folder behind a newline if the request had none of this machine.
+        """
+        head, _, packed = request.partition(b"\n")
+        values = json.loads(head)
+        config, workers = campaign_config(values["config"]), values["workers"]
+        if values["folder"] is not None:
+            return _to_json(self.run_in(config, Path(values["folder"]), workers)) + b"\n"
+        with TemporaryDirectory() as scratch:
+            folder = Path(scratch) / "run"
+            unpack(packed, folder)
+            outcome = self.run_in(config, folder, workers)
+            return _to_json(outcome) + b"\n" + pack(folder)
+
+    def run_in(self, config: CampaignConfig, folder: Path, workers: int) -> Outcome:
+        """Run a campaign in a run folder, or go on with it.
+
+        Args:
+            config: the campaign.
+            folder: the run folder.
+            workers: number of processes that execute its scenarios; 0 is this process.
+        """
+        warnings: list[str] = []
+        try:
+            finished = self._run(config, folder, workers, warnings)
+        except (InputError, ExecutionError) as error:
+            return Outcome(finished=False, failure=str(error), warnings=tuple(warnings))
+        return Outcome(finished, warnings=tuple(warnings))
+
+    def _run(self, config: CampaignConfig, folder: Path, workers: int, warnings: list[str]) -> bool:
+        with opened(config, folder, workers, resume=(folder / DATABASE).is_file()) as ready:
+            self._campaign = ready.campaign
+            if self._stopping:
+                ready.campaign.stop()
+            warnings += ready.warnings
+            threadpool_limits(1)  # includes libraries that the ADS has loaded
+            watch = Stopwatch(folder, ready.campaign.elapsed)
+            try:
+                watch.end(ready.campaign.run(watch.observe))
+            finally:
+                watch.write()
+            return not ready.campaign.stopping
+
+
+def campaign_recipe() -> Recipe:
+    """Return how worker processes make the service. Each process runs a single campaign."""
+    name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
+    return Recipe(name, preload=_PRELOAD, long_calls=True)
+
+
+def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:
+    """Return the request for `CampaignService.run`.
+
+    Args:
+        config: the campaign.
+        folder: its run folder on this machine.
+        workers: number of processes that execute its scenarios; 0 is the campaign's own process.
+        remote: whether the campaign runs on a machine that may not see this folder. What the folder holds is sent along
+            then.
+    """
+    place = None if remote else str(folder.resolve())
+    head = {"config": {**asdict(config)}, "folder": place, "workers": workers}
+    return json.dumps(head).encode() + b"\n" + (pack(folder) if remote else b"")
+
+
+def take_outcome(answer: bytes, folder: Path) -> Outcome:
+    """Return the outcome in an answer, and replace the run folder by the packed one if the answer has one."""
+    head, _, packed = answer.partition(b"\n")
+    if packed:
+        unpack(packed, folder)
+    values: dict[str, Any] = json.loads(head)
+    return Outcome(values["finished"], values["failure"], tuple(values["warnings"]))
+
+
+def pack(folder: Path) -> bytes:
+    """Return the regular files of a run folder as a tar archive; empty if there is no such folder."""
+    if not folder.is_dir():
+        return b""
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w") as archive:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"):
+            archive.add(path, path.relative_to(folder).as_posix(), recursive=False)
+    return data.getvalue()
+
+
+def unpack(packed: bytes, folder: Path) -> None:
+    """Write the files of a packed run folder, each of them whole or not at all."""
+    if not packed:
+        return
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder.parent, prefix=".unpacking-") as scratch:
+        with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+            archive.extractall(scratch, filter="data")
+        for path in sorted(path for path in Path(scratch).rglob("*") if path.is_file()):
+            place = folder / path.relative_to(scratch)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            path.replace(place)
+
+
+def _to_json(outcome: Outcome) -> bytes:
+    return json.dumps(asdict(outcome)).encode()

@@ -1,0 +1,35 @@
+"""Target: the driving system under test, its environment, and the limits of the processes in which it runs."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+TIME_LIMIT: Final = 300.0  # default limit of one execution [s]
+MEMORY_LIMIT: Final = 8.0  # default limit of one worker process [GiB]
+
+
+@dataclass(frozen=True)
+class Target:
+    """Everything that a process needs to know to execute scenarios.
+
+    Attributes:
+        env: name of the environment, see `behavexplor.execution.simulation.environment_id`.
+        ads: name of the driving system, see `behavexplor.ads.loading.load_ads`.
+        trust: digests ("sha256:...") of policy files that may run code while they are loaded.
+        unconfined: whether a third-party ADS may write files and use the network.
+        time_limit: limit of one execution [s]. It applies to worker processes only.
+        memory_limit: limit of one worker process [GiB], where the system can set it.
+    """
+
+    env: str
+    ads: str
+    trust: tuple[str, ...] = ()
+    unconfined: bool = False
+    time_limit: float = TIME_LIMIT
+    memory_limit: float = MEMORY_LIMIT
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON values, from which `Target(**values)` makes an equal target."""
+        return {**asdict(self), "trust": list(self.trust)}

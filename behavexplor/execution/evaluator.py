@@ -1,0 +1,156 @@
+"""Evaluator: the service that executes scenarios of one target in this process."""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from behavexplor.ads.loading import is_shipped
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.target import Target
+from behavexplor.errors import InputError
+from behavexplor.execution.confinement import confine
+from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
+from behavexplor.execution.preflight import preflight_warnings
+from behavexplor.execution.rollout import ADSError, LockStep
+from behavexplor.execution.service import Recipe, Service
+from behavexplor.execution.simulation import Simulation, compile_kernels
+from behavexplor.jit import keep_no_code
+
+LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
+
+EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
+PREFLIGHT: Final = "preflight"
+
+
+class Evaluator(Service):
+    """Executes scenarios, checks the ADS before a campaign, and tells what results depend on.
+
+    Args:
+        target: the fields of a `behavexplor.data.target.Target`.
+
+    Attributes:
+        target: the driving system and its environment.
+        functions: see `behavexplor.execution.service.Service`.
+        batch: executes many scenarios in lock-step; None if the ADS or the environment cannot.
+    """
+
+    def __init__(self, **target: Any) -> None:
+        self.target = Target(**target)
+        self.functions: Mapping[str, Callable[[bytes], bytes]] = {
+            EXECUTE: self.execute,
+            PREFLIGHT: self.preflight,
+            FINGERPRINT: fingerprint,
+        }
+        self.batch: ScenarioBatch | None = None
+        self._unprevented: tuple[str, ...] = ()
+
+    def prepare(self) -> None:
+        """Compile what confined workers need: they cannot keep what they compile."""
+        if needs_confinement(self.target):
+            compile_kernels(self.target.env)
+
+    def confine(self) -> None:
+        """Confine this process if the ADS is third-party code; see `behavexplor.execution.confinement`."""
+        if needs_confinement(self.target):
+            keep_no_code()
+            self._unprevented = confine()
+
+    def begin(self) -> None:
+        """Load the ADS and make its environment.
+
+        Raises:
+            InputError: see `behavexplor.execution.simulation.Simulation`.
+        """
+        try:
+            self.simulation = Simulation(self.target.env, self.target.ads, self.target.trust)
+        except InputError as error:
+            raise InputError(_explained(str(error))) from None
+        episodes = self.simulation.lock_step(LOCK_STEP)
+        self.batch = None if episodes is None else ScenarioBatch(self.simulation, episodes)
+
+    def execute(self, scenario: bytes) -> bytes:
+        """Execute a scenario.
+
+        Args:
+            scenario: the scenario as JSON.
+
+        Returns:
+            The trace, see `behavexplor.data.trace.Trace.to_bytes`.
+
+        Raises:
+            ADSError: if the ADS fails.
+        """
+        return self.simulation.run(_scenario(scenario)).to_bytes()
+
+    def preflight(self, _: bytes) -> bytes:
+        """Return what is wrong with the ADS as a JSON list of sentences; see `behavexplor.execution.preflight`."""
+        unprevented = [f"This system cannot prevent that the ADS may {right}" for right in self._unprevented]
+        return json.dumps([*map(_explained, preflight_warnings(self.simulation)), *unprevented]).encode()
+
+
+class ScenarioBatch:
+    """Executes many scenarios in lock-step; see `behavexplor.execution.service.Batch`.
+
+    Args:
+        simulation: simulation whose ADS drives.
+        episodes: its episodes, as many at a time as there are free now.
+    """
+
+    def __init__(self, simulation: Simulation, episodes: LockStep) -> None:
+        self._simulation = simulation
+        self._episodes = episodes
+        self.capacity = episodes.free
+
+    def begin(self, key: int, request: bytes) -> None:
+        """Take one more scenario, as JSON.
+
+        Raises:
+            InputError: if it cannot be run here.
+        """
+        scenario = _scenario(request)
+        self._simulation.logical.check(scenario)
+        self._episodes.begin(key, scenario)
+
+    def advance(self) -> list[tuple[int, bytes | None]]:
+        """Advance all episodes by one decision. If the ADS fails, each of its scenarios must be executed alone."""
+        try:
+            return [(key, trace.to_bytes()) for key, trace in self._episodes.step()]
+        except ADSError:
+            return [(key, None) for key in self._episodes.give_up()]
+
+
+def evaluator_recipe(target: Target) -> Recipe:
+    """Return how worker processes make the evaluator of a target."""
+    return recipe_for(Evaluator, target)
+
+
+def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Recipe:
+    """Return how worker processes make an evaluator, or a service derived from it, for a target.
+
+    Args:
+        service: the class of the service.
+        target: the driving system and its environment.
+        settings: more keywords of the class, JSON values.
+    """
+    return Recipe(
+        f"{service.__module__}:{service.__qualname__}",
+        {**target.to_dict(), **settings},
+        batched=EXECUTE,
+        preload=(service.__module__,),
+    )
+
+
+def needs_confinement(target: Target) -> bool:
+    """Return whether the ADS is third-party code that may not write files and use the network."""
+    return not (target.unconfined or is_shipped(target.ads))
+
+
+def _explained(sentence: str) -> str:
+    """Return a sentence with confinement as its likely cause, if it is."""
+    if "PermissionError" not in sentence:
+        return sentence
+    return f"{sentence}: an ADS may neither write files nor use the network, unless with --unconfined"
+
+
+def _scenario(data: bytes) -> Scenario:
+    return Scenario.from_json(data.decode())

@@ -1,0 +1,87 @@
+"""Messages across process boundaries: requests go out, tagged answers come back. Nothing is ever unpickled."""
+
+import json
+from concurrent.futures import Future
+from typing import Any, Final, NamedTuple, Self
+
+from behavexplor.errors import InputError
+from behavexplor.execution.rollout import ADSError
+
+# The first byte of an answer.
+READY: Final = b"C"  # the service has begun; the content is the capacity of its batch
+RESULT: Final = b"R"  # the result of a call
+ADS_FAILED: Final = b"A"  # an `ADSError` as JSON
+REFUSED: Final = b"I"  # the message of an `InputError`
+FAILED: Final = b"E"  # another exception in words
+SUSPECT: Final = b"S"  # the call failed in a batch and must be made again alone
+KEY_BYTES: Final = 8
+
+
+class Request(NamedTuple):
+    """A call of a function of a service.
+
+    Attributes:
+        key: number that comes back with the answer.
+        function: name of the function.
+        alone: whether no other call may be worked on at the same time.
+        data: argument of the function.
+    """
+
+    key: int
+    function: str
+    alone: bool
+    data: bytes
+
+    def to_bytes(self) -> bytes:
+        """Return the request as bytes."""
+        return self.key.to_bytes(KEY_BYTES) + bytes([self.alone]) + self.function.encode() + b"\0" + self.data
+
+    @classmethod
+    def from_bytes(cls, message: bytes) -> Self:
+        """Return the request that `to_bytes` wrote."""
+        function, _, data = message[KEY_BYTES + 1 :].partition(b"\0")
+        return cls(int.from_bytes(message[:KEY_BYTES]), function.decode(), bool(message[KEY_BYTES]), data)
+
+
+def with_key(key: int, answer: bytes) -> bytes:
+    """Return an answer as it is sent."""
+    return key.to_bytes(KEY_BYTES) + answer
+
+
+def split_key(message: bytes) -> tuple[int, bytes]:
+    """Return the key of an answer, and the answer."""
+    return int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:]
+
+
+def error_answer(error: BaseException, place: str = "") -> bytes:
+    """Return the answer for a call that raised.
+
+    Args:
+        error: the exception.
+        place: words that say where, such as " (on the node n7)"; only failures of ours name it.
+    """
+    if isinstance(error, ADSError):
+        return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message}).encode()
+    if isinstance(error, InputError):
+        return REFUSED + str(error).encode(errors="replace")
+    words = str(error) if type(error) is RuntimeError else f"{type(error).__name__}: {error}"
+    return FAILED + f"{words}{place}".encode(errors="replace")
+
+
+def answered_error(answer: bytes) -> Exception | None:
+    """Return the exception that an answer stands for; None for a result."""
+    tag, content = answer[:1], answer[1:]
+    if tag == RESULT:
+        return None
+    if tag == ADS_FAILED:
+        return ADSError(**json.loads(content))
+    return (InputError if tag == REFUSED else RuntimeError)(content.decode())
+
+
+def settle(future: "Future[Any]", answer: bytes) -> None:
+    """Give a future the result or the exception of an answer."""
+    error = answered_error(answer)
+    if error is None:
+        future.set_result(answer[1:])
+    else:
+        future.set_exception(error)

@@ -1,0 +1,94 @@
+"""Services: what worker processes offer, as functions from bytes to bytes, and how a process makes its service."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from typing import Any, Protocol, Self
+
+
+class Batch(Protocol):
+    """Works on many requests at a time.
+
+    Attributes:
+        capacity: greatest number of requests.
+    """
+
+    capacity: int
+
+    def begin(self, key: int, request: bytes) -> None:
+        """Take one more request."""
+
+    def advance(self) -> list[tuple[int, bytes | None]]:
+        """Advance all requests by one step.
+
+        Returns:
+            The key and the result of each request that is done. A result of None means that the request must be
+            called again alone.
+        """
+
+
+class Service:
+    """The functions that a process offers, by name, and the means to call one of them in batches.
+
+    A service is made with JSON values as keywords. Its constructor is cheap; `begin` loads what the functions need.
+
+    Attributes:
+        functions: functions from bytes to bytes, by name.
+        batch: works on many calls of `Recipe.batched` at a time; None if each is called alone.
+    """
+
+    functions: Mapping[str, Callable[[bytes], bytes]]
+    batch: Batch | None = None
+
+    def prepare(self) -> None:
+        """Prepare this machine, in the supervisor's process, before the first worker starts."""
+
+    def confine(self) -> None:
+        """Give up rights of this process. Called first, while the process has a single thread."""
+
+    def begin(self) -> None:
+        """Load what the functions need.
+
+        Raises:
+            InputError: if it cannot be loaded.
+        """
+
+    def stop(self) -> None:
+        """End a long call early, as soon as its result so far is safe. Called from a signal handler."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a process makes its service: plain data, which crosses to other processes and machines.
+
+    Attributes:
+        service: the service's class as "package.module:name".
+        settings: keywords of the class, JSON values.
+        batched: name of the function that is called in batches; empty for none.
+        preload: modules that are imported once for all processes, where the system can share them.
+        long_calls: whether a call is as long as a campaign. Then each process takes a single call, may start processes
+            of its own, and is told by SIGTERM to `stop`.
+    """
+
+    service: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    batched: str = ""
+    preload: tuple[str, ...] = ()
+    long_calls: bool = False
+
+    def make(self) -> Service:
+        """Make the service in this process."""
+        module, _, name = self.service.partition(":")
+        service: Service = getattr(import_module(module), name)(**self.settings)
+        return service
+
+    def to_json(self) -> str:
+        """Return the recipe as JSON."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Return the recipe that `to_json` wrote."""
+        values = json.loads(text)
+        return cls(**{**values, "preload": tuple(values["preload"])})

@@ -1,0 +1,77 @@
+"""Starting executors: for one target, or for any service, in this process, in worker processes or on a cluster."""
+
+import json
+from pathlib import Path
+
+from behavexplor.ads.loading import check_name
+from behavexplor.data.target import Target
+from behavexplor.errors import InputError
+from behavexplor.execution.cluster.address import open_cluster
+from behavexplor.execution.cluster.supervisor import ClusterExecutor
+from behavexplor.execution.evaluator import PREFLIGHT, evaluator_recipe
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.in_process import InProcessExecutor
+from behavexplor.execution.pool import WorkerPool
+from behavexplor.execution.service import Recipe
+
+
+def start_executor(target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None) -> Executor:
+    """Start what executes the scenarios of a target.
+
+    Args:
+        target: the driving system and its environment.
+        workers: number of processes, or of nodes of a cluster. 0 means this process, without limits and confinement,
+            or on a cluster one node for each core.
+        cluster: see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        recipe: another service for the target; an `Evaluator` by default.
+
+    Raises:
+        InputError: if the environment, the ADS or the cluster cannot be used.
+    """
+    check_name(target.ads)
+    recipe = recipe or evaluator_recipe(target)
+    if cluster:
+        return start_on_cluster(cluster, workers, recipe, target.time_limit, target.memory_limit, (target.ads,))
+    if workers == 0:
+        service = recipe.make()
+        service.begin()
+        return InProcessExecutor(service, recipe.batched)
+    return WorkerPool(workers, recipe, target.time_limit, target.memory_limit)
+
+
+def start_on_cluster(
+    cluster: str, nodes: int, recipe: Recipe, time_limit: float, memory_limit: float, ads: tuple[str, ...]
+) -> ClusterExecutor:
+    """Start an executor on a cluster, with one supervised worker on each of its nodes.
+
+    Args:
+        cluster: see `behavexplor.execution.cluster.address.parse_cluster`.
+        nodes: number of nodes; 0 for one node a core.
+        recipe: how each worker makes its service, which has the function "fingerprint".
+        time_limit: limit of one call [s].
+        memory_limit: limit of one worker [GiB].
+        ads: names of the driving systems that must be equal on all machines.
+
+    Raises:
+        InputError: if there is no such cluster, or a node would give other results than this machine.
+    """
+    opened, count = open_cluster(cluster, nodes)
+    settings = json.dumps({"recipe": recipe.to_json(), "time_limit": time_limit, "memory_limit": memory_limit})
+    return ClusterExecutor(opened, count, ads, (settings, str(Path.cwd())))
+
+
+def check_ads(executor: Executor) -> list[str]:
+    """Check the ADS where it will run. Afterwards all that is compiled once is ready, for other workers too.
+
+    Returns:
+        Warnings, a sentence each.
+
+    Raises:
+        InputError: if the ADS cannot be loaded.
+    """
+    try:
+        return list(json.loads(executor.submit(PREFLIGHT, b"").result()))
+    except InputError:
+        raise
+    except Exception:  # an ADS that ends its process will do so again, in an execution that counts
+        return []
