@@ -1,0 +1,237 @@
+"""Signal temporal logic: requirements on what happens when, as formulas over sampled signals.
+
+A formula is a `Signal`: at each sample its robustness, which says how far the formula, read from there on, is from
+being violated, or, below 0, from being satisfied. It is built from margins, positive where a condition holds:
+
+    def brakes_for_leader(trace: Trace) -> float:
+        close = Signal(trace.time, 10.0 - gap_ahead(trace))
+        brakes = Signal(trace.time, -acceleration(trace))
+        return float(always(implies(close, eventually(brakes, 0, 2))))
+
+says that always, within 2 s of a leader closer than 10 m, the ego decelerates. A robustness above 0 means satisfied,
+below 0 violated; 0 is the border and means neither. It can mix units, here m and m/s2; scale the margins where that
+matters.
+
+The semantics are the usual quantitative ones of space robustness [1, 2], read point by point over the samples:
+nothing is assumed between two samples, and they need not be equally spaced. Let w be the samples whose time is in
+[t + start, t + end], both ends included up to `TOLERANCE`. Then at time t
+
+    ~p                           -p(t)
+    p & q                        min(p(t), q(t))
+    p | q                        max(p(t), q(t))
+    implies(p, q)                max(-p(t), q(t))
+    always(p, start, end)        min of p over w
+    eventually(p, start, end)    max of p over w
+    until(p, q, start, end)      max, over t' in w, of min(q(t'), min of p over [t, t'))
+
+In `until`, p need not hold at t' itself: this is the discrete-time reading, also that of RTAMT [3]. Donze and Maler
+[2] close the interval at t'; theirs is `until(p, p & q, start, end)`.
+
+The end of the signal cuts w off. An empty w makes `always` +inf (nothing can break it) and `eventually` and `until`
+-inf (nothing can fulfill them). So a response that is due after the end counts as missing unless it has come before;
+`always(p, 0, max(trace.duration - 2, 0))` asks for responses within 2 s only where 2 s are left. Whether the robustness
+of a whole formula is finite is for the caller to check.
+
+Sources:
+    [1] Fainekos and Pappas, "Robustness of temporal logic specifications for continuous-time signals", Theoretical
+        Computer Science 410 (2009).
+    [2] Donze and Maler, "Robust satisfaction of temporal logic over real-valued signals", FORMATS 2010.
+    [3] Nickovic and Yamaguchi, "RTAMT: online robustness monitors from STL", ATVA 2020; README, "Specification
+        Language".
+    [4] Donze, Ferrere and Maler, "Efficient robust monitoring for STL", CAV 2013.
+"""
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.errors import InputError, brief
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+TOLERANCE = 1e-9  # of times [s], so that 0.1 + 0.2 is within [0, 0.3]
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """The robustness of a formula at every sample; combined with `&`, `|` and `~`, and read with `float`.
+
+    `float(signal)` is the robustness at the first sample: that of the formula on the whole signal.
+
+    Attributes:
+        time: shape (T,) [s], increasing by more than `TOLERANCE`; T >= 1. Read-only.
+        robustness: shape (T,), in the signal's own unit, positive where the formula holds; may be infinite, never
+            NaN. Read-only.
+
+    Raises:
+        InputError: if an array has a wrong shape or wrong values, or if signals that are combined differ in time.
+    """
+
+    time: Floats
+    robustness: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("time", "robustness"):
+            object.__setattr__(self, name, _frozen(name, getattr(self, name)))
+        if self.time.shape != self.robustness.shape:
+            raise InputError(f"time and robustness: {len(self.time)} and {len(self.robustness)} samples do not match")
+        if not np.isfinite(self.time).all() or (np.diff(self.time) <= TOLERANCE).any():
+            raise InputError(f"time: must be finite and increase by more than {TOLERANCE:g} s at each sample")
+        if np.isnan(self.robustness).any():
+            raise InputError(f"robustness: sample {np.isnan(self.robustness).argmax()} is not a number (NaN)")
+
+    def __and__(self, other: "Signal") -> "Signal":
+        _check_signals(self, other)
+        return Signal(self.time, np.minimum(self.robustness, other.robustness))
+
+    def __or__(self, other: "Signal") -> "Signal":
+        _check_signals(self, other)
+        return Signal(self.time, np.maximum(self.robustness, other.robustness))
+
+    def __invert__(self) -> "Signal":
+        return Signal(self.time, -self.robustness)
+
+    def __float__(self) -> float:
+        return float(self.robustness[0])
+
+    def __bool__(self) -> bool:
+        # Without this, `p and q` would silently be q.
+        raise InputError("A signal is neither true nor false: combine signals with &, | and ~, not with and, or, not")
+
+
+def implies(condition: Signal, consequence: Signal) -> Signal:
+    """Wherever the condition holds, the consequence does: `~condition | consequence`.
+
+    Raises:
+        InputError: if the two are not signals with the same times.
+    """
+    _check_signals(condition, consequence)
+    return ~condition | consequence
+
+
+def always(signal: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
+    """The formula holds at every sample from `start` to `end` after now; +inf where there is no such sample.
+
+    Args:
+        signal: the formula, T samples.
+        start: the first time, counted from each sample [s].
+        end: the last time, counted from each sample [s]; by default the end of the signal.
+
+    Returns:
+        The least robustness over these samples, T samples in the unit of `signal`.
+
+    Raises:
+        InputError: if `signal` is no signal, or [start, end] is no interval within [0, inf].
+    """
+    _check_signals(signal)
+    return Signal(signal.time, _least(signal.robustness, *_windows(signal.time, start, end)))
+
+
+def eventually(signal: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
+    """The formula holds at one sample at least from `start` to `end` after now; -inf where there is no such sample.
+
+    Args:
+        signal: the formula, T samples.
+        start: the first time, counted from each sample [s].
+        end: the last time, counted from each sample [s]; by default the end of the signal.
+
+    Returns:
+        The greatest robustness over these samples, T samples in the unit of `signal`.
+
+    Raises:
+        InputError: if `signal` is no signal, or [start, end] is no interval within [0, inf].
+    """
+    _check_signals(signal)
+    return Signal(signal.time, -_least(-signal.robustness, *_windows(signal.time, start, end)))
+
+
+def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
+    """`right` holds at a sample from `start` to `end` after now, and `left` at every sample from now to before that.
+
+    `left` need not hold at that sample itself, and need not hold at all where `right` does at once.
+
+    Args:
+        left: the formula that holds in the meantime, T samples.
+        right: the formula that ends the waiting, T samples.
+        start: the first time for `right`, counted from each sample [s].
+        end: the last time for `right`, counted from each sample [s]; by default the end of the signal.
+
+    Returns:
+        T samples; -inf where there is no sample from `start` to `end` after now.
+
+    Raises:
+        InputError: if the two are not signals with the same times, or [start, end] is no interval within [0, inf].
+    """
+    _check_signals(left, right)
+    first, stop = _windows(left.time, start, end)
+    # `left` up to the window, untimed `until` from there, and `right` somewhere within: together these are exact [4].
+    # For if the untimed one is only fulfilled past the window, `left` holds throughout the window.
+    bridged = _least(left.robustness, np.arange(len(first)), first)
+    within = -_least(-right.robustness, first, stop)
+    from_first = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)[first]
+    return Signal(left.time, np.minimum(np.minimum(bridged, within), from_first))
+
+
+def _untimed_until(left: Floats, right: Floats) -> Floats:
+    """`until` over [0, inf), shape (T,): either `right` now, or `left` now and the same from the next sample on."""
+    result = np.empty(len(left))
+    following = -math.inf
+    for i in reversed(range(len(left))):
+        following = result[i] = max(right[i], min(left[i], following))
+    return result
+
+
+def _windows(time: Floats, start: Any, end: Any) -> tuple[Ints, Ints]:
+    """For each sample, the first index of its window and the one after its last; both of shape (T,)."""
+    for name, bound in (("start", start), ("end", end)):
+        if isinstance(bound, bool) or not isinstance(bound, Real):
+            raise InputError(f"{name}: expected a number of seconds, got {brief(bound)}")
+    if not 0.0 <= start <= end or math.isinf(start):
+        raise InputError(f"[{start}, {end}]: an interval begins at 0 s or later, and does not end before it begins")
+    first = np.searchsorted(time, time + (start - TOLERANCE), side="left")
+    return first, np.searchsorted(time, time + (end + TOLERANCE), side="right")
+
+
+def _least(values: Floats, first: Ints, stop: Ints) -> Floats:
+    """The least of each values[first:stop], +inf where that is empty; O(T log T), whatever the windows.
+
+    Two overlapping stretches of 2^k values make up each window; those of each k are made from those before.
+    """
+    count = stop - first
+    least = np.full(len(count), np.inf)
+    stretch, size = values, 1  # stretch[i] is the least of values[i : i + size]
+    while size <= count.max():
+        now = (size <= count) & (count < 2 * size)
+        least[now] = np.minimum(stretch[first[now]], stretch[stop[now] - size])
+        stretch, size = np.minimum(stretch[:-size], stretch[size:]), 2 * size
+    return least
+
+
+def _check_signals(*signals: Any) -> None:
+    for signal in signals:
+        if not isinstance(signal, Signal):
+            raise InputError(f"Expected a Signal(time, robustness), got {brief(signal)}")
+    if not all(np.array_equal(signal.time, signals[0].time) for signal in signals):
+        raise InputError("Signals of different times cannot be combined: sample them at the same times first")
+
+
+def _frozen(name: str, values: Any) -> Floats:
+    """A read-only copy of shape (T,), T >= 1."""
+    try:
+        given = np.asarray(values)
+    except ValueError:  # rows of different lengths
+        given = np.asarray(None)
+    if given.dtype.kind == "b":
+        raise InputError(f"{name}: expected numbers, not truth values: write a margin, such as 3.0 - speed")
+    if given.dtype.kind not in "iuf":
+        raise InputError(f"{name}: expected an array of numbers, got {brief(values)}")
+    if given.ndim != 1 or not given.size:
+        raise InputError(f"{name}: expected one number for each of T >= 1 samples, got shape {given.shape}")
+    array = given.astype(np.float64)
+    array.setflags(write=False)
+    return array
