@@ -88,7 +88,7 @@ def lane_point(lanes: Floats, i: int, station: float) -> tuple[float, float]:
 
 @kernel
 def lane_distance(lanes: Floats, i: int, x: float, y: float) -> float:
-    """Compute highway-env's distance of a point from lane i: its offset plus its distance beyond the lane's ends [m]."""
+    """Compute highway-env's distance of a point from lane i: its offset plus its distance beyond either end [m]."""
     station, offset = lane_coordinates(lanes, i, x, y)
     return float(abs(offset) + max(station - lanes[i, LENGTH], 0.0) + max(-station, 0.0))
 
