@@ -122,7 +122,7 @@ class BehaviorMiner:
 
     @property
     def due(self) -> bool:
-        """Whether enough behaviors were added since the last fit to refit the clusters."""
+        """True if enough behaviors were added since the last fit to refit the clusters."""
         return len(self) >= (1 + self.options.refit_growth) * self._fitted_at
 
     def fit(self) -> None:

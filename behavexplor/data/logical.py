@@ -114,7 +114,7 @@ class LogicalScenario:
 
         Args:
             scenario: a valid scenario.
-            end: how the episode ended.
+            end: kind of end, one of `behavexplor.data.trace.ENDS`.
         """
         roadmap = self.roadmap
         poses = np.stack([roadmap.start_pose, *map(self._start_pose, scenario.npcs)])

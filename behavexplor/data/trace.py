@@ -41,8 +41,8 @@ class Trace:
         route: center line of the ego's route, from its start to past its destination, shape (P, 2) [m].
         destination: the ego's destination, shape (2,) [m].
         illegal_lines: end points of the lines that must not be touched, shape (L, 2, 2) [m].
-        end: how the episode ended: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or
-            "error" if the ADS failed instead of returning an action.
+        end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or "error" if the
+            ADS failed instead of returning an action.
         decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
 
     Raises:

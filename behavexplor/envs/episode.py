@@ -32,7 +32,7 @@ def episode_trace(
         sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m].
         actions: the commands, shape (D, A).
         action_frames: frame at which each command was given, shape (D,).
-        end: how the episode ended.
+        end: kind of end, one of `behavexplor.data.trace.ENDS`.
     """
     velocity = motion[..., SPEED, None] * np.stack([np.cos(motion[..., HEADING]), np.sin(motion[..., HEADING])], -1)
     return Trace(

@@ -47,7 +47,7 @@ def reward_terms(
         progress: distance moved forward along the ego's route [m].
         acceleration: mean acceleration since the last decision [m/s2].
         touched: whether the ego has just touched an illegal line for the first time.
-        end: how the episode ended; None if it goes on.
+        end: kind of end, one of `behavexplor.data.trace.ENDS`; None if the episode goes on.
         rear_end: whether the ego was struck from behind; read only if the episode ended by a collision.
     """
     kind = {None: None, "arrived": "arrived", "collision": "rear_end" if rear_end else "collision"}.get(end, "missed")

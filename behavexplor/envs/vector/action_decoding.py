@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from behavexplor.envs.vector.meta import MANEUVERS
 
 Floats = NDArray[np.float64]
-Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # from actions, shape (B, ...), to commands, shape (B, 2)
+Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)
 
 
 def make_commands(action_type: ActionType) -> Commands:
