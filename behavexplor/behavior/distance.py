@@ -1,4 +1,4 @@
-"""How different two behaviors are: the distance between abstract traces (paper section III-B1, equation 9)."""
+"""Distance between two behaviors, given as abstract traces (paper section III-B1, equation 9)."""
 
 from typing import Final
 
@@ -9,12 +9,12 @@ Labels = NDArray[np.uint8]  # an abstract trace: one abstract state (cluster) pe
 Floats = NDArray[np.float64]
 
 MAX_CLUSTERS: Final = 250
-_END, _BEYOND = 255, 254  # fill rows and queries after their last state; no cluster has these numbers
+_END, _BEYOND = 255, 254  # padding of rows and of queries after their last state; no cluster has these numbers
 _WORD = 8  # states compared at once
 
 
 class AbstractTraces:
-    """Abstract traces in one padded matrix of bytes, so that a distance to all of them is one pass."""
+    """Abstract traces in one padded matrix of bytes, so that the distances to all of them are computed in one pass."""
 
     def __init__(self) -> None:
         self._rows = np.full((16, _WORD), _END, dtype=np.uint8)
@@ -34,7 +34,7 @@ class AbstractTraces:
         self[self._count - 1] = labels
 
     def __setitem__(self, index: int, labels: Labels) -> None:
-        """Replace an abstract trace by one that is no longer than the longest."""
+        """Replace an abstract trace by one that is not longer than the longest."""
         self._rows[index] = _END
         self._rows[index, : len(labels)] = labels
         self._lengths[index] = len(labels)
@@ -43,21 +43,21 @@ class AbstractTraces:
         return self._rows[index, : self._lengths[index]]
 
     def distances(self, labels: Labels) -> Floats:
-        """The distance of an abstract trace to each of these, `dis` of the paper's equation 9.
+        """Compute the distance of an abstract trace from each of these, `dis` of the paper's equation 9.
 
         (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1].
 
         Args:
-            labels: shape (length,).
+            labels: abstract trace, shape (length,).
 
         Returns:
-            Shape (len(self),). Two empty traces are at distance 0.
+            Distances, shape (len(self),). The distance of two empty traces is 0.
         """
         length, width = len(labels), min(_words(len(labels)) * _WORD, self._rows.shape[1])
         query = np.full(width, _BEYOND, dtype=np.uint8)
         query[:length] = labels[:width]
         unequal = self._rows[: self._count, :width] != query
-        differing = np.bitwise_count(unequal.view(np.uint64)).sum(1, dtype=np.int64)  # counts rows that ended, too
+        differing = np.bitwise_count(unequal.view(np.uint64)).sum(1, dtype=np.int64)  # padding differs as well
         lengths = self._lengths[: self._count]
         differing += length - width + np.maximum(lengths - length, 0)
         return np.asarray(differing / np.maximum(np.maximum(lengths, length), 1))

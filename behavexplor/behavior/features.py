@@ -1,4 +1,4 @@
-"""What the ego did, as numbers: states on an even time grid, and statistics of them over sliding windows.
+"""Features of the ego's behavior: its states on an even time grid, and their statistics over sliding windows.
 
 Source: paper section III-B1, state interpolation and state merging.
 """
@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 Tail = Literal["padded", "cut"]
 HeadingFrame = Literal["route", "world"]
 
-TIME_STEP: Final = 0.1  # of the even grid [s]
+TIME_STEP: Final = 0.1  # step of the even grid [s]
 ATTRIBUTES: Final = (  # the paper's M = 8 attributes of a state
     "speed",  # [m/s]
     "speed-change",  # signed acceleration [m/s2]
-    "velocity-along",  # the heading [m/s]
+    "velocity-along",  # along the heading [m/s]
     "velocity-across",  # to the right of the heading [m/s]
     "acceleration-along",  # [m/s2]
     "acceleration-across",  # [m/s2]
@@ -39,24 +39,25 @@ STATISTICS: Final = (  # the paper's D = 8 statistics of an attribute in a windo
 )
 N_FEATURES: Final = len(ATTRIBUTES) * len(STATISTICS)
 
-STILL: Final = 1e-3  # of any attribute, in its unit: a smaller deviation is jitter, not behavior
-NEGLIGIBLE: Final = np.tile(  # such a deviation, as each feature shows it, shape (64,)
+STILL: Final = 1e-3  # a smaller deviation of any attribute, in its unit, is jitter and not behavior
+NEGLIGIBLE: Final = np.tile(  # effect of such a deviation on each feature, shape (64,)
     [STILL, STILL**2, STILL, STILL, STILL, STILL, STILL**3, STILL], len(ATTRIBUTES)
 )
 
 
 def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray[np.float32]:
-    r"""The ego's states on a grid of `TIME_STEP`, the paper's X-bar.
+    """Compute the ego's states on a grid of `TIME_STEP`, the paper's X-bar.
 
-    Rates of change belong to the frame at which they begin, so T frames give T - 1 states before interpolation.
+    A rate of change belongs to the frame at which the change begins, so T frames give T - 1 states before
+    interpolation.
 
     Args:
-        trace: of T frames, at any rate.
-        heading_frame: "route": headings are relative to the direction of the ego's route at its nearest place,
-            so that the compass direction of a road does not matter; "world": they are not.
+        trace: a trace of T frames, at any rate.
+        heading_frame: frame of the headings. With "route", they are relative to the direction of the ego's route at its
+            nearest point, so that the compass direction of a road does not matter. With "world", they are absolute.
 
     Returns:
-        Shape (N', 8), columns as in `ATTRIBUTES`, read-only. N' = 0 if the trace has a single frame.
+        Read-only matrix with the columns of `ATTRIBUTES`, shape (N', 8). N' = 0 if the trace has a single frame.
     """
     time = trace.time[:-1]
     if not len(time):
@@ -83,20 +84,21 @@ def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray
 
 
 def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padded") -> Floats:
-    """Statistics of each attribute over each window of consecutive states, the paper's H.
+    """Compute the statistics of each attribute over each window of consecutive states, the paper's H.
 
-    Every statistic equals tsfresh's feature calculator of that name (non-linearity: `c3` with lag 1; complexity:
-    `cid_ce` of the normalized window, here 0 where the window's deviation is below `STILL`). Those that need more
+    Every statistic equals tsfresh's feature calculator of the same name. Non-linearity is `c3` with lag 1. Complexity
+    is `cid_ce` of the normalized window, but 0 if the window's deviation is below `STILL`. Statistics that need more
     states than the window has are 0.
 
     Args:
-        states: shape (N', 8).
-        window: the paper's w, in states.
-        tail: "padded": one window begins at every state, beyond the end with repetitions of the last one (paper);
-            "cut": only windows that lie within the trace, N' - w + 1; one padded window if it is too short.
+        states: the ego's states, shape (N', 8).
+        window: the paper's w, number of states in a window.
+        tail: windows at the end of the trace. With "padded", a window begins at every state, and the last state is
+            repeated beyond the end (paper). With "cut", only the N' - w + 1 windows within the trace are used, or one
+            padded window if the trace is too short.
 
     Returns:
-        Shape (windows, 64): the eight statistics of the first attribute, then of the second, and so on.
+        The eight statistics of the first attribute, then of the second, and so on; shape (windows, 64).
     """
     x = np.asarray(states, dtype=np.float64)
     if not len(x):
@@ -122,5 +124,5 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
 
 
 def _windows(rows: Floats, length: int) -> Floats:
-    """All windows of consecutive rows, shape (length, windows, columns)."""
+    """Return all windows of consecutive rows, shape (length, windows, columns)."""
     return np.moveaxis(sliding_window_view(rows, length, axis=0), -1, 0)

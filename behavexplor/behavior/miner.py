@@ -1,7 +1,7 @@
-"""BehaviorMiner: traces become sequences of abstract states, which can be compared.
+"""BehaviorMiner: convert traces to sequences of abstract states, which can be compared.
 
-Source: paper section III-B1. A refit of the clusters would cost more with every behavior; here it starts from the
-centers of the last one, looks at a bounded sample of merged states, and comes at growing intervals.
+Source: paper section III-B1. The cost of refitting the clusters would grow with every behavior. Here, a refit starts
+from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
 """
 
 from dataclasses import dataclass
@@ -22,23 +22,24 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MinerOptions:
-    """How behaviors are abstracted; the defaults are the paper's where it says.
+    """Options for abstracting behaviors. The defaults are the paper's values, where it states them.
 
     Attributes:
-        window: the paper's w, states of 0.1 s merged into one.
-        tail: "padded": windows at the end of a trace repeat its last state (paper); "cut": there are none.
-        heading_frame: headings relative to the ego's "route", or to the "world".
+        window: the paper's w, number of states of 0.1 s in a merged state.
+        tail: windows at the end of a trace: "padded" with repetitions of its last state (paper), or "cut".
+        heading_frame: frame of the headings, the ego's "route" or the "world".
         clusters: the paper's K, number of abstract states.
-        scaling: "zscore": every feature is scaled to deviation 1 before clustering, unless it hardly varies at
-            all; "none": a few features with large values decide alone.
-        refit_growth: the clusters are fitted anew once there are this share more behaviors; 0: whenever asked
-            (paper). The default keeps the cost of an execution constant, and its novelty decisions agree with
-            the paper's rule more often than those of two random states of that rule agree with each other.
-        sample_size: most merged states that clusters are fitted to; a uniform sample of all is kept.
-        random_state: of the clustering.
+        scaling: scaling of features before clustering. "zscore" scales every feature to deviation 1, unless it hardly
+            varies at all. With "none", a few features with large values dominate.
+        refit_growth: relative growth of the number of behaviors after which the clusters are refitted. With 0, they are
+            refitted after every novel behavior (paper). The default keeps the cost of an execution constant. Its
+            novelty decisions agree with the paper's rule more often than two random states of that rule agree with each
+            other.
+        sample_size: greatest number of merged states to which clusters are fitted, a uniform sample of all.
+        random_state: seed of the clustering and of the sample.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     window: int = 10
@@ -59,7 +60,7 @@ class MinerOptions:
 
 @dataclass(frozen=True)
 class Behavior:
-    """What the ego did in one trace.
+    """The ego's behavior in one trace.
 
     Attributes:
         states: the paper's X-bar, shape (N', 8).
@@ -70,16 +71,16 @@ class Behavior:
     merged: Floats
 
 
-@lru_cache(maxsize=2)  # a search method and the novelty archive look at the same trace one after the other
+@lru_cache(maxsize=2)  # a search method and the novelty archive describe the same trace one after the other
 def _describe(trace: Trace, heading_frame: HeadingFrame, window: int, tail: Tail) -> Behavior:
     states = state_matrix(trace, heading_frame)
     return Behavior(states, merged_states(states, window, tail))
 
 
 class BehaviorMiner:
-    """Known behaviors, their clusters, and distances to them.
+    """The known behaviors with the clusters of their states, to compute the distance of new behaviors.
 
-    Before the first `fit` all states are alike, and behaviors differ by their lengths only.
+    Before the first `fit`, there is a single cluster, so behaviors differ by their lengths only.
     """
 
     def __init__(self, options: MinerOptions) -> None:
@@ -94,26 +95,26 @@ class BehaviorMiner:
         return len(self._states)
 
     def describe(self, trace: Trace) -> Behavior:
-        """The behavior in a trace."""
+        """Compute the ego's behavior in a trace."""
         return _describe(trace, self.options.heading_frame, self.options.window, self.options.tail)
 
     def abstract(self, merged: Floats) -> Labels:
-        """The abstract trace, the paper's H-hat: the nearest cluster of each merged state.
+        """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state.
 
         Args:
-            merged: shape (windows, 64).
+            merged: merged states, shape (windows, 64).
 
         Returns:
-            Shape (windows,).
+            Cluster indices, shape (windows,).
         """
         return self._clusters.nearest(merged)
 
     def distances(self, labels: Labels) -> Floats:
-        """The distance of an abstract trace to every known behavior, in the order they were added; shape (n,)."""
+        """Compute the distance of an abstract trace from every known behavior, in order of addition; shape (n,)."""
         return self._traces.distances(labels)
 
     def add(self, behavior: Behavior) -> int:
-        """Make a behavior known; returns its index."""
+        """Add a behavior to the known ones, and return its index."""
         self._states.append(behavior.states)
         self._sample.extend(behavior.merged)
         self._traces.append(self.abstract(behavior.merged))
@@ -121,11 +122,11 @@ class BehaviorMiner:
 
     @property
     def due(self) -> bool:
-        """Whether enough behaviors were added since the last fit for another one."""
+        """True if enough behaviors were added since the last fit to refit the clusters."""
         return len(self) >= (1 + self.options.refit_growth) * self._fitted_at
 
     def fit(self) -> None:
-        """Fit the clusters to the known behaviors, and map all of these anew."""
+        """Fit the clusters to the known behaviors, and recompute the abstract traces of all of them."""
         self._fitted_at = len(self)
         rows = self._sample.rows.astype(np.float64)
         if not len(rows):
@@ -147,7 +148,10 @@ class BehaviorMiner:
 
 @dataclass(frozen=True)
 class _Clusters:
-    """Centers of clusters, shape (K, 64), in features of which `mean` was taken off before division by `scale`."""
+    """Centers of clusters in scaled features, shape (K, 64).
+
+    Scaling subtracts the `mean` of each feature, then divides by its `scale`.
+    """
 
     centers: Floats
     mean: Floats
@@ -158,13 +162,16 @@ class _Clusters:
         return self.centers * self.scale + self.mean
 
     def nearest(self, merged: Floats) -> Labels:
-        """Indices of the nearest centers, shape (windows,). Sums in a fixed order: no thread decides a tie."""
+        """Return the indices of the nearest centers, shape (windows,).
+
+        Sums are taken in a fixed order, so that ties do not depend on the number of threads.
+        """
         products = np.einsum("nf,kf->nk", (merged - self.mean) / self.scale, self.centers)
         return np.asarray(((self.centers**2).sum(1) - 2 * products).argmin(1), dtype=np.uint8)
 
 
 class _Sample:
-    """A uniform sample of all rows ever seen, in bounded memory (reservoir sampling)."""
+    """A uniform sample of all rows added so far, in bounded memory (reservoir sampling)."""
 
     def __init__(self, size: int, rng: np.random.Generator) -> None:
         self._rows = np.empty((size, N_FEATURES), dtype=np.float32)
@@ -190,10 +197,10 @@ class _Sample:
 
 
 def _k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:
-    """The best centers that K-means finds from several starts, shape (clusters, features).
+    """Find the best centers by K-means from several starts, shape (clusters, features).
 
-    One thread computes them, so that their last bits do not depend on how many the machine has. Where fewer rows
-    differ than there are clusters, some centers are equal and the first of them gets the rows.
+    A single thread computes them, so that their last bits do not depend on the machine's number of threads. If there
+    are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows.
     """
     from sklearn.cluster import KMeans  # noqa: PLC0415 - slow to import, needed only once a campaign runs
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415

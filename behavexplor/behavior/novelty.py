@@ -1,4 +1,4 @@
-"""The yardstick of behavior: how new each execution of a campaign is, whatever method asked for it."""
+"""Novelty of each execution of a campaign, measured in the same way for every search method."""
 
 from dataclasses import dataclass, field
 
@@ -11,11 +11,11 @@ NOVELTY_THRESHOLD = 0.4  # the paper's theta_c
 
 @dataclass(frozen=True)
 class NoveltyOptions:
-    """What counts as a distinct behavior.
+    """Options that define distinct behaviors.
 
     Attributes:
         threshold: least distance between distinct behaviors, exclusive.
-        miner: how behaviors are abstracted.
+        miner: options for abstracting behaviors.
 
     Raises:
         InputError: if the threshold is not in [0, 1].
@@ -29,10 +29,10 @@ class NoveltyOptions:
 
 
 class NoveltyArchive:
-    """The distinct behaviors of a campaign; failing runs behave, too.
+    """The distinct behaviors of a campaign, including those of failed executions.
 
-    It is no part of any search method, so all of them are scored by the same code. Its length is the number of
-    distinct behaviors.
+    The archive is independent of the search methods, so all of them are scored by the same code. Its length is the
+    number of distinct behaviors.
     """
 
     def __init__(self, options: NoveltyOptions | None = None) -> None:
@@ -43,9 +43,9 @@ class NoveltyArchive:
         return len(self._miner)
 
     def observe(self, trace: Trace) -> float:
-        """The novelty of a trace: the least distance to the distinct behaviors so far, 1 if there are none.
+        """Return the novelty of a trace, and add its behavior to the archive if it is distinct.
 
-        If it is novel it becomes one of them.
+        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none.
         """
         behavior = self._miner.describe(trace)
         distances = self._miner.distances(self._miner.abstract(behavior.merged))

@@ -1,1 +1,1 @@
-"""The values that cross every boundary: scenarios, road maps and traces, with the geometry they share."""
+"""Data types shared by all parts of the package: scenarios, road maps and traces, with their geometry."""

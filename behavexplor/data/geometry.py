@@ -1,7 +1,7 @@
 """Oriented boxes and line segments in the plane: corners, overlap and exact distances.
 
-The world frame is highway-env's: x to the right, y down, headings turn from x towards y, so that a
-positive lateral offset lies to the right of the direction of travel. Lengths in meters, angles in radians.
+The world frame is highway-env's: x points to the right, y points down, and headings turn from x toward y. A positive
+lateral offset therefore lies to the right of the direction of travel. Lengths are in meters, angles in radians.
 """
 
 import numpy as np
@@ -13,15 +13,15 @@ _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
 
 def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
-    """Corners of oriented boxes.
+    """Compute the corners of oriented boxes.
 
     Args:
         position: centers, shape (..., 2) [m].
-        heading: shape (...) [rad].
+        heading: headings, shape (...) [rad].
         size: length and width, shape (..., 2) [m], broadcast against `position`.
 
     Returns:
-        Corners in order round the box, shape (..., 4, 2).
+        Corners in order around each box, shape (..., 4, 2).
     """
     local = _UNIT_BOX * np.asarray(size)[..., None, :]
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -31,14 +31,14 @@ def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
 
 
 def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
-    """Whether boxes touch or overlap, by the separating axis theorem.
+    """Return whether boxes touch or overlap, by the separating axis theorem.
 
     Args:
         a: corners, shape (..., 4, 2).
         b: corners, shape (..., 4, 2).
 
     Returns:
-        Shape (...).
+        Booleans, shape (...).
     """
     separated = np.zeros(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=bool)
     for box in (a, b):
@@ -51,7 +51,7 @@ def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
 
 
 def point_segment_distance(point: Floats, start: Floats, end: Floats) -> Floats:
-    """Distance from points to segments; all of shape (..., 2), broadcast. Returns shape (...)."""
+    """Compute the distance from points to segments, shape (...). Arguments of shape (..., 2) are broadcast."""
     along = end - start
     squared = np.einsum("...i,...i->...", along, along)
     share = np.einsum("...i,...i->...", point - start, along) / np.where(squared > 0, squared, 1.0)
@@ -60,14 +60,14 @@ def point_segment_distance(point: Floats, start: Floats, end: Floats) -> Floats:
 
 
 def box_distance(a: Floats, b: Floats) -> Floats:
-    """Shortest distance between boxes [m], 0 where they touch or overlap.
+    """Compute the shortest distance between boxes [m], 0 if they touch or overlap.
 
     Args:
         a: corners, shape (..., 4, 2).
         b: corners, shape (..., 4, 2).
 
     Returns:
-        Shape (...).
+        Distances, shape (...).
     """
     gaps = []
     for corners, box in ((a, b), (b, a)):
@@ -78,14 +78,14 @@ def box_distance(a: Floats, b: Floats) -> Floats:
 
 
 def box_segment_distance(box: Floats, segment: Floats) -> Floats:
-    """Shortest distance between boxes and segments [m], 0 where a segment touches or enters the box.
+    """Compute the shortest distance between boxes and segments [m], 0 if a segment touches or enters the box.
 
     Args:
         box: corners, shape (..., 4, 2).
-        segment: ends, shape (..., 2, 2).
+        segment: end points, shape (..., 2, 2).
 
     Returns:
-        Shape (...).
+        Distances, shape (...).
     """
     start, end = segment[..., 0, :], segment[..., 1, :]
     to_segment = point_segment_distance(box, start[..., None, :], end[..., None, :]).min(-1)
@@ -96,14 +96,14 @@ def box_segment_distance(box: Floats, segment: Floats) -> Floats:
 
 
 def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
-    """Whether segments touch or enter boxes, by the separating axis theorem.
+    """Return whether segments touch or enter boxes, by the separating axis theorem.
 
     Args:
         box: corners, shape (..., 4, 2).
-        segment: ends, shape (..., 2, 2).
+        segment: end points, shape (..., 2, 2).
 
     Returns:
-        Shape (...).
+        Booleans, shape (...).
     """
     start, end = segment[..., 0, :], segment[..., 1, :]
     along = end - start
@@ -119,25 +119,25 @@ def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
 
 
 def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Floats]:
-    """Stations and headings of the nearest places of a polyline whose pieces are about equally long.
+    """Project points on a polyline whose segments are about equally long.
 
-    Only pieces around a point's nearest vertex are looked at.
+    Only the segments around a point's nearest vertex are considered.
 
     Args:
-        points: shape (T, 2) [m].
-        polyline: shape (P, 2) [m], P >= 2.
+        points: points, shape (T, 2) [m].
+        polyline: vertices, shape (P, 2) [m], P >= 2.
 
     Returns:
-        Station of each point's nearest place [m], shape (T,), and the polyline's heading there [rad],
-        shape (T,), interpolated between the headings at the middles of its pieces.
+        Station of each projected point [m], and the polyline's heading at that station [rad], each of shape (T,). The
+        heading is interpolated between the headings at the middles of the segments.
     """
     along = np.diff(polyline, axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
     vertex = ((polyline**2).sum(1) - 2 * (points @ polyline.T)).argmin(1)
-    near = np.clip(vertex[:, None] + np.arange(-2, 2), 0, len(along) - 1)  # pieces, shape (T, 4)
+    near = np.clip(vertex[:, None] + np.arange(-2, 2), 0, len(along) - 1)  # segments, shape (T, 4)
     dx, dy = np.moveaxis((along / length[:, None])[near], -1, 0)
     x, y = np.moveaxis(points[:, None] - polyline[near], -1, 0)
-    ahead = np.clip(x * dx + y * dy, 0.0, length[near])  # of each piece's start
+    ahead = np.clip(x * dx + y * dy, 0.0, length[near])  # distance from the start of each segment
     best = np.arange(len(points)), ((x - ahead * dx) ** 2 + (y - ahead * dy) ** 2).argmin(1)
     ends = np.concatenate([[0.0], np.cumsum(length)])
     station = ends[near[best]] + ahead[best]

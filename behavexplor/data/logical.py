@@ -1,6 +1,6 @@
-"""The logical scenario: which concrete scenarios are possible on a map, checked and sampled.
+"""Logical scenarios: the range of concrete scenarios on a map, and how to check and sample them.
 
-Source: paper section II-B for what is searched: the NPCs' routes and waypoints.
+Source: paper section II-B, for the searched parameters (the NPCs' routes and waypoints).
 """
 
 import math
@@ -36,15 +36,15 @@ class LogicalScenario:
     """A functional scenario's parameters with their ranges.
 
     Attributes:
-        name: of the functional scenario, such as "intersection-straight".
-        roadmap: the place.
-        n_npcs: how many NPCs a sampled scenario has, and the most that one may have.
-        waypoints_per_lane: how many waypoints an NPC has on each lane of its route.
-        min_speed: least speed at a waypoint before the last [m/s]; the greatest is the speed limit.
+        name: name of the functional scenario, such as "intersection-straight".
+        roadmap: the map.
+        n_npcs: number of NPCs in a sampled scenario, and the greatest number in any scenario.
+        waypoints_per_lane: number of waypoints that an NPC has on each lane of its route.
+        min_speed: least speed at all waypoints but the last [m/s]; the greatest speed is the speed limit.
         end_gap: least distance of a starting NPC's center from the ends of its first lane [m].
-        npc_gap: least distance between the centers of NPCs starting in one lane [m].
+        npc_gap: least distance between the centers of NPCs that start in the same lane [m].
         ego_gap: least distance between the centers of the ego and a starting NPC [m].
-        vehicle_types: the types that NPCs may have.
+        vehicle_types: possible vehicle types of NPCs.
     """
 
     name: str
@@ -59,13 +59,14 @@ class LogicalScenario:
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """Least and greatest speed at a waypoint before the last [m/s]."""
+        """Least and greatest speed at all waypoints but the last [m/s]."""
         return self.min_speed, self.roadmap.speed_limit
 
     def position_ranges(self, route: Route) -> Floats:
-        """Where each waypoint of a route may lie, shape (waypoints, 2) [m]: within its lane.
+        """Return the range of positions of each waypoint on a route, shape (waypoints, 2) [m].
 
-        The first waypoint, where the vehicle starts, also keeps `end_gap` from both ends of its lane.
+        Each waypoint lies within its lane. The first waypoint, at which the vehicle starts, also keeps a distance of
+        `end_gap` from both ends of its lane.
         """
         lanes = np.stack([route.bounds[:-1], route.bounds[1:]], axis=1)
         ranges = np.repeat(lanes, self.waypoints_per_lane, axis=0)
@@ -73,15 +74,15 @@ class LogicalScenario:
         return ranges
 
     def check(self, scenario: Scenario) -> None:
-        """Whether the scenario can be run here.
+        """Check that a concrete scenario is valid in this logical scenario.
 
         Raises:
-            InputError: naming the field that is out of range, or the spawn rule that is broken.
+            InputError: if it is not; the message names the field that is out of range, or the broken spawn rule.
         """
         if scenario.functional != self.name:
             raise InputError(f"functional: this is a scenario of {scenario.functional!r}, not of {self.name!r}")
         if len(scenario.npcs) > self.n_npcs:
-            raise InputError(f"npcs: {len(scenario.npcs)} are too many, {self.name!r} has at most {self.n_npcs}")
+            raise InputError(f"npcs: {len(scenario.npcs)} are too many; {self.name!r} has at most {self.n_npcs}")
         for i, npc in enumerate(scenario.npcs):
             try:
                 self._check_npc(npc)
@@ -109,11 +110,11 @@ class LogicalScenario:
                 raise InputError(f"waypoints[{i}].speed: {waypoint.speed} is not in [{low:g}, {high:g}] m/s")
 
     def first_frame(self, scenario: Scenario, end: str) -> Trace:
-        """The trace of an episode that ended before anybody moved.
+        """Return the trace of an episode that ended before any vehicle moved.
 
         Args:
-            scenario: one that can be run here.
-            end: how it ended.
+            scenario: a valid scenario.
+            end: kind of end, one of `behavexplor.data.trace.ENDS`.
         """
         roadmap = self.roadmap
         poses = np.stack([roadmap.start_pose, *map(self._start_pose, scenario.npcs)])
@@ -134,11 +135,14 @@ class LogicalScenario:
         )
 
     def spawn_conflict(self, npc: NPC, others: Sequence[NPC]) -> str | None:
-        """What keeps a vehicle from starting beside others: None, or the end of "the vehicle starts ...".
+        """Return the spawn rule that a vehicle breaks, or None if it can start beside the other vehicles.
 
         Args:
-            npc: with a valid type, route and first position.
-            others: vehicles that have their places already.
+            npc: a vehicle with a valid type, route and first position.
+            others: vehicles that are already placed.
+
+        Returns:
+            The end of the sentence "the vehicle starts ...", or None.
         """
         start, size = self._start_pose(npc), VEHICLE_SIZES[npc.type]
         ego = self.roadmap.start_pose
@@ -161,7 +165,7 @@ class LogicalScenario:
         return self.roadmap.routes[npc.route].lanes[0].pose(npc.waypoints[0].position)
 
     def sample(self, rng: np.random.Generator) -> Scenario:
-        """A scenario with every parameter uniform in its range.
+        """Sample a scenario with every parameter uniform in its range.
 
         Raises:
             InputError: if the vehicles could not be placed by the spawn rules.
@@ -172,7 +176,7 @@ class LogicalScenario:
         return Scenario(self.name, tuple(npcs))
 
     def sample_npc(self, rng: np.random.Generator) -> NPC:
-        """A vehicle of uniform type, route and waypoints, wherever others may stand."""
+        """Sample a vehicle with a uniform type, route and waypoints, regardless of other vehicles."""
         kind = self.vehicle_types[rng.integers(len(self.vehicle_types))]
         route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
         waypoints = []
@@ -184,10 +188,10 @@ class LogicalScenario:
         return NPC(kind, route.name, tuple(waypoints))
 
     def place(self, draw: Callable[[], NPC], others: Sequence[NPC], attempts: int = 1000) -> NPC:
-        """The first drawn vehicle that can start beside the others.
+        """Draw vehicles until one can start beside the other vehicles, and return it.
 
         Raises:
-            InputError: if none of `attempts` draws can.
+            InputError: if none of `attempts` drawn vehicles can be placed.
         """
         for _ in range(attempts):
             npc = draw()
@@ -199,9 +203,9 @@ class LogicalScenario:
 
 
 def _overlap(pose: Floats, size: tuple[float, float], other_pose: Floats, other_size: tuple[float, float]) -> bool:
-    """Whether two boxes touch; poses of shape (3,)."""
+    """Return whether two boxes touch, given their poses, each of shape (3,)."""
     if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
-        return False  # their circles are apart: most vehicles are
+        return False  # the circles around the boxes do not meet, as for most pairs of vehicles
     corners = box_corners(pose[:2], pose[2], np.array(size))
     other_corners = box_corners(other_pose[:2], other_pose[2], np.array(other_size))
     return bool(boxes_overlap(corners, other_corners))

@@ -1,7 +1,7 @@
-"""The road as plain data: lanes, routes along them, and the lines that must not be touched.
+"""Road maps as plain data: lanes, routes along them, and the lines that must not be touched.
 
-Environments build their simulator's roads from a `RoadMap`, planners read it as their map, and samplers
-take the parameter ranges of scenarios from it. The world frame is that of `behavexplor.data.geometry`.
+Environments build the roads of their simulator from a `RoadMap`, planners use it as their map, and samplers derive the
+parameter ranges of scenarios from it. The world frame is that of `behavexplor.data.geometry`.
 """
 
 import math
@@ -18,20 +18,20 @@ DOUBLE_YELLOW, CURB = "double-yellow", "curb"
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane: a straight or circular center line of constant width.
+    """A lane with a straight or circular center line and a constant width.
 
     Lanes with the same `origin` and `target` run side by side and are listed from left to right.
 
     Attributes:
-        name: unique within the map.
-        origin: the node where the lane begins.
-        target: the node where it ends.
+        name: name of the lane, unique within the map.
+        origin: node at which the lane begins.
+        target: node at which the lane ends.
         x: start of the center line [m].
         y: start of the center line [m].
-        heading: direction at the start [rad].
-        length: [m].
-        width: [m].
-        curvature: [1/m], positive where the lane turns right, 0 where it is straight.
+        heading: heading at the start [rad].
+        length: length of the center line [m].
+        width: width of the lane [m].
+        curvature: curvature of the center line [1/m], positive for a right turn, 0 for a straight lane.
         junction: whether the lane crosses a junction.
     """
 
@@ -47,10 +47,10 @@ class Lane:
     junction: bool = False
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Position and heading at distances from the lane's start, also beyond its ends.
+        """Compute the position and heading at some stations. The lane is continued beyond its ends.
 
         Args:
-            station: shape (...) [m].
+            station: distances from the start of the lane, shape (...) [m].
 
         Returns:
             x [m], y [m] and heading [rad], shape (..., 3).
@@ -66,7 +66,7 @@ class Lane:
         return np.stack([x, y, heading], axis=-1)
 
     def project(self, x: float, y: float) -> tuple[float, float]:
-        """Station and offset (positive to the right) of a point, also beyond the lane's ends [m]."""
+        """Compute the station and offset (positive to the right) of a point [m], also beyond the lane's ends."""
         dx, dy = x - self.x, y - self.y
         cos, sin = math.cos(self.heading), math.sin(self.heading)
         ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
@@ -81,11 +81,11 @@ class Lane:
 
 @dataclass(frozen=True)
 class Route:
-    """Lanes driven one after the other; stations are distances from the start of the first.
+    """A sequence of connected lanes. Stations are distances from the start of the first lane.
 
     Attributes:
-        name: unique among the map's routes.
-        lanes: at least one, each beginning where the one before it ends.
+        name: name of the route, unique among the map's routes.
+        lanes: one or more lanes, each beginning where the previous one ends.
     """
 
     name: str
@@ -93,19 +93,19 @@ class Route:
 
     @cached_property
     def bounds(self) -> Floats:
-        """Stations where the lanes begin, and where the last one ends [m], shape (lanes + 1,)."""
+        """Stations at which the lanes begin, and the last one ends [m], shape (lanes + 1,)."""
         return np.concatenate([[0.0], np.cumsum([lane.length for lane in self.lanes])])
 
     @property
     def length(self) -> float:
-        """[m]."""
+        """Length of the route [m]."""
         return float(self.bounds[-1])
 
     def pose(self, station: ArrayLike) -> Floats:
-        """Position and heading along the route; beyond its ends the outer lanes are continued.
+        """Compute the position and heading at some stations. The outer lanes are continued beyond the route's ends.
 
         Args:
-            station: shape (...) [m].
+            station: distances from the start of the route, shape (...) [m].
 
         Returns:
             x [m], y [m] and heading [rad], shape (..., 3).
@@ -119,7 +119,7 @@ class Route:
         return poses
 
     def project(self, x: float, y: float) -> tuple[float, float]:
-        """Station and offset (positive to the right) of a point on the nearest lane [m].
+        """Compute the station and offset (positive to the right) of a point on the nearest lane [m].
 
         The outer lanes are continued beyond the route's ends.
         """
@@ -133,25 +133,25 @@ class Route:
         return best[1:]
 
     def polyline(self, start: float, end: float, spacing: float = 1.0) -> Floats:
-        """Points of the center line from one station to another, shape (P, 2) [m], about `spacing` apart."""
+        """Return points of the center line from `start` to `end`, about `spacing` meters apart, shape (P, 2) [m]."""
         count = max(2, int(np.ceil((end - start) / spacing)) + 1)
         return self.pose(np.linspace(start, end, count))[:, :2]
 
 
 @dataclass(frozen=True, eq=False)
 class RoadMap:
-    """Everything fixed about the place of a functional scenario.
+    """The map of a functional scenario, with the ego's start and destination.
 
     Attributes:
-        lanes: all lanes; those side by side from left to right.
-        npc_routes: the routes that NPCs may take.
-        ego_route: the route to the ego's destination, running on past it.
-        ego_start: station on the ego's route where the ego starts [m].
-        destination: station on the ego's route that it must reach [m].
-        illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
-        line_kinds: `DOUBLE_YELLOW` or `CURB` for each line.
-        speed_limit: [m/s].
-        ego_offset: how far to the right of its route the ego starts [m]; it is not 0 where it has to change lanes.
+        lanes: all lanes. Parallel lanes are ordered from left to right.
+        npc_routes: possible routes of NPCs.
+        ego_route: route to the ego's destination and past it.
+        ego_start: station on the ego's route at which the ego starts [m].
+        destination: station on the ego's route that the ego must reach [m].
+        illegal_lines: end points of the lines that must not be touched, shape (L, 2, 2) [m].
+        line_kinds: kind of each illegal line, `DOUBLE_YELLOW` or `CURB`.
+        speed_limit: speed limit on all lanes [m/s].
+        ego_offset: offset of the ego's start to the right of its route [m], not 0 if the ego has to change lanes.
     """
 
     lanes: tuple[Lane, ...]
@@ -171,13 +171,13 @@ class RoadMap:
 
     @cached_property
     def start_pose(self) -> Floats:
-        """Where the ego starts: x [m], y [m] and heading [rad], shape (3,)."""
+        """Start of the ego: x [m], y [m] and heading [rad], shape (3,)."""
         x, y, heading = self.ego_route.pose(self.ego_start)
         return np.array([x - self.ego_offset * np.sin(heading), y + self.ego_offset * np.cos(heading), heading])
 
     @cached_property
     def ego_line(self) -> Floats:
-        """The center line of the ego's route from its start past its destination, shape (P, 2) [m]."""
+        """Center line of the ego's route, from its start to past its destination, shape (P, 2) [m]."""
         return self.ego_route.polyline(self.ego_start, self.ego_route.length)
 
     @cached_property
@@ -187,6 +187,6 @@ class RoadMap:
 
     @cached_property
     def destination_direction(self) -> Floats:
-        """The direction of the lane at the destination, a unit vector, shape (2,)."""
+        """Unit vector along the lane at the destination, shape (2,)."""
         heading = self.ego_route.pose(self.destination)[2]
         return np.array([np.cos(heading), np.sin(heading)])

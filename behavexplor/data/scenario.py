@@ -1,7 +1,7 @@
-"""One concrete scenario: which vehicles drive which routes, and how fast they are where.
+"""Concrete scenarios: the vehicles, their routes, and their speeds along these routes.
 
-A `Scenario` is a frozen value that knows neither map nor simulator. What is possible on a certain map is
-the business of `behavexplor.data.logical.LogicalScenario`.
+A `Scenario` is a frozen value that knows neither map nor simulator. A `behavexplor.data.logical.LogicalScenario`
+defines which scenarios are possible on a map.
 """
 
 import json
@@ -15,16 +15,16 @@ from behavexplor.errors import InputError
 
 MAX_JSON_LENGTH = 1_000_000  # characters; a scenario of the paper has about 1500
 MAX_NAME_LENGTH = 200  # characters
-MAX_NUMBER = 1e9  # no position [m] or speed [m/s] is larger
+MAX_NUMBER = 1e9  # limit of positions [m] and speeds [m/s]
 
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A position along a route and the speed there.
+    """A position along a route and the speed at this position.
 
     Attributes:
         position: distance from the start of the route [m], >= 0.
-        speed: [m/s], >= 0.
+        speed: speed at this position [m/s], >= 0.
 
     Raises:
         InputError: if a value is not a number from 0 to `MAX_NUMBER`.
@@ -40,12 +40,12 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True)
 class NPC:
-    """A scripted vehicle: it follows its waypoints blindly and parks at the last one.
+    """A scripted vehicle that follows its waypoints blindly and parks at the last one.
 
     Attributes:
         type: vehicle type, such as "sedan".
-        route: name of the route it follows.
-        waypoints: at least one, positions non-decreasing; the first is where it starts.
+        route: name of the vehicle's route.
+        waypoints: one or more waypoints with non-decreasing positions. The vehicle starts at the first one.
 
     Raises:
         InputError: if a field has the wrong type, or the positions decrease.
@@ -74,7 +74,7 @@ class NPC:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A concrete scenario: all values fixed.
+    """A concrete scenario, in which all values are fixed.
 
     Attributes:
         functional: name of the functional scenario, such as "intersection-straight".
@@ -95,7 +95,7 @@ class Scenario:
                 raise InputError(f"npcs[{i}]: expected an NPC, got {npc!r}")
 
     def to_dict(self) -> dict[str, Any]:
-        """The scenario as JSON values; waypoints are `[position, speed]` pairs."""
+        """Return the scenario as JSON values. Waypoints are `[position, speed]` pairs."""
         return {
             "functional": self.functional,
             "npcs": [
@@ -109,15 +109,15 @@ class Scenario:
         }
 
     def to_json(self) -> str:
-        """The scenario as one line of JSON; `from_json` restores it exactly."""
+        """Return the scenario as one line of JSON. `from_json` restores it exactly."""
         return json.dumps(self.to_dict(), separators=(",", ":"))
 
     @classmethod
     def from_dict(cls, value: object) -> Self:
-        """The inverse of `to_dict`.
+        """Create a scenario from JSON values, as returned by `to_dict`.
 
         Raises:
-            InputError: naming the field that is missing, unknown or wrong.
+            InputError: if a field is missing, unknown or wrong; the message names it.
         """
         fields = _fields("the scenario", value, ("functional", "npcs"))
         npcs = []
@@ -127,13 +127,13 @@ class Scenario:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """The inverse of `to_json`.
+        """Create a scenario from JSON, as returned by `to_json`.
 
         Raises:
-            InputError: if the text is not JSON, or naming the field that is wrong.
+            InputError: if the text is too long or not JSON, or a field is wrong; the message names the field.
         """
         if len(text) > MAX_JSON_LENGTH:
-            raise InputError(f"A scenario of {len(text)} characters is too long: at most {MAX_JSON_LENGTH} are read.")
+            raise InputError(f"A scenario of {len(text)} characters is too long: the limit is {MAX_JSON_LENGTH}.")
         try:
             value = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -156,7 +156,7 @@ def _waypoint_from_pair(value: object) -> Waypoint:
 
 
 def _within(place: str, read: Any, value: object) -> Any:
-    """Read a nested value; its error names the whole path to the field."""
+    """Read a nested value. If it is wrong, the error names the whole path to the field."""
     try:
         return read(value)
     except InputError as error:

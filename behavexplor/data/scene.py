@@ -1,7 +1,7 @@
-"""The `Scene` observation: what a planner is told about the vehicles around it, without any noise.
+"""Layout of the `Scene` observation: the ego and the vehicles around it, without noise.
 
-As in the paper (section V-E, threats), perception is bypassed: positions and motions are the true ones.
-Environments fill the scene, planners read it; this is the one place that says what stands where.
+As in the paper (section V-E, threats), perception is bypassed: positions and motions are the true ones. Environments
+fill the scene and planners read it. This module is the single definition of its rows and columns.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""A trace: what happened in one episode, as arrays."""
+"""Traces: the record of one episode, as arrays."""
 
 import io
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from behavexplor.errors import InputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-RESOLUTION = 1e-9  # of recorded motion, in m, rad and m/s
+RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
 FORMAT = 1
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error")
 _MOTION = ("position", "heading", "velocity")
@@ -25,28 +25,28 @@ _MOTION = ("position", "heading", "velocity")
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """One episode of T frames with N vehicles, the ego first; what a spec, a miner or a report needs.
+    """The record of one episode with T frames and N vehicles, of which the ego is the first.
 
-    Every step of the simulation is a frame, so that nothing the simulator saw is missing here. Motion is
-    recorded to `RESOLUTION`, so that what is read from a file equals what was recorded. Arrays are read-only.
+    Every simulation step is a frame, so a trace lacks nothing that the simulator computed. Motion is rounded to
+    `RESOLUTION`, so a trace that is read from a file equals the recorded one. Arrays are read-only.
 
     Attributes:
-        time: shape (T,) [s], increasing, the first 0; T >= 1.
+        time: time of each frame, increasing from 0, shape (T,) [s]; T >= 1.
         position: centers, shape (T, N, 2) [m].
-        heading: shape (T, N) [rad].
-        velocity: shape (T, N, 2) [m/s].
+        heading: headings, shape (T, N) [rad].
+        velocity: velocities, shape (T, N, 2) [m/s].
         size: length and width, shape (N, 2) [m].
-        actions: the ADS's commands, shape (D, A), in the units of its action space.
-        action_frame: the frame at which each was given, shape (D,).
-        route: center line of the ego's route from its start past its destination, shape (P, 2) [m].
-        destination: shape (2,) [m].
-        illegal_lines: ends of the lines that must not be touched, shape (L, 2, 2) [m].
-        end: how the episode ended: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or
-            "error" where the ADS did something else than driving.
-        decisions: the ADS's own log by name, each of shape (D, ...).
+        actions: commands of the driving system (ADS), shape (D, A), in the units of its action space.
+        action_frame: frame at which each command was given, shape (D,).
+        route: center line of the ego's route, from its start to past its destination, shape (P, 2) [m].
+        destination: the ego's destination, shape (2,) [m].
+        illegal_lines: end points of the lines that must not be touched, shape (L, 2, 2) [m].
+        end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or "error" if the
+            ADS failed instead of returning an action.
+        decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
 
     Raises:
-        InputError: naming the field whose shape or values are wrong.
+        InputError: if the shape or a value of a field is wrong; the message names the field.
     """
 
     time: Floats
@@ -109,7 +109,7 @@ class Trace:
             raise InputError(f"end: expected one of {', '.join(ENDS)}, got {self.end!r}")
 
     def __deepcopy__(self, memo: object) -> Self:
-        return self  # nothing in it can change
+        return self  # a trace is immutable
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_bytes, (self.to_bytes(),)
@@ -121,16 +121,16 @@ class Trace:
 
     @cached_property
     def acceleration(self) -> Floats:
-        """Change of velocity from each frame to the next, shape (T - 1, N, 2) [m/s2]."""
+        """Mean acceleration from each frame to the next, shape (T - 1, N, 2) [m/s2]."""
         return np.diff(self.velocity, axis=0) / np.diff(self.time)[:, None, None]
 
     @property
     def destination_distance(self) -> float:
-        """Distance of the ego's last position to the destination [m]."""
+        """Distance of the ego's last position from the destination [m]."""
         return float(np.hypot(*(self.position[-1, 0] - self.destination)))
 
     def to_bytes(self) -> bytes:
-        """The trace as a compressed npz file; equal traces give equal bytes, and `from_bytes` restores them."""
+        """Return the trace as a compressed npz file. Equal traces give equal bytes, and `from_bytes` restores them."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         for name in _MOTION:
             arrays[name] = _pack(arrays[name])
@@ -141,7 +141,7 @@ class Trace:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """The inverse of `to_bytes`; nothing in the data is ever executed.
+        """Read a trace from the bytes of an npz file, as returned by `to_bytes`. No code in the data is executed.
 
         Raises:
             InputError: if the data is not a trace, or is damaged.
@@ -179,7 +179,7 @@ _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in ("end", "decision
 
 
 def _frozen(name: str, values: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """A read-only copy; what is no number, or would lose its fraction, is refused."""
+    """Return a read-only copy of an array. Values that are not numbers, or would lose a fraction, are refused."""
     try:
         given = np.asarray(values)
     except ValueError:  # rows of different lengths
@@ -205,7 +205,7 @@ def _check_shape(name: str, array: NDArray[np.generic], expected: tuple[int | No
 
 
 def _pack(motion: Floats) -> NDArray[np.uint8]:
-    """Second differences over time in units of `RESOLUTION`, byte by byte: smooth motion becomes zeros."""
+    """Pack motion as second differences over time in units of `RESOLUTION`, byte by byte: smooth motion becomes 0."""
     steps = np.rint(motion / RESOLUTION).astype(np.int64)
     for _ in range(2):
         steps = np.diff(steps, axis=0, prepend=0)

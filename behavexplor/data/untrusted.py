@@ -1,4 +1,4 @@
-"""Plain values from files of strangers: limits are kept before anything is made of what a file claims to hold."""
+"""Safe loading of untrusted YAML and npz files. Limits are checked before any value of a file is created."""
 
 import io
 from collections.abc import Mapping
@@ -9,20 +9,20 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-MAX_NODES: Final = 100_000  # of a YAML file, each alias counted as often as it is used
-MAX_DEPTH: Final = 40  # of values within values in a YAML file
-MAX_ARRAY_BYTES: Final = 200_000_000  # of all arrays in an npz file
+MAX_NODES: Final = 100_000  # nodes in a YAML file; an alias counts as often as it is used
+MAX_DEPTH: Final = 40  # nesting depth of values in a YAML file
+MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz file
 
 
 def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
-    """The value of a YAML document.
+    """Return the value of a YAML document.
 
     Args:
         text: the document.
-        loader: makes the values.
+        loader: YAML loader class that constructs the values.
 
     Raises:
-        ValueError: if it is none, or would become too large.
+        ValueError: if the text is not YAML, or its value would become too large or too deep.
     """
     try:
         making = loader(text)
@@ -37,18 +37,18 @@ def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> An
             making.dispose()
     except RecursionError:
         raise ValueError("its values are nested too deeply") from None
-    except (yaml.YAMLError, LookupError, AttributeError, TypeError) as error:  # the latter for odd tags and keys
+    except (yaml.YAMLError, LookupError, AttributeError, TypeError) as error:  # odd tags and keys raise the last three
         raise ValueError(" ".join(str(error).split())) from None
 
 
 def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
-    """How many nodes there are in a node, aliases expanded, and how deep they lie.
+    """Return the number of nodes in a node, with aliases expanded, and their depth.
 
     Raises:
-        ValueError: if they lie too deep, or a node lies within itself.
+        ValueError: if they are nested too deeply, or a node contains itself.
     """
     if id(node) not in known:
-        known[id(node)] = (0, MAX_DEPTH)  # of whoever finds itself inside
+        known[id(node)] = (0, MAX_DEPTH)  # found if the node contains itself, and too deep then
         extents = [_extent(child, known) for child in _children(node)]
         depth = 1 + max((deep for _, deep in extents), default=0)
         if depth > MAX_DEPTH:
@@ -64,17 +64,17 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 
 
 def read_arrays(data: bytes) -> Mapping[str, NDArray[Any]]:
-    """The arrays in an npz file by name; nothing in it is ever executed.
+    """Read the arrays in an npz file, by name. No code in the file is executed.
 
     Raises:
-        ValueError: if it is none, is damaged, or would unpack to too much.
+        ValueError: if it is not an npz file, is damaged, or would unpack to more than `MAX_ARRAY_BYTES`.
     """
     try:
         with ZipFile(io.BytesIO(data)) as file:
             size = sum(member.file_size for member in file.infolist())
         if size > MAX_ARRAY_BYTES:
-            raise ValueError(f"it would unpack to {size} bytes, which nothing needs")  # noqa: TRY301
+            raise ValueError(f"it would unpack to {size} bytes, more than {MAX_ARRAY_BYTES}")  # noqa: TRY301
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
-    except Exception as error:  # damaged zips and arrays make zipfile, zlib and numpy raise a dozen kinds
+    except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds of errors for damaged files
         raise ValueError(" ".join(f"{type(error).__name__}: {error}".split())[:300]) from None

@@ -1,1 +1,1 @@
-"""The functional scenarios as gymnasium environments."""
+"""Gymnasium environments of the functional scenarios."""

@@ -1,4 +1,4 @@
-"""Whether what somebody wants done is an action at all."""
+"""Validate actions against an action space."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ from behavexplor.errors import InputError
 
 
 def check_actions(space: Space[Any], actions: Any) -> None:
-    """Whether an action, or a batch of them, has the shape of its space and can be carried out.
+    """Check that an action, or a batch of actions, has the shape of its space and can be carried out.
 
     Args:
-        space: a Discrete or MultiDiscrete space, or a Box; beyond its bounds every finite number will do.
-        actions: the action.
+        space: a Discrete, MultiDiscrete or Box space. Any finite number is accepted for a Box, even beyond its bounds.
+        actions: the action, or the batch of actions.
 
     Raises:
-        InputError: saying what was expected.
+        InputError: if the actions do not fit the space; the message says what was expected.
     """
     values = np.asarray(actions)
     fits = values.shape == space.shape

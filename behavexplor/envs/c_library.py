@@ -1,8 +1,8 @@
-"""highway-env's own code, computing with the C library's trigonometry.
+"""highway-env's code, run with the trigonometry of the C library instead of numpy's.
 
-numpy's differs from it in the last bit on some processors. highway-env's steering towards a lane is unstable below
-about 1 m/s, so that a last bit grows to meters: an episode could not be repeated on another machine, nor would the
-kernels of the vector environment, which use the C library, go the same way.
+On some processors the two differ in the last bit. highway-env's steering toward a lane is unstable below about 1 m/s,
+so a difference in the last bit grows to meters. With numpy's trigonometry, an episode would not repeat on another
+machine, and it would diverge from the kernels of the vector environment, which use the C library.
 """
 
 import math
@@ -22,10 +22,11 @@ _NUMPY = SimpleNamespace(
 
 
 def with_c_library(function: Function) -> Function:
-    """The same code with other trigonometry, for use as a method of a subclass.
+    """Return a copy of a function that uses the C library's trigonometry, for use as a method of a subclass.
 
     Args:
-        function: of highway-env; its module knows numpy as `np`, and it applies trigonometry to numbers only.
+        function: a function of highway-env. Its module imports numpy as `np`, and it applies trigonometry to
+            scalars only.
     """
     original = cast("FunctionType", function)
     names = {**original.__globals__, "np": _NUMPY}

@@ -1,4 +1,4 @@
-"""The environment that all functional scenarios share: an ego among NPCs that play back a concrete scenario."""
+"""The base environment of all functional scenarios: an ego among NPCs that play back a concrete scenario."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -24,105 +24,112 @@ from behavexplor.envs.vehicles import ScriptedVehicle, place_ego
 from behavexplor.envs.viewer import MapViewer
 from behavexplor.errors import InputError, unknown_name
 
-ARRIVAL_DISTANCE = 1.0  # of the ego's center from the destination [m]
-PASSED_DISTANCE = 5.0  # beyond the destination, along its lane [m]
+ARRIVAL_DISTANCE = 1.0  # distance of the ego's center from the destination [m]
+PASSED_DISTANCE = 5.0  # distance beyond the destination, along its lane [m]
 STANDSTILL_SPEED = 0.3  # [m/s]
 STANDSTILL_TIME = 30.0  # [s]
 
 RENDER_MODES = ("human", "rgb_array")
-TERMINAL = ("collision", "arrived", "passed")  # what ends the task itself; the other ends cut it off
+TERMINAL = ("collision", "arrived", "passed")  # ends that terminate the task; all other ends truncate it
 
 
 class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     """Drive to a destination among scripted vehicles.
 
-    A functional scenario is a subclass with a `logical`: its map, and which concrete scenarios are possible there.
+    Each functional scenario is a subclass with its own `logical` scenario: a map, and the range of concrete scenarios
+    that are possible on it.
 
     ## Concrete scenarios
 
-    `reset(options={"scenario": scenario})` runs a `behavexplor.data.scenario.Scenario`. Without it one is sampled from
-    the logical scenario with the environment's own generator, so that the same environment trains a policy.
-    `env.unwrapped.logical.sample(generator)` samples one too, and `logical.check(scenario)` tells what is wrong.
-    NPCs follow their waypoints blindly and yield to nobody: their motion is a function of the scenario alone. At the
-    last waypoint, which lies behind the ego's destination, they park. The ego starts standing.
+    `reset(options={"scenario": scenario})` runs a `behavexplor.data.scenario.Scenario`. Without the option, the
+    environment samples a scenario from the logical scenario with its own random generator, so the same environment can
+    train a policy. `env.unwrapped.logical.sample(generator)` samples a scenario as well, and `logical.check(scenario)`
+    reports what is wrong with one.
+
+    NPCs follow their waypoints blindly and never yield: their motion is a function of the scenario alone. They park at
+    their last waypoint, which lies behind the ego's destination. The ego starts at rest.
 
     ## Actions
 
-    highway-env's action types, given as `config["action"]`. The default is its `ContinuousAction`:
+    highway-env's action types, set by `config["action"]`. The default is `ContinuousAction`:
 
     | index | action | range | meaning |
     |---|---|---|---|
     | 0 | acceleration | -1 to 1 | `acceleration_range`, -5 to 5 m/s2 by default |
     | 1 | steering | -1 to 1 | `steering_range`, -45 to 45 degrees by default, positive to the right |
 
-    `DiscreteAction` and `DiscreteMetaAction` are the others.
+    `DiscreteAction` and `DiscreteMetaAction` are available as well.
 
     ## Observations
 
-    highway-env's observation types, given as `config["observation"]`. The default is its `Kinematics` with a row for
-    each vehicle, the ego first, then by distance: presence, and x, y, vx, vy (relative to the ego's, scaled to [-1, 1]
-    by highway-env's ranges). One type is added: `Scene`, float64, unscaled, in the order of the scenario, absent
-    vehicles all 0:
+    highway-env's observation types, set by `config["observation"]`. The default is `Kinematics` with one row for each
+    vehicle, the ego first and the other vehicles by distance. Its columns are presence, x, y, vx and vy. The positions
+    and velocities of other vehicles are relative to the ego's, and all are scaled to [-1, 1] by highway-env's ranges.
+
+    One more type is added: `Scene`. It is float64 and unscaled. Its rows follow the order of the scenario, and the rows
+    of absent vehicles are 0:
 
     | column | meaning | unit |
     |---|---|---|
     | 0 | present | 1 or 0 |
     | 1, 2 | x (to the right), y (down) of the center | m |
-    | 3 | heading, from x towards y | rad |
+    | 3 | heading, from x toward y | rad |
     | 4 | speed | m/s |
     | 5 | acceleration | m/s2 |
     | 6, 7 | length, width | m |
 
     ## Reward
 
-    The sum of the terms in `info["rewards"]`, each a weight in `config["reward"]` times what happened since the last
-    decision:
+    The reward is the sum of the terms in `info["rewards"]`. Each term is a weight in `config["reward"]` times an amount
+    that is measured since the last decision:
 
-    | term | weight | times |
+    | term | weight | amount |
     |---|---|---|
-    | progress | 0.1 | meters forward along the ego's route |
+    | progress | 0.1 | distance driven forward along the ego's route [m] |
     | step | -0.02 | 1 |
-    | effort | -0.002 | the square of the mean acceleration [(m/s2)^2] |
-    | lines | -8 | 1 when the ego first touches an illegal line (R2) |
-    | collision | -20 | 1 at a collision (R1), except |
-    | rear_end | -2 | 1 if a faster vehicle struck the ego from behind |
+    | effort | -0.002 | square of the mean acceleration [(m/s2)^2] |
+    | lines | -8 | 1 when the ego touches an illegal line for the first time (R2) |
+    | collision | -20 | 1 at a collision (R1) that is not a `rear_end` |
+    | rear_end | -2 | 1 at a collision in which a faster vehicle struck the ego from behind |
     | arrived | 10 | 1 on arrival (R3) |
     | missed | -4 | 1 at any other end |
 
     ## End of the episode
 
-    Terminated: the ego's box touches another vehicle's ("collision"), its center is within 1 m of the destination
-    ("arrived"), or it has passed the destination by 5 m ("passed"). Truncated: the ego stood, slower than 0.3 m/s, for
-    30 s ("standstill"), or the time limit is reached ("timeout"). Touching a line does not end the episode.
-    `info["end"]` says which, and `info["trace"]` is the whole episode as a `behavexplor.data.trace.Trace`. `reset`
-    returns the scenario that runs as `info["scenario"]`.
+    The episode is terminated if the ego's box touches another vehicle's box ("collision"), if the ego's center is
+    within 1 m of the destination ("arrived"), or if it has passed the destination by 5 m ("passed"). It is truncated if
+    the ego has been slower than 0.3 m/s for 30 s ("standstill"), or if the time limit is reached ("timeout"). Touching
+    a line does not end the episode.
+
+    `info["end"]` names the end, and `info["trace"]` holds the whole episode as a `behavexplor.data.trace.Trace`.
+    `reset` returns the running scenario as `info["scenario"]`.
 
     ## Arguments
 
-    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, with the nearest match, and so is a
-    value that cannot be used or would have no effect.
+    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, and the error suggests the nearest
+    match. A value that cannot be used or would have no effect is refused as well.
 
     | key of `config` | default | meaning |
     |---|---|---|
     | observation, action | see above | highway-env's observation and action configuration |
-    | simulation_frequency | 20 | steps of the simulation [Hz], a multiple of |
+    | simulation_frequency | 20 | simulation steps [Hz], a multiple of `policy_frequency` |
     | policy_frequency | 10 | decisions [Hz] |
     | duration | 200 | time limit [s] |
-    | reward | see above | weights; single ones may be given |
+    | reward | see above | weights to change |
     | logical | {} | parameters of `behavexplor.data.logical.LogicalScenario` to change: `n_npcs`, `min_speed`, ... |
 
-    The other keys are highway-env's, most of them about rendering: `screen_width`, `screen_height`, `scaling`,
+    The other keys are highway-env's. Most of them concern rendering: `screen_width`, `screen_height`, `scaling`,
     `centering_position`, `real_time_rendering`, ... `render_mode` is None, "human" or "rgb_array".
 
     Raises:
-        InputError: if something in the config is unknown or out of range.
+        InputError: if the config contains an unknown key, or a value that is out of range.
     """
 
     logical: LogicalScenario
     config: dict[str, Any]
     scenario: Scenario
     viewer: MapViewer | None
-    observation_type: Any  # of highway-env, which has no annotations
+    observation_type: Any  # highway-env has no annotations
     action_type: Any
     _has_new_config = True
     _has_begun = False
@@ -135,18 +142,18 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         if render_mode not in (None, *RENDER_MODES):
             raise InputError(f"render_mode: expected None, {' or '.join(RENDER_MODES)}, got {render_mode!r:.80}")
         super().__init__(config, render_mode)
-        self._has_begun = False  # highway-env has reset it, with no seed
+        self._has_begun = False  # highway-env's constructor has reset the environment without a seed
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "viewer": None}  # the window stays here
+        return {**self.__dict__, "viewer": None}  # a window cannot be pickled
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
-        """The configuration where nothing is changed."""
+        """Return the default configuration."""
         return default_config(super().default_config(), cls.logical)
 
     def configure(self, config: dict[str, Any]) -> None:
-        """Change the configuration, see the class; an episode that is running is given up."""
+        """Change the configuration (see the class). A running episode is abandoned."""
         changes = {} if config is None else config
         changed = changed_config(self.config, changes)
         logical = changed_logical(type(self).logical, changed["logical"])
@@ -157,7 +164,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         super().configure({})
 
     def define_spaces(self) -> None:
-        """An episode's own observation and action types; their spaces are made once for a configuration."""
+        """Create the observation and action types of an episode. Their spaces are made once per configuration."""
         observation = self.config["observation"]
         own = {"Scene": SceneObservation, "Kinematics": Kinematics}.get(observation.get("type"))
         self.observation_type = own(self, **observation) if own else observation_factory(self, observation)
@@ -173,11 +180,11 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         """Begin an episode.
 
         Args:
-            seed: of the generator that samples scenarios.
-            options: `scenario`, the concrete scenario to run; one is sampled where there is none.
+            seed: seed of the generator that samples scenarios.
+            options: the concrete scenario to run, under the key `scenario`. Without it a scenario is sampled.
 
         Raises:
-            InputError: if the scenario cannot be run here, or an option is unknown.
+            InputError: if the scenario cannot be run in this environment, or an option is unknown.
         """
         gymnasium.Env.reset(self, seed=seed)
         options = options or {}
@@ -197,7 +204,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self._has_begun = True
         self._terms = {}
         self.scenario = scenario
-        self.action_type = action_factory(self, self.config["action"])  # by which the ego's class is chosen
+        self.action_type = action_factory(self, self.config["action"])  # determines the ego's class
         self._place(scenario)
         self.define_spaces()
         observation = self.observation_type.observe()
@@ -227,11 +234,12 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self._recorder.frame(ego)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Act until the next decision, or until the episode ends; see the class.
+        """Simulate until the next decision, or until the episode ends (see the class).
 
         Raises:
             gymnasium.error.ResetNeeded: if no episode is running.
-            InputError: if this is no action of the action space; numbers beyond a Box are clipped by highway-env.
+            InputError: if the action is not in the action space. Numbers beyond the bounds of a Box are accepted, and
+                clipped by highway-env.
         """
         if not self._has_begun:
             raise gymnasium.error.ResetNeeded("No episode has begun: call reset before step")
@@ -292,7 +300,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         return info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The scene seen from above: double yellow lines, curbs, routes, and every vehicle in its size."""
+        """Render the scene from above: double yellow lines, curbs, routes, and every vehicle at its own size."""
         if self.render_mode is not None and self.viewer is None:
             self.viewer = MapViewer(self)
         return super().render()  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""The configuration of the environments: highway-env's with a few keys of ours, and every value checked."""
+"""Configuration of the environments: highway-env's keys and some of this package, with every value checked."""
 
 import inspect
 from collections.abc import Mapping
@@ -36,13 +36,13 @@ from behavexplor.envs.values import (
 )
 from behavexplor.errors import InputError, unknown_name
 
-OBSERVATIONS = MappingProxyType(  # highway-env's types that make sense for one vehicle on its way to a place
+OBSERVATIONS = MappingProxyType(  # highway-env's types that suit a single vehicle with a destination
     {
         "GrayscaleObservation": observations.GrayscaleObservation,
         "Kinematics": observations.KinematicObservation,
         "LidarObservation": observations.LidarObservation,
         "OccupancyGrid": observations.OccupancyGridObservation,
-        "Scene": None,  # ours
+        "Scene": None,  # the type added by this package
         "TimeToCollision": observations.TimeToCollisionObservation,
         "TupleObservation": observations.TupleObservation,
     }
@@ -54,12 +54,12 @@ ACTIONS = MappingProxyType(
         "DiscreteMetaAction": actions.DiscreteMetaAction,
     }
 )
-MAX_PARTS = 16  # of a TupleObservation
-_UNREAD_KEYS = {
+MAX_PARTS = 16  # parts of a TupleObservation
+_UNREAD_KEYS = {  # highway-env's own configurations have these keys, although nothing reads them
     "observation": {"flatten"},
     "action": {"target_speeds"},
-}  # in highway-env's own, though nothing reads them
-_KINDS: Mapping[str, Kind] = {  # of the values of the configuration itself
+}
+_KINDS: Mapping[str, Kind] = {  # keys of the configuration itself
     "simulation_frequency": COUNT,
     "policy_frequency": COUNT,
     "duration": POSITIVE,
@@ -70,7 +70,7 @@ _KINDS: Mapping[str, Kind] = {  # of the values of the configuration itself
     "offscreen_rendering": optional(FLAG),
     "real_time_rendering": FLAG,
 }
-_TYPE_KINDS: Mapping[str, Kind] = {  # of those of observations and actions
+_TYPE_KINDS: Mapping[str, Kind] = {  # keys of observations and actions
     "absolute": FLAG,
     "acceleration_range": optional(RANGE),
     "actions_per_axis": COUNT,
@@ -104,7 +104,7 @@ _TYPE_KINDS: Mapping[str, Kind] = {  # of those of observations and actions
     "weights": THREE_NUMBERS,
     "OccupancyGrid.features": optional(names((*FEATURES, "on_road"))),
 }
-_WITHOUT_EFFECT = {  # of highway-env's keys; in its `config`, since its code reads some of them
+_WITHOUT_EFFECT = {  # highway-env's keys; they stay in the `config`, since highway-env's code reads some of them
     "manual_control",
     "neighbour_vehicles_connected_lanes",
     "render_agent",
@@ -114,10 +114,10 @@ _LOGICAL_KEYS = {entry.name for entry in fields(LogicalScenario)} - {"name", "ro
 
 
 def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> dict[str, Any]:
-    """The configuration of an environment where nothing was changed.
+    """Return the default configuration of an environment.
 
     Args:
-        simulator: highway-env's.
+        simulator: highway-env's default configuration.
         logical: the environment's logical scenario.
     """
     config = dict(simulator) | {
@@ -138,15 +138,17 @@ def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> di
 
 
 def default_observation(logical: LogicalScenario) -> dict[str, Any]:
-    """Kinematics with a row for every vehicle that there may be."""
+    """Return the configuration of a Kinematics observation with one row for every possible vehicle."""
     return {"type": "Kinematics", "vehicles_count": 1 + logical.n_npcs}
 
 
 def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with some values changed; of `reward` and `logical` single keys may be given.
+    """Return a configuration with some values changed.
+
+    `reward` and `logical` may be given in part: their other keys keep their values.
 
     Raises:
-        InputError: if a key is unknown, naming the nearest match, or a value is out of range.
+        InputError: if a key is unknown (the message names the nearest match), or a value is out of range.
     """
     changes = _mapping("config", changes)
     for key in changes:
@@ -173,10 +175,10 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
 
 
 def changed_logical(logical: LogicalScenario, changes: Mapping[str, Any]) -> LogicalScenario:
-    """A logical scenario with other parameter ranges, such as another number of NPCs.
+    """Return a logical scenario with some parameters changed, such as the number of NPCs.
 
     Raises:
-        InputError: naming what is out of range.
+        InputError: if a parameter is out of range; the message names it.
     """
     if not changes:
         return logical
@@ -199,8 +201,8 @@ def _check_times(config: Mapping[str, Any]) -> None:
     simulation, policy = config["simulation_frequency"], config["policy_frequency"]
     if simulation % policy:
         raise InputError(
-            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}, "
-            f"or time would run wrong"
+            f"simulation_frequency {simulation} must be a multiple of policy_frequency {policy}: "
+            f"each decision lasts a whole number of simulation steps"
         )
 
 
@@ -225,13 +227,13 @@ def _check_action(config: object) -> None:
 
 
 def _types(observation: Mapping[str, Any]) -> list[str]:
-    """The types of an observation and of its parts."""
+    """Return the types of an observation and of its parts."""
     parts = observation.get("observation_configs", ()) if observation["type"] == "TupleObservation" else ()
     return [observation["type"], *(part["type"] for part in parts)]
 
 
 def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
-    """Whether highway-env will read every key of an observation's or an action's configuration, and has all."""
+    """Check the configuration of an observation or action: highway-env reads every key, and needs no other."""
     settings = _mapping(what, config)
     name = settings.get("type")
     if not isinstance(name, str) or name not in types:

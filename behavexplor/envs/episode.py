@@ -1,4 +1,4 @@
-"""The trace of an episode from what was recorded of it."""
+"""Build the trace of an episode from its record."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,17 @@ def episode_trace(
     action_frames: Ints,
     end: str,
 ) -> Trace:
-    """The trace of an episode of T frames that has ended.
+    """Build the trace of a finished episode of T frames.
 
     Args:
-        roadmap: the place.
-        time: shape (T,) [s].
-        ego: x [m], y [m], heading [rad] and velocity [m/s], shape (T, 5).
+        roadmap: the map.
+        time: time of each frame, shape (T,) [s].
+        ego: x [m], y [m], heading [rad] and velocity (vx, vy) [m/s] of the ego, shape (T, 5).
         motion: the NPCs' motion table, shape (T, n_npcs, 5).
         sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m].
         actions: the commands, shape (D, A).
-        action_frames: the frame at which each was given, shape (D,).
-        end: how the episode ended.
+        action_frames: frame at which each command was given, shape (D,).
+        end: kind of end, one of `behavexplor.data.trace.ENDS`.
     """
     velocity = motion[..., SPEED, None] * np.stack([np.cos(motion[..., HEADING]), np.sin(motion[..., HEADING])], -1)
     return Trace(

@@ -1,4 +1,4 @@
-"""highway-env's `Kinematics` observation without its data frames: the same values in a hundredth of the time."""
+"""highway-env's `Kinematics` observation without data frames: the same values in a hundredth of the time."""
 
 import math
 from collections.abc import Callable
@@ -19,16 +19,18 @@ FEATURES = (
     *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),
     *("cos_d", "sin_d", "long_off", "lat_off", "ang_off"),
 )
-RELATIVE = ("x", "y", "vx", "vy")  # given relative to the ego unless `absolute`
+RELATIVE = ("x", "y", "vx", "vy")  # relative to the ego unless `absolute`
 ORDERS = ("sorted", "shuffled")
 
 
 class Kinematics(KinematicObservation):  # type: ignore[misc]
-    """What `highway_env.envs.common.observation.KinematicObservation` gives, value for value.
+    """Kinematics observation, equal to `highway_env.envs.common.observation.KinematicObservation` in every value.
 
-    Shape (vehicles_count, features), float32; the ego's row first, rows without a vehicle 0. All options and
-    their defaults are highway-env's. It differs in one case: with a `vehicles_count` of 1 highway-env shows
-    every vehicle, in a shape that its own space does not contain; here it shows the ego.
+    The observation is a float32 array of shape (vehicles_count, features). The ego's row comes first, and rows without
+    a vehicle are 0. All options and their defaults are highway-env's.
+
+    There is one difference. With a `vehicles_count` of 1, highway-env shows every vehicle, in a shape that its own
+    space does not contain. This class shows the ego only.
     """
 
     features: list[str]
@@ -39,7 +41,7 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
         self.features = list(self.features)
 
     def observe(self) -> NDArray[Any]:
-        """The observation of the present state."""
+        """Return the observation of the current state."""
         if not self.env.road:
             return np.zeros(self.space().shape, dtype=np.float32)
         ego = self.observer_vehicle
@@ -59,7 +61,7 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
         return table.astype(np.float32)
 
     def _close_objects(self, ego: Vehicle) -> list[RoadObject]:
-        """The vehicles, and obstacles where wanted, that have a row: `Road.close_objects_to`."""
+        """Return the other vehicles, and obstacles if they are included, that get a row: `Road.close_objects_to`."""
         candidates = [(vehicle, self.see_behind) for vehicle in self.env.road.vehicles if vehicle is not ego]
         if self.include_obstacles:
             candidates += [(obstacle, False) for obstacle in self.env.road.objects]
@@ -92,7 +94,7 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
 
 
 def default_ranges(n_side_lanes: int) -> dict[str, list[float]]:
-    """highway-env's ranges of the features for an ego on a road of so many lanes."""
+    """Return highway-env's default ranges of the features for an ego on a road with `n_side_lanes` lanes."""
     return {
         "x": [-5.0 * Vehicle.MAX_SPEED, 5.0 * Vehicle.MAX_SPEED],
         "y": [-AbstractLane.DEFAULT_WIDTH * n_side_lanes, AbstractLane.DEFAULT_WIDTH * n_side_lanes],
@@ -102,7 +104,7 @@ def default_ranges(n_side_lanes: int) -> dict[str, list[float]]:
 
 
 class _Columns:
-    """The features of some objects, the ego first, each of shape (objects,); what nobody asks for is not computed."""
+    """Features of some objects, the ego first. Each has shape (objects,) and is computed only when it is requested."""
 
     def __init__(self, objects: list[RoadObject], observe_intentions: bool) -> None:
         self._objects = objects
@@ -113,7 +115,7 @@ class _Columns:
         self._direction = np.cos(self._heading), np.sin(self._heading)
 
     def of(self, feature: str) -> Floats:
-        """One feature; NaN where highway-env has none of an obstacle."""
+        """Return one feature. It is NaN for obstacles that have no such feature in highway-env."""
         return _FEATURES[feature](self)
 
     def presence(self) -> Floats:
@@ -134,7 +136,7 @@ class _Columns:
 
     @cached_property
     def destination_direction(self) -> Floats:
-        """Shape (objects, 2)."""
+        """Unit vectors toward the objects' destinations, shape (objects, 2); zeros if a destination is unknown."""
         directions = np.zeros((len(self._objects), 2))
         for i, thing in enumerate(self._objects):
             if isinstance(thing, Vehicle) and (i == 0 or self._observe_intentions):
@@ -143,11 +145,11 @@ class _Columns:
 
     @cached_property
     def lane_offset(self) -> Floats:
-        """Shape (objects, 3)."""
+        """Station [m], offset [m] and angle [rad] of the objects in their lanes, NaN for obstacles; (objects, 3)."""
         offsets = np.full((len(self._objects), 3), np.nan)
         for i, thing in enumerate(self._objects):
             if isinstance(thing, Vehicle):
-                lane = thing.lane  # asked for once: NPCs look for theirs whenever they are asked
+                lane = thing.lane  # read once: an NPC searches for its lane on every access
                 station, offset = lane.local_coordinates(thing.position)
                 offsets[i] = station, offset, lane.local_angle(thing.heading, station)
         return offsets

@@ -1,4 +1,4 @@
-"""A road map as highway-env's road network, with a fast search for the closest lane."""
+"""Road maps as road networks of highway-env, with a fast search for the closest lane."""
 
 import math
 from functools import cache
@@ -16,10 +16,10 @@ Floats = NDArray[np.float64]
 
 
 class MapNetwork(RoadNetwork):  # type: ignore[misc]
-    """highway-env's road network of a road map.
+    """highway-env's road network, built from a road map.
 
-    `get_closest_lane_index` gives what highway-env's own gives, but looks at all lanes at once: it is called
-    in every step of a vehicle, and one lane after the other it takes most of an episode's time.
+    `get_closest_lane_index` gives the same result as highway-env's own method, but computes all lanes at once. A
+    vehicle calls it in every step. Computed lane by lane, it would take most of an episode's time.
     """
 
     def __init__(self, roadmap: RoadMap) -> None:
@@ -43,11 +43,11 @@ class MapNetwork(RoadNetwork):  # type: ignore[misc]
         self._curved_columns = _columns(lanes, CircularLane, "center", "radius", "start_phase", "direction")
 
     def indexes(self, route: Route) -> list[LaneIndex]:
-        """highway-env's index of every lane of a route."""
+        """Return highway-env's index of every lane of a route."""
         return [self._index_by_name[lane.name] for lane in route.lanes]
 
     def get_closest_lane_index(self, position: Floats, heading: float | None = None) -> LaneIndex:
-        """The index of the lane that is closest in position and, where one is given, in heading."""
+        """Return the index of the lane that is closest in position and, if a heading is given, in heading."""
         station, offset, lane_heading = self._coordinates(position)
         distance = np.abs(offset) + np.maximum(station - self._length, 0) + np.maximum(-station, 0)
         if heading is not None:
@@ -55,7 +55,7 @@ class MapNetwork(RoadNetwork):  # type: ignore[misc]
         return self._indexes[int(distance.argmin())]
 
     def _coordinates(self, position: Floats) -> Floats:
-        """Station, lateral offset and heading of every lane at a position, shape (3, lanes)."""
+        """Compute the station and offset of a position on every lane, and the lane's heading; shape (3, lanes)."""
         coordinates = np.empty((3, len(self._length)))
         x, y, dx, dy, heading = self._straight_columns
         x, y = position[0] - x, position[1] - y
@@ -72,7 +72,7 @@ class MapNetwork(RoadNetwork):  # type: ignore[misc]
 
 
 class _Arc(CircularLane):  # type: ignore[misc]
-    """highway-env's circular lane, see `behavexplor.envs.c_library`."""
+    """highway-env's circular lane with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
     position = with_c_library(CircularLane.position)
     local_coordinates = with_c_library(CircularLane.local_coordinates)
@@ -80,18 +80,18 @@ class _Arc(CircularLane):  # type: ignore[misc]
 
 @cache
 def road_network(roadmap: RoadMap) -> MapNetwork:
-    """The network of a map, built once: it never changes."""
+    """Return the network of a map. It is built once, since it never changes."""
     return MapNetwork(roadmap)
 
 
 def _columns(lanes: list[AbstractLane], kind: type[AbstractLane], *names: str) -> Floats:
-    """Attributes of the lanes of one kind, flattened, shape (values, lanes)."""
+    """Return attributes of all lanes of one kind, flattened, shape (values, lanes)."""
     rows = [np.hstack([getattr(lane, name) for name in names]) for lane in lanes if isinstance(lane, kind)]
     return np.array(rows, dtype=np.float64).reshape(-1, 5).T
 
 
 def _simulator_lane(lane: Lane, roadmap: RoadMap) -> AbstractLane:
-    """highway-env's lane; double yellow lines and curbs are drawn by the viewer, dividing lines by the lane."""
+    """Return highway-env's lane. It draws dividing lines; the viewer draws double yellow lines and curbs."""
     group = [other for other in roadmap.lanes if (other.origin, other.target) == (lane.origin, lane.target)]
     dividing = LineType.STRIPED if lane is not group[-1] and not lane.junction else LineType.NONE
     style = {

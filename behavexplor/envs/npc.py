@@ -1,12 +1,12 @@
 """The motion of NPCs, computed from the scenario before the episode begins.
 
-NPCs follow their waypoints blindly, so where they are is a function of the scenario and of time alone.
-Between two waypoints the acceleration is constant, so that the square of the speed is linear in the
-position, and within limits: a speed that cannot be reached in the distance is approached as far as the
-limits allow. After its last waypoint a vehicle brakes as hard as it may and parks.
+NPCs follow their waypoints blindly, so their positions depend on the scenario and on time alone. The acceleration
+between two waypoints is constant, so the square of the speed is linear in the position. Accelerations are limited: if
+a waypoint's speed cannot be reached within the distance, the vehicle comes as close to it as the limits allow. After
+its last waypoint, a vehicle brakes at the limit and parks.
 
-The functions here are compiled, and shared by the single and the vector environment: what both make of a
-scenario is equal bit for bit.
+The functions are compiled and shared by the single and the vector environment, so both compute the same motion, bit
+for bit.
 """
 
 import math
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 MIN_ACCELERATION: Final = -8.0  # [m/s2]
 MAX_ACCELERATION: Final = 4.0  # [m/s2]
 
-X, Y, HEADING, SPEED, ACCELERATION = range(5)  # columns of a motion table
+X, Y, HEADING, SPEED, ACCELERATION = range(5)  # columns of the motion table
 N_COLUMNS = 5
 
 BEGIN, STATION, PHASE_SPEED, PHASE_ACCELERATION = range(4)  # columns of a table of phases
@@ -36,12 +36,13 @@ _X, _Y, _HEADING, _COS, _SIN, _CURVATURE = range(6)  # columns of a route's lane
 
 
 class Routes(NamedTuple):
-    """Routes as plain arrays; numbers of lanes are filled up to the largest.
+    """Routes as plain arrays, padded to the largest number of lanes.
 
     Attributes:
-        lanes: start x [m], start y [m], heading there [rad], its cosine and sine, and curvature [1/m] of every
+        lanes: start x [m], start y [m], heading at the start [rad], its cosine and sine, and curvature [1/m] of every
             lane, shape (routes, lanes, 6).
-        begin: station where each lane begins [m], infinite where there is none, shape (routes, lanes + 1).
+        begin: station at which each lane begins [m], infinite where the route has no such lane, shape
+            (routes, lanes + 1).
     """
 
     lanes: Floats
@@ -49,12 +50,12 @@ class Routes(NamedTuple):
 
 
 def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
-    """Where every NPC is at given times.
+    """Compute the motion of every NPC at given times.
 
     Args:
-        scenario: checked against the logical scenario of `roadmap`.
-        roadmap: the place.
-        time: shape (T,) [s], each >= 0 and none smaller than the one before.
+        scenario: a scenario that is valid in the logical scenario of `roadmap`.
+        roadmap: the map.
+        time: times >= 0 in non-decreasing order, shape (T,) [s].
 
     Returns:
         x [m], y [m], heading [rad], speed [m/s] and acceleration [m/s2], shape (T, n_npcs, 5).
@@ -67,24 +68,24 @@ def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
 
 
 def waypoint_array(npc: NPC) -> Floats:
-    """Position [m] and speed [m/s] of each waypoint, shape (waypoints, 2)."""
+    """Return the position [m] and speed [m/s] of each waypoint, shape (waypoints, 2)."""
     return np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
 
 
 @cache
 def route_index(roadmap: RoadMap) -> dict[str, int]:
-    """The row of each NPC route in `route_arrays`, by its name."""
+    """Return the row of each NPC route in `route_arrays`, by the route's name."""
     return {route.name: i for i, route in enumerate(roadmap.npc_routes)}
 
 
 @cache
 def route_arrays(roadmap: RoadMap) -> Routes:
-    """The NPC routes of a map, computed once: it never changes."""
+    """Return the NPC routes of a map as plain arrays. They are computed once, since a map never changes."""
     return routes_as_arrays(roadmap.npc_routes)
 
 
 def routes_as_arrays(routes: Sequence[Route]) -> Routes:
-    """Routes as plain arrays."""
+    """Convert routes to plain arrays."""
     most = max(len(route.lanes) for route in routes)
     lanes, begin = np.zeros((len(routes), most, 6)), np.full((len(routes), most + 1), np.inf)
     for i, route in enumerate(routes):
@@ -117,12 +118,12 @@ def fill_motion(routes: Routes, route: int, waypoints: Floats, time: Floats, tab
 
 @kernel
 def fill_phases(waypoints: Floats, phases: Floats) -> int:
-    """The phases of constant acceleration of an NPC, the last one standing.
+    """Compute an NPC's phases of constant acceleration. It stands still in the last phase.
 
     Args:
-        waypoints: shape (waypoints, 2), see `waypoint_array`.
-        phases: filled with the time of beginning [s], station [m] and speed [m/s] there, and acceleration
-            [m/s2]; shape (waypoints + 1 or more, 4).
+        waypoints: position and speed of each waypoint, shape (waypoints, 2); see `waypoint_array`.
+        phases: filled with the time at which each phase begins [s], the station [m] and speed [m/s] at that time, and
+            the acceleration [m/s2]; shape (waypoints + 1 or more, 4).
 
     Returns:
         The number of phases.
@@ -155,15 +156,15 @@ def fill_phases(waypoints: Floats, phases: Floats) -> int:
 def npc_at(
     routes: Routes, route: int, since: float, station: float, speed: float, acceleration: float
 ) -> tuple[float, float, float, float]:
-    """Position x and y [m], heading [rad] and speed [m/s] of an NPC.
+    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC.
 
     Args:
-        routes: see `Routes`.
-        route: the row of its route.
-        since: time since its present phase began [s].
-        station: where that began [m].
-        speed: at that time [m/s].
-        acceleration: of the phase [m/s2].
+        routes: the routes of all NPCs.
+        route: row of the NPC's route.
+        since: time since the current phase began [s].
+        station: station at which the phase began [m].
+        speed: speed at which the phase began [m/s].
+        acceleration: acceleration during the phase [m/s2].
     """
     station += since * (speed + 0.5 * acceleration * since)
     i = 0

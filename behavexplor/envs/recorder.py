@@ -1,4 +1,4 @@
-"""The record of an episode while it runs, and the questions that its end and its reward ask of it."""
+"""The record of a running episode, and the quantities that its end and its reward are computed from."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,11 +19,11 @@ Floats = NDArray[np.float64]
 
 
 class Recorder:
-    """Everything that goes into the trace of one episode.
+    """Recorder of everything that goes into the trace of one episode.
 
     Args:
-        roadmap: the place.
-        time: of the simulation's steps, shape (T,) [s].
+        roadmap: the map.
+        time: times of the simulation steps, shape (T,) [s].
         motion: the NPCs' motion table at these times, shape (T, n_npcs, 5).
         sizes: length and width of the ego and of every NPC [m].
     """
@@ -42,7 +42,7 @@ class Recorder:
         self._lines = _line_columns(roadmap.illegal_lines)
 
     def frame(self, ego: Vehicle) -> None:
-        """Record the ego after a step. Its velocity is that of its center: the slip of the bicycle model included."""
+        """Record the ego after a step. Its velocity is that of its center, so it includes the bicycle model's slip."""
         slip = math.atan(0.5 * math.tan(ego.action["steering"]))
         course = ego.heading + slip
         x, y = ego.position
@@ -51,12 +51,12 @@ class Recorder:
             self._line_frame = len(self._ego) - 1
 
     def action(self, action: Any) -> None:
-        """Record a command, given at the latest frame."""
+        """Record a command that is given at the latest frame."""
         self._actions.append(np.atleast_1d(np.asarray(action, dtype=np.float64)))
         self._action_frames.append(len(self._ego) - 1)
 
     def _touches_line(self) -> bool:
-        """Whether the ego's box touches an illegal line in the latest frame."""
+        """Return whether the ego's box touches an illegal line in the latest frame."""
         x, y, heading, *_ = self._ego[-1]
         cos, sin = math.cos(heading), math.sin(heading)
         nx, ny, offset, middle_x, middle_y, half = self._lines
@@ -70,7 +70,7 @@ class Recorder:
         return bool(segment_meets_box(box, self._roadmap.illegal_lines[near]).any())
 
     def touched_npcs(self) -> list[int]:
-        """Which NPCs the ego's box touches in the latest frame."""
+        """Return the indices of the NPCs that the ego's box touches in the latest frame."""
         x, y, heading, *_ = self._ego[-1]
         others = self._motion[len(self._ego) - 1]
         gaps = np.hypot(others[:, X] - x, others[:, Y] - y)
@@ -83,13 +83,16 @@ class Recorder:
         return touched
 
     def standing_frames(self, speed: float) -> int:
-        """For how many frames up to the latest the ego has been slower than `speed` [m/s]; ask in every frame."""
+        """Count the consecutive frames, up to the latest, in which the ego was slower than `speed` [m/s].
+
+        Call this exactly once in every frame.
+        """
         *_, vx, vy = self._ego[-1]
         self._standing = self._standing + 1 if np.hypot(vx, vy) < speed else 0
         return self._standing
 
     def reward_terms(self, weights: Mapping[str, float], end: str | None) -> dict[str, float]:
-        """The terms of the reward for the latest decision, see `behavexplor.envs.reward`."""
+        """Compute the terms of the reward for the latest decision; see `behavexplor.envs.reward`."""
         decided = self._action_frames[-1]
         before, now = self._ego[decided], self._ego[-1]
         route = self._roadmap.ego_route
@@ -110,7 +113,7 @@ class Recorder:
         return struck_from_behind((x, y, heading, math.hypot(vx, vy)), (row[X], row[Y], row[HEADING], row[SPEED]))
 
     def trace(self, end: str) -> Trace:
-        """The trace of the episode that has ended."""
+        """Return the trace of the finished episode."""
         frames = len(self._ego)
         return episode_trace(
             self._roadmap,
@@ -125,7 +128,7 @@ class Recorder:
 
 
 def _line_columns(lines: Floats) -> Floats:
-    """Unit normals of segments, their distances from the origin along these, middles and half lengths, (6, L)."""
+    """Compute the unit normals of segments, their distances from the origin, middles and half lengths, (6, L)."""
     along = lines[:, 1] - lines[:, 0]
     length = np.hypot(along[:, 0], along[:, 1])
     nx, ny = -along[:, 1] / length, along[:, 0] / length

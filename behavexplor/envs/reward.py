@@ -1,13 +1,15 @@
-"""The reward of the environments: what R1-R3 and progress are worth, term by term.
+"""The reward of the environments, as a sum of terms for R1-R3, progress, time and effort.
 
-The weights are the environment's `config["reward"]`; the defaults are `WEIGHTS`. Each term is a weight times
+The weights are the environment's `config["reward"]`; the defaults are `WEIGHTS`. Each term is a weight times an amount:
 
-- `progress`: meters that the ego came forward along its route since the last decision;
+- `progress`: distance that the ego moved forward along its route since the last decision [m];
 - `step`: 1;
-- `effort`: the square of the mean acceleration since the last decision [(m/s2)^2];
+- `effort`: square of the mean acceleration since the last decision [(m/s2)^2];
 - `lines`: 1 at the decision in which the ego first touches an illegal line (R2);
-- `collision`: 1 at a collision (R1), or `rear_end` instead if a faster vehicle struck the ego from behind;
-- `arrived`: 1 on arrival (R3), `missed`: 1 at any other end that is no collision.
+- `collision`: 1 at a collision (R1) that is not a `rear_end`;
+- `rear_end`: 1 at a collision in which a faster vehicle struck the ego from behind;
+- `arrived`: 1 on arrival (R3);
+- `missed`: 1 at any other end.
 """
 
 import math
@@ -26,7 +28,7 @@ WEIGHTS: Mapping[str, float] = MappingProxyType(
         "missed": -4.0,
     }
 )
-REAR_END_ANGLE = 0.8  # between the headings at most [rad]
+REAR_END_ANGLE = 0.8  # greatest angle between the headings [rad]
 
 
 def reward_terms(
@@ -38,15 +40,15 @@ def reward_terms(
     end: str | None,
     rear_end: bool,
 ) -> dict[str, float]:
-    """The terms of the reward of one decision; the reward is their sum.
+    """Compute the terms of the reward of one decision. The reward is their sum.
 
     Args:
-        weights: see `WEIGHTS`.
-        progress: along the ego's route [m].
-        acceleration: mean since the last decision [m/s2].
+        weights: weight of each term, such as `WEIGHTS`.
+        progress: distance moved forward along the ego's route [m].
+        acceleration: mean acceleration since the last decision [m/s2].
         touched: whether the ego has just touched an illegal line for the first time.
-        end: how the episode has ended; None if it goes on.
-        rear_end: of a collision, whether the ego was struck from behind.
+        end: kind of end, one of `behavexplor.data.trace.ENDS`; None if the episode goes on.
+        rear_end: whether the ego was struck from behind; read only if the episode ended by a collision.
     """
     kind = {None: None, "arrived": "arrived", "collision": "rear_end" if rear_end else "collision"}.get(end, "missed")
     happened = {
@@ -63,11 +65,11 @@ def reward_terms(
 
 
 def struck_from_behind(ego: tuple[float, float, float, float], npc: tuple[float, float, float, float]) -> bool:
-    """Whether a vehicle that touches the ego ran into its back.
+    """Return whether a vehicle that touches the ego ran into its back.
 
     Args:
-        ego: x [m], y [m], heading [rad] and speed [m/s].
-        npc: the same of the vehicle that it touches.
+        ego: x [m], y [m], heading [rad] and speed [m/s] of the ego.
+        npc: x [m], y [m], heading [rad] and speed [m/s] of the vehicle that touches it.
     """
     x, y, heading, speed = ego
     behind = (npc[0] - x) * math.cos(heading) + (npc[1] - y) * math.sin(heading) < 0

@@ -1,7 +1,7 @@
-"""The two places of the paper as road maps: a crossing of two roads, and a straight road of four lanes.
+"""The two places of the paper as road maps: an intersection of two roads, and a straight road with four lanes.
 
-Sizes follow the maps that the paper tested on: lanes of 3.5 m, a speed limit of 25 mph, stop lines about
-15 m from the crossing's center, double yellow lines between the directions and curbs outside.
+Their dimensions follow the maps that the paper tested on: lanes of 3.5 m, a speed limit of 25 mph, stop lines about
+15 m from the center of the intersection, double yellow lines between the directions, and curbs along the edges.
 """
 
 import math
@@ -18,17 +18,17 @@ Floats = NDArray[np.float64]
 LANE_WIDTH = 3.5  # [m]
 SPEED_LIMIT = 11.176  # 25 mph [m/s]
 
-STOP_LINE = 15.0  # distance of the stop lines from the crossing's center [m]
-EGO_APPROACH = 90.0  # length of the ego's approach lanes [m]
-APPROACH = 120.0  # length of the others [m]
-EXIT = 75.0  # length of the lanes that leave the crossing; the ego's destination lies 60 m into one [m]
-ONWARD = 80.0  # and of those behind, where NPCs park out of the ego's way [m]
+STOP_LINE = 15.0  # distance of the stop lines from the center of the intersection [m]
+EGO_APPROACH = 90.0  # length of the approach lanes on the ego's leg [m]
+APPROACH = 120.0  # length of the approach lanes on the other legs [m]
+EXIT = 75.0  # length of the lanes that leave the intersection; the ego's destination lies 60 m into one [m]
+ONWARD = 80.0  # length of the lanes after those, where NPCs park out of the ego's way [m]
 EGO_LEG = "south"
 
 ROAD = 244.0  # length of the straight road's lanes [m]
-ROAD_ONWARD = 100.0  # and of those behind, where NPCs park out of the ego's way [m]
+ROAD_ONWARD = 100.0  # length of the lanes after those, where NPCs park out of the ego's way [m]
 ROAD_LANES = 4
-OPPOSITE_LANES = 2  # of the other direction, beyond the double yellow line: the ego can stray onto them
+OPPOSITE_LANES = 2  # lanes of the opposite direction beyond the double yellow line; the ego can stray onto them
 
 LEGS = {"south": math.pi / 2, "west": math.pi, "north": -math.pi / 2, "east": 0.0}  # outward heading [rad]
 OFFSETS = {"inner": 0.5 * LANE_WIDTH, "outer": 1.5 * LANE_WIDTH}  # lane center from the middle of the road [m]
@@ -37,12 +37,12 @@ TURNS = {"left": -math.pi / 2, "straight": 0.0, "right": math.pi / 2}  # change 
 
 
 def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
-    """A non-signalised crossing of two four-lane roads, the ego coming from the south on the inner lane.
+    """Build an unsignalized intersection of two four-lane roads. The ego comes from the south on the inner lane.
 
     Args:
-        movement: "straight" or "left", what the ego does there.
-        ego_start: distance into its approach lane [m].
-        destination: distance into its exit lane [m].
+        movement: the ego's movement at the intersection, "straight" or "left".
+        ego_start: distance of the ego's start into its approach lane [m].
+        destination: distance of the ego's destination into its exit lane [m].
     """
     lanes = {lane.name: lane for lane in _crossing_lanes()}
     routes = [
@@ -66,13 +66,13 @@ def crossing(movement: str, ego_start: float, destination: float) -> RoadMap:
 
 
 def straight_road(start_lane: int, target_lane: int, ego_start: float, destination: float) -> RoadMap:
-    """A straight road of four lanes in one direction, beside the carriageway of the other direction.
+    """Build a straight road with four lanes in one direction, beside the lanes of the opposite direction.
 
     Args:
-        start_lane: where the ego starts, counted from the left, beginning with 0.
-        target_lane: where its destination lies, counted likewise.
-        ego_start: distance into its lane [m].
-        destination: distance into the target lane [m].
+        start_lane: number of the lane in which the ego starts, counted from the left and from 0.
+        target_lane: number of the lane in which its destination lies, counted in the same way.
+        ego_start: distance of the ego's start into its lane [m].
+        destination: distance of the ego's destination into the target lane [m].
     """
     lanes = {lane.name: lane for lane in _road_lanes()}
     routes = [Route(f"lane-{i + 1}", (lanes[f"road-{i + 1}"], lanes[f"onward-{i + 1}"])) for i in range(ROAD_LANES)]
@@ -93,7 +93,7 @@ def straight_road(start_lane: int, target_lane: int, ego_start: float, destinati
 
 
 def _road_lanes() -> Iterator[Lane]:
-    """Eastwards along the x axis, then the lanes that come the other way."""
+    """Yield the eastbound lanes along the x axis, then the westbound lanes."""
     for name, start, length, origin, target in (
         ("road", 0.0, ROAD, "begin", "onward"),
         ("onward", ROAD, ROAD_ONWARD, "onward", "end"),
@@ -112,19 +112,19 @@ def _lane_names(leg: str, side: str, movement: str) -> tuple[str, str, str, str]
 
 
 def _leg_towards(heading: float) -> str:
-    """The leg whose outward heading is the given one."""
+    """Return the leg with the given outward heading."""
     return min(LEGS, key=lambda leg: abs(math.remainder(LEGS[leg] - heading, 2 * math.pi)))
 
 
 def _crossing_lanes() -> Iterator[Lane]:
-    """The lanes leg by leg, those side by side from left to right."""
+    """Yield the lanes leg by leg. Parallel lanes are ordered from left to right."""
     end = STOP_LINE + EXIT + ONWARD
     for leg, outward in LEGS.items():
         approach = EGO_APPROACH if leg == EGO_LEG else APPROACH
         begin = STOP_LINE + approach
         inward = _wrap(outward + math.pi)
         for name, start, length, nodes, heading in (
-            ("behind", end, end - begin, ("begin", "far"), inward),  # no route begins here, but the road does
+            ("behind", end, end - begin, ("begin", "far"), inward),  # the road begins here, although no route does
             ("in", begin, approach, ("far", "in"), inward),
             ("out", STOP_LINE, EXIT, ("out", "onward"), outward),
             ("onward", STOP_LINE + EXIT, ONWARD, ("onward", "end"), outward),
@@ -162,7 +162,7 @@ def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:
 
 
 def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
-    """Per leg the double yellow line and both curbs, then the curbs round the corners as chords."""
+    """Return the double yellow line and both curbs of each leg, then the curbs around the corners as chords."""
     near, far = STOP_LINE, STOP_LINE + EXIT + ONWARD
     edge = 2 * LANE_WIDTH
     segments, kinds = [], []
@@ -180,11 +180,11 @@ def _crossing_lines() -> tuple[Floats, tuple[str, ...]]:
 
 
 def _beside(heading: float, along: float, across: float) -> tuple[float, float]:
-    """The point `along` meters from the origin in a direction and `across` to the right of it."""
+    """Return the point `along` meters from the origin in a direction and `across` meters to the right of it."""
     cos, sin = round(math.cos(heading)), round(math.sin(heading))  # legs run along the axes
     return along * cos - across * sin, along * sin + across * cos
 
 
 def _wrap(angle: float) -> float:
-    """The same angle in [-pi, pi]."""
+    """Wrap an angle to [-pi, pi]."""
     return math.remainder(angle, 2 * math.pi)

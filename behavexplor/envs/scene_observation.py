@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 
 class SceneObservation(ObservationType):  # type: ignore[misc]
-    """Array of shape (1 + n_npcs, 8), float64; its columns are those of `behavexplor.data.scene`."""
+    """Float64 array of shape (1 + n_npcs, 8) with the columns of `behavexplor.data.scene`."""
 
     def __init__(self, env: "DrivingEnv", **_: Any) -> None:
         super().__init__(env)
         self._shape = (1 + env.logical.n_npcs, scene.N_COLUMNS)
 
     def space(self) -> spaces.Box:
-        """The observation space."""
+        """Return the observation space."""
         return spaces.Box(-np.inf, np.inf, shape=self._shape, dtype=np.float64)
 
     def observe(self) -> NDArray[np.float64]:
-        """The scene as it is now."""
+        """Return the current scene."""
         rows = np.zeros(self._shape)
         for row, vehicle in zip(rows, self.env.road.vehicles if self.env.road else [], strict=False):
             row[:] = (

@@ -1,4 +1,4 @@
-"""What the values of a configuration may be: kinds of values, and what each is called in an error."""
+"""Kinds of configuration values, with their descriptions for error messages."""
 
 from collections.abc import Callable, Mapping
 from numbers import Integral, Real
@@ -8,16 +8,16 @@ import numpy as np
 
 from behavexplor.errors import InputError
 
-MOST = 10_000  # no count, size, frequency [Hz] or time [s] is larger
-LARGEST = 1e9  # no other number is larger, so that none can become infinite
+MOST = 10_000  # limit of every count, size, frequency [Hz] and time [s]
+LARGEST = 1e9  # limit of every other number, so that none can become infinite
 
 
 class Kind(NamedTuple):
-    """A kind of values.
+    """A kind of configuration value.
 
     Attributes:
-        wanted: what it is, as the end of "expected ...".
-        accepts: whether a value is of this kind.
+        wanted: description of the kind, as the end of the message "expected ...".
+        accepts: function that returns whether a value is of this kind.
     """
 
     wanted: str
@@ -25,17 +25,17 @@ class Kind(NamedTuple):
 
 
 def check_value(name: str, value: object, kind: Kind) -> None:
-    """Whether a value is of a kind.
+    """Check that a value is of a kind.
 
     Raises:
-        InputError: naming the key and what was expected.
+        InputError: if it is not; the message names the key and the expected kind.
     """
     if not kind.accepts(value):
         raise InputError(f"{name}: expected {kind.wanted}, got {shown(value)}")
 
 
 def shown(value: object) -> str:
-    """A value as a short part of a sentence."""
+    """Return a value as a short text for an error message."""
     return " ".join(repr(value).split())[:80]
 
 
@@ -49,7 +49,7 @@ def _is_number(value: object) -> bool:
 
 
 def _numbers(value: object) -> list[float] | None:
-    """The elements of a list or tuple of numbers; None if it is something else."""
+    """Return the elements of a list or tuple of numbers, or None if the value is something else."""
     if isinstance(value, list | tuple) and all(_is_number(number) for number in value):
         return [float(number) for number in value]
     return None
@@ -79,12 +79,12 @@ def _is_pair_of(kind: Kind, value: object) -> bool:
 
 
 def optional(kind: Kind) -> Kind:
-    """The same, or None."""
+    """Return the kind that also accepts None."""
     return Kind(f"{kind.wanted}, or None", lambda value: value is None or kind.accepts(value))
 
 
 def names(known: tuple[str, ...]) -> Kind:
-    """A list of some of the known names."""
+    """Return the kind of non-empty lists of known names."""
 
     def accepts(value: object) -> bool:
         return isinstance(value, list | tuple) and len(value) > 0 and all(name in known for name in value)
@@ -93,7 +93,7 @@ def names(known: tuple[str, ...]) -> Kind:
 
 
 def one_of(known: tuple[str, ...]) -> Kind:
-    """One of the known names."""
+    """Return the kind of single known names."""
     return Kind(f"one of {', '.join(known)}", lambda value: isinstance(value, str) and value in known)
 
 

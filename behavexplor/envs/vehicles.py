@@ -1,4 +1,4 @@
-"""The vehicles on the road: the ego is highway-env's own, NPCs play back their motion tables."""
+"""The vehicles on the road: the ego is a vehicle of highway-env, and NPCs play back their motion tables."""
 
 from collections.abc import Callable
 from functools import partial
@@ -17,13 +17,13 @@ Floats = NDArray[np.float64]
 
 
 class Ego(Vehicle):  # type: ignore[misc]
-    """highway-env's vehicle, see `behavexplor.envs.c_library`."""
+    """highway-env's vehicle with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
     step = with_c_library(Vehicle.step)
 
 
 class MetaEgo(MDPVehicle):  # type: ignore[misc]
-    """highway-env's vehicle for meta-actions, see `behavexplor.envs.c_library`."""
+    """highway-env's vehicle for meta-actions with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
     step = with_c_library(MDPVehicle.step)
     steering_control = with_c_library(MDPVehicle.steering_control)
@@ -33,22 +33,22 @@ _EGOS = {Vehicle: Ego, MDPVehicle: MetaEgo}
 
 
 def set_size(vehicle: Vehicle, size: tuple[float, float]) -> None:
-    """Give one vehicle its own length and width [m]; highway-env has them per class."""
+    """Set the length and width [m] of a single vehicle. highway-env defines them per class."""
     vehicle.LENGTH, vehicle.WIDTH = size
     vehicle.diagonal = float(np.hypot(*size))
 
 
 def place_ego(make: Callable[..., Vehicle], road: Road, pose: Floats, route: list[LaneIndex]) -> Vehicle:
-    """The vehicle under test, standing at the start of its route.
+    """Create the ego, at rest at the start of its route.
 
-    highway-env's own collision response is switched off: it flags collisions too early or without contact,
-    and pushes vehicles apart. Contact is computed by the environment.
+    highway-env's own collision response is switched off: it flags collisions too early or without contact, and pushes
+    vehicles apart. The environment computes contact instead.
 
     Args:
-        make: what highway-env's action type names as its vehicle's class.
-        road: the road it drives on.
-        pose: x [m], y [m] and heading [rad], shape (3,).
-        route: highway-env's indexes of the lanes it follows.
+        make: the vehicle class of highway-env's action type.
+        road: the road on which the ego drives.
+        pose: x [m], y [m] and heading [rad] of the start, shape (3,).
+        route: highway-env's indexes of the lanes that the ego follows.
     """
     ego = _ego_class(make)(road, pose[:2], heading=float(pose[2]), speed=0.0)
     set_size(ego, EGO_SIZE)
@@ -58,7 +58,10 @@ def place_ego(make: Callable[..., Vehicle], road: Road, pose: Floats, route: lis
 
 
 def _ego_class(make: Callable[..., Vehicle]) -> Callable[..., Vehicle]:
-    """Our subclass of a vehicle class that may have been given some of its arguments; other classes as they are."""
+    """Return this package's subclass of a vehicle class, or the class itself if there is none.
+
+    The class may be wrapped in a `partial`, whose arguments are kept.
+    """
     if isinstance(make, partial):
         return partial(_ego_class(make.func), *make.args, **make.keywords)
     return _EGOS.get(make, make)
@@ -68,10 +71,10 @@ class ScriptedVehicle(Vehicle):  # type: ignore[misc]
     """An NPC that plays back its motion table, one row for each step of the simulation.
 
     Args:
-        road: the road it drives on.
+        road: the road on which the NPC drives.
         size: length and width [m].
-        motion: its columns of `behavexplor.envs.npc.motion_table`, shape (T, 5).
-        route: highway-env's indexes of the lanes it follows.
+        motion: the NPC's part of `behavexplor.envs.npc.motion_table`, shape (T, 5).
+        route: highway-env's indexes of the lanes that the NPC follows.
     """
 
     def __init__(self, road: Road, size: tuple[float, float], motion: Floats, route: list[LaneIndex]) -> None:
@@ -86,24 +89,24 @@ class ScriptedVehicle(Vehicle):  # type: ignore[misc]
 
     @property
     def lane_index(self) -> LaneIndex:
-        """The closest lane, looked for only when somebody asks."""
+        """Index of the closest lane, searched for on access."""
         return self.road.network.get_closest_lane_index(self.position, self.heading)
 
     @lane_index.setter
     def lane_index(self, _: LaneIndex) -> None:
-        """highway-env sets the lane at the start and in every step; here it follows from the position."""
+        """Ignore the lane that highway-env sets at the start and in every step: it follows from the position."""
 
     @property
     def lane(self) -> object:
-        """The closest lane, looked for only when somebody asks."""
+        """The closest lane, searched for on access."""
         return self.road.network.get_lane(self.lane_index)
 
     @lane.setter
     def lane(self, _: object) -> None:
-        """See `lane_index`."""
+        """Ignore the lane, as `lane_index` does."""
 
     def step(self, dt: float) -> None:  # noqa: ARG002 - the table's rows are steps of the simulation
-        """Play the next row."""
+        """Move to the next row of the motion table."""
         self._frame += 1
         row = self._motion[self._frame]
         self.position = row[[X, Y]]

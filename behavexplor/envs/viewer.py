@@ -1,4 +1,4 @@
-"""highway-env's viewer with what it does not know: double yellow lines, curbs, routes and the destination."""
+"""highway-env's viewer, extended by double yellow lines, curbs, routes and the destination."""
 
 import numpy as np
 import pygame
@@ -16,14 +16,14 @@ EGO, NPCS = (
     ((240, 120, 90), (110, 170, 250), (220, 140, 230), (120, 215, 215), (240, 205, 110), (190, 190, 190)),
 )
 LINE_WIDTH = 0.15  # [m]
-DOUBLE_LINE_GAP = 0.15  # of either line from the middle [m]
+DOUBLE_LINE_GAP = 0.15  # distance of either line from the middle [m]
 
 
 class MapViewer(EnvViewer):  # type: ignore[misc]
-    """Draws the road, then the illegal lines, the NPCs' routes and the destination, then the vehicles."""
+    """Viewer that draws the road, then the illegal lines, the routes and the destination, then the vehicles."""
 
     def display(self) -> None:
-        """Draw the present state, and show it on the screen if there is one."""
+        """Draw the current state, and show it on the screen if there is one."""
         if not self.enabled:
             return
         surface = self.sim_surface

@@ -1,1 +1,1 @@
-"""Search: the methods that choose which scenarios to execute, and the tools they share."""
+"""Search methods, which choose the scenarios to execute, and the tools that they share."""

@@ -1,4 +1,4 @@
-"""`python -m behavexplor.fuzz`: the same as `behavexplor fuzz`."""
+"""Run `behavexplor fuzz` by `python -m behavexplor.fuzz`."""
 
 import sys
 

@@ -1,8 +1,8 @@
-"""AVFuzzer: a genetic algorithm for high risk, restarts where nothing is known, and a local fuzzer.
+"""AVFuzzer: a genetic algorithm for high risk, with restarts in unexplored regions and a local fuzzer.
 
-Source: Li et al., "AV-Fuzzer: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020; a gene is an
-NPC, a slice is a waypoint, a maneuver is a route. Docstrings and comments that begin with "AV-Fuzzer" say which of
-its steps they follow.
+Source: Li et al., "AV-Fuzzer: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020. In this
+implementation, a gene is an NPC, a slice is a waypoint, and a maneuver is a route. Docstrings and comments that begin
+with "AV-Fuzzer" name the step of the publication that the code follows.
 """
 
 from collections import deque
@@ -25,26 +25,26 @@ from behavexplor.judge.specs import Verdict
 Floats = NDArray[np.float64]
 
 GLOBAL, LOCAL, RESTART = "global", "local", "restart"  # origins of candidates
-_COLLISION = 100.0  # what a collision is worth beside its speed
-_NEAR = 256  # frames whose boxes are compared exactly
+_COLLISION = 100.0  # fitness of a collision, to which its relative speed is added
+_NEAR = 256  # pairs of frame and NPC whose exact distances are computed at once
 
 
 @dataclass(frozen=True)
 class AVFuzzerOptions:
-    """The options of `AVFuzzer`; the defaults are the published ones.
+    """Options of `AVFuzzer`. The defaults are the published values.
 
     Attributes:
-        population: individuals of a generation.
-        crossover_probability: for each pair of individuals to swap one NPC.
-        mutation_probability: for each individual to change one NPC in one respect.
-        patience: generations whose best may fail to improve before a restart.
-        restart_samples: scenarios drawn at a restart, of which the farthest from all earlier ones are kept.
-        local_after: generations since the start or restart before the local fuzzer may begin.
-        local_generations: of the local fuzzer.
-        local_factor: how much likelier mutations are in the local fuzzer.
+        population: number of individuals in a generation.
+        crossover_probability: probability that a pair of individuals swaps one NPC.
+        mutation_probability: probability that one property of one NPC of an individual changes.
+        patience: number of generations in a row without a better best individual before a restart.
+        restart_samples: number of scenarios drawn at a restart. Those farthest from all earlier scenarios are kept.
+        local_after: number of generations since the start or restart before the local fuzzer may begin.
+        local_generations: number of generations of the local fuzzer.
+        local_factor: factor on the mutation probability in the local fuzzer.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     population: int = 4
@@ -69,16 +69,16 @@ class AVFuzzerOptions:
 
 @dataclass(slots=True)
 class _Individual:
-    """A scenario: its point, and what is known of it once it was executed."""
+    """A scenario as a vector, with its fitness once it was executed."""
 
     vector: Floats
-    number: int | None = None  # of the candidate, or of its parent while it was not asked for
+    number: int | None = None  # number of its candidate, or of its parent until it becomes a candidate
     fitness: float | None = None
 
 
 @dataclass(slots=True)
 class _Generation:
-    """Individuals that are executed together; complete once all have a fitness."""
+    """Individuals of one generation. It is complete once all of them have a fitness."""
 
     kind: str
     individuals: list[_Individual]
@@ -94,7 +94,7 @@ class _Generation:
 
 @dataclass(slots=True)
 class _LocalFuzzer:
-    """AV-Fuzzer's second genetic algorithm, around the best individual of the first."""
+    """AV-Fuzzer: the second genetic algorithm, around the best individual of the first."""
 
     parents: list[_Individual]
     planned: int = 0
@@ -104,20 +104,20 @@ class _LocalFuzzer:
 
 @dataclass(slots=True)
 class _Epoch:
-    """What the genetic algorithm knows since its start or its last restart."""
+    """State of the genetic algorithm since its start or its last restart."""
 
     population: list[_Individual] = field(default_factory=list)  # empty until the first generation is complete
     generations: int = 0
     best: float = -np.inf
-    stale: int = 0  # generations in a row whose best was no better
+    stale: int = 0  # generations in a row without a better best individual
 
 
 class AVFuzzer:
     """Genetic search for high relative speeds at small distances, with restarts and a local fuzzer (ISSRE 2020).
 
-    A generation is bred of the last one that is complete. With one candidate in flight that is the one before it;
-    with more, generations overlap. An individual that neither crossover nor mutation changed keeps its fitness and
-    is not executed again.
+    A generation is bred from the last complete one. With one candidate in flight, this is the previous generation; with
+    more, generations overlap. An individual that neither crossover nor mutation changed keeps its fitness and is not
+    executed again.
     """
 
     Options: ClassVar[type] = AVFuzzerOptions
@@ -132,12 +132,12 @@ class AVFuzzer:
         self._restarts = 0
 
     def ask(self) -> Candidate:
-        """The next individual of a generation that is not executed yet."""
+        """Return the next individual that is not executed yet."""
         rng = self._asker.draws()
         while not self._queue:
             generation = self._plan(rng)
             self._queue.extend((generation, one) for one in generation.individuals if one.fitness is None)
-            if generation.complete:  # nothing was changed
+            if generation.complete:  # neither crossover nor mutation changed any individual
                 self._end(generation)
         generation, individual = self._queue.popleft()
         candidate = self._asker.candidate(individual.vector, rng, generation.kind, individual.number)
@@ -146,10 +146,10 @@ class AVFuzzer:
         return candidate
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Give an individual its fitness, and end its generation if it was the last one.
+        """Set the fitness of an individual, and end its generation if it was the last one.
 
         Returns:
-            `fitness`.
+            The `fitness` of the individual.
         """
         generation, individual, epoch = self._in_flight.pop(candidate.number)
         individual.vector = self._asker.told(candidate)
@@ -159,7 +159,7 @@ class AVFuzzer:
         return {"fitness": individual.fitness}
 
     def _plan(self, rng: np.random.Generator) -> _Generation:
-        """The next generation."""
+        """Create the next generation."""
         local, epoch = self._local, self._epoch
         if local is not None and local.planned < self._options.local_generations:
             local.planned += 1
@@ -169,12 +169,12 @@ class AVFuzzer:
             return _Generation(GLOBAL, self._bred(epoch.population, self._options.mutation_probability, rng))
         if not self._restarts:
             return _Generation(INITIAL, [_Individual(v) for v in self._asker.uniform(rng, self._options.population)])
-        # AV-Fuzzer, restart: of many random scenarios those farthest from all earlier ones
+        # AV-Fuzzer, restart: among many random scenarios, keep those farthest from all earlier ones
         far = self._asker.farthest(rng, self._options.restart_samples, self._options.population)
         return _Generation(RESTART, [_Individual(vector) for vector in far])
 
     def _bred(self, parents: list[_Individual], mutation: float, rng: np.random.Generator) -> list[_Individual]:
-        """AV-Fuzzer: selection by roulette, crossover, mutation."""
+        """AV-Fuzzer: breed a generation by roulette selection, crossover and mutation."""
         weights = np.array([_fitness(parent) for parent in parents]) + 1e-9
         chosen = rng.choice(len(parents), self._options.population, p=weights / weights.sum())
         children = [parents[i] for i in chosen]
@@ -184,7 +184,7 @@ class AVFuzzer:
         return [self._mutated(child, rng) if rng.random() < mutation else child for child in children]
 
     def _crossed(self, one: _Individual, other: _Individual, rng: np.random.Generator) -> list[_Individual]:
-        """AV-Fuzzer: one random NPC's whole motion is swapped between two individuals."""
+        """AV-Fuzzer: swap the whole motion of one random NPC between two individuals."""
         first, second = self._blocks(one), self._blocks(other)
         npc = rng.integers(len(first))
         if np.array_equal(first[npc], second[npc]):
@@ -193,7 +193,7 @@ class AVFuzzer:
         return [_Individual(first.ravel(), one.number), _Individual(second.ravel(), other.number)]
 
     def _mutated(self, parent: _Individual, rng: np.random.Generator) -> _Individual:
-        """AV-Fuzzer: one NPC, one slice: a new speed, or a new maneuver."""
+        """AV-Fuzzer: change one slice of one NPC, to a new speed or a new maneuver."""
         blocks = self._blocks(parent)
         gene = ROUTE if rng.random() < 0.5 else rng.choice(self._asker.encoding.speed_genes)
         blocks[rng.integers(len(blocks)), gene] = rng.random()
@@ -203,7 +203,7 @@ class AVFuzzer:
         return individual.vector.reshape(self._asker.encoding.n_npcs, -1).copy()
 
     def _end(self, generation: _Generation) -> None:
-        """A generation is complete: what it changes, and what comes after it."""
+        """End a complete generation: update the population, then start the local fuzzer or restart if it is time."""
         if generation.kind == LOCAL:
             self._end_local(generation)
             return
@@ -215,7 +215,7 @@ class AVFuzzer:
         epoch.best = max(epoch.best, _fitness(best))
         epoch.stale = 0 if improved else epoch.stale + 1
         if improved and epoch.generations > self._options.local_after and self._local is None:
-            self._local = _LocalFuzzer([best] * self._options.population)  # AV-Fuzzer: mutated copies of the best
+            self._local = _LocalFuzzer([best] * self._options.population)  # AV-Fuzzer: begin with copies of the best
         elif epoch.stale >= self._options.patience and self._local is None:
             self._restart()
 
@@ -230,7 +230,7 @@ class AVFuzzer:
         if local.completed == self._options.local_generations:
             worst = min(range(len(self._epoch.population)), key=lambda i: _fitness(self._epoch.population[i]))
             self._epoch.population = [*self._epoch.population]
-            self._epoch.population[worst] = local.best  # AV-Fuzzer: the local fuzzer's best goes back
+            self._epoch.population[worst] = local.best  # AV-Fuzzer: the local fuzzer's best replaces the worst
             self._epoch.best = max(self._epoch.best, _fitness(local.best))
             self._local = None
 
@@ -240,19 +240,19 @@ class AVFuzzer:
         self._queue.clear()
 
     def status(self) -> Mapping[str, float]:
-        """Best fitness since the last restart, restarts, and whether the local fuzzer runs."""
+        """Return the best fitness since the last restart, the number of restarts, and whether the local fuzzer runs."""
         best = max(self._epoch.best, 0.0)
         return {"best_fitness": best, "restarts": self._restarts, "local": int(self._local is not None)}
 
 
 def fitness(trace: Trace, *, collided: bool) -> float:
-    """AV-Fuzzer's objective, greater is riskier [1/(m s)].
+    """Compute AV-Fuzzer's objective. A greater value is riskier [1/(m s)].
 
-    Over frames and NPCs the largest |v_ego - v_npc| / (d + 1)^2, where d is the distance of the boxes [m]. A run
-    that collided has 100 + |v_ego - v_npc| of its last frame and nearest NPC.
+    The objective is the largest |v_ego - v_npc| / (d + 1)^2 over all frames and NPCs, where d is the distance of the
+    boxes [m]. After a collision, it is 100 + |v_ego - v_npc| for the nearest NPC in the last frame.
 
     Args:
-        trace: of the run.
+        trace: trace of the execution.
         collided: whether the ego touched an NPC.
     """
     if len(trace.size) == 1:
@@ -264,7 +264,7 @@ def fitness(trace: Trace, *, collided: bool) -> float:
     if collided:
         return _COLLISION + float(speeds[-1, _distances(trace, len(trace.time) - 1).argmin()])
     reach = (np.hypot(*trace.size[0]) + np.hypot(trace.size[1:, 0], trace.size[1:, 1])) / 2
-    most = speeds / (np.maximum(centers - reach, 0.0) + 1) ** 2  # bounds, by circles round the boxes
+    most = speeds / (np.maximum(centers - reach, 0.0) + 1) ** 2  # upper bounds from circles around the boxes
     order = np.argsort(-most, axis=None, kind="stable")
     best = 0.0
     for start in range(0, len(order), _NEAR):
@@ -277,7 +277,7 @@ def fitness(trace: Trace, *, collided: bool) -> float:
 
 
 def _distances(trace: Trace, frame: int) -> Floats:
-    """Distances of the ego's box to every NPC's in a frame [m], shape (n_npcs,)."""
+    """Compute the distances between the ego's box and every NPC's box in a frame [m], shape (n_npcs,)."""
     npcs = np.arange(1, len(trace.size))
     return _pair_distances(trace, np.full(len(npcs), frame), npcs)
 

@@ -1,4 +1,4 @@
-"""BehAVExplor: search guided by how new a behavior is and how near it came to a violation (paper Algorithm 1)."""
+"""BehAVExplor: search guided by the novelty of behaviors and by their violation degrees (paper Algorithm 1)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,48 +26,48 @@ from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
-_NOT_MINED = -1  # index of a behavior that nobody looked at
-_NOVELTY_DRAWS = 1  # purpose of draws beside those that made the candidate
+_NOT_MINED = -1  # index of a behavior that was not computed
+_NOVELTY_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
 
 
 @dataclass(frozen=True)
 class BehAVExplorOptions:
-    """The options of `BehAVExplor`; the defaults are the paper's configuration (section IV).
+    """Options of `BehAVExplor`. The defaults are the paper's configuration (section IV).
 
-    What the authors' released program does otherwise, and the paper's ablations, are other values of these options;
-    they are in `configs/`, and docs/methods.md has the table.
+    Other values of these options give the behavior of the authors' released program and the paper's ablations. The
+    presets are in `configs/`, and docs/methods.md has a table of them.
 
     Attributes:
-        initial_corpus: scenarios executed before the first mutation.
+        initial_corpus: number of scenarios executed before the first mutation.
         initial_energy: E of the initial testcases.
-        novelty: what guides the search to new behaviors: the "measured" novelty of a mutant; a control, where
-            novelty and distance are drawn at "random" from [0, 1]; or "none" (the paper's w/o BG).
-        novelty_threshold: theta_c; a behavior is novel if its distance to all known ones is greater.
-        known: which testcases' behaviors are known (the paper's Y): all that were "kept", or only initial and
-            "novel" ones.
-        selection: of the testcase to mutate: by "energy", or "uniform" (the paper's w/o Energy).
-        mutation: what decides how it is mutated: its "energy", or a "random" choice of the two (w/o Energy).
-        waypoint_energy: theta_e; the waypoints of testcases with more energy are mutated, the routes of others.
-        waypoint_keep_probability: epsilon of waypoint mutation, the probability that an NPC stays as it is.
-        route_keep_probability: epsilon of route mutation.
-        point_keep_probability: the probability that one waypoint of a chosen NPC stays as it is.
-        sigma_position: deviation of waypoint mutation [m].
-        sigma_speed: deviation of waypoint mutation [m/s].
-        failure_weight: w_1, of the failure frequency.
-        degree_weight: w_2, of the change of the violation degree.
-        selection_weight: w_3, of the selection frequency.
-        route_cost: what a parent loses with each mutation of its routes, beside the three terms.
-        mutant_energy: what a kept mutant starts with: 1 + w_2 dE_V by its "degree-change" (paper equation 17), or
-            1 + dO / 2 + d / 2 by its "degree-and-novelty", where dO is what it gained in degree and d its novelty.
-        success: which mutants the failure frequency counts: "failed" ones, or "failed-or-novel" ones.
-        degree_distance: what the change of the violation degree is divided by one less of: the mutant's distance
-            to its "parent", or to the nearest of all "known" behaviors.
-        bounded: whether the change of the violation degree is bounded by tanh; the paper prints it unbounded.
-        assessment: what the search takes for the violation degree of a run, and for its failure.
-        miner: how behaviors are abstracted.
+        novelty: source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which
+            novelty and distance are drawn from [0, 1]. "none" is the paper's w/o BG.
+        novelty_threshold: theta_c. A behavior is novel if its distance from all known ones is greater.
+        known: testcases whose behaviors are known (the paper's Y): all that were "kept", or only initial and "novel"
+            ones.
+        selection: selection of the testcase to mutate, by "energy" or "uniform" (the paper's w/o Energy).
+        mutation: choice of the mutation, by the testcase's "energy" or at "random" (w/o Energy).
+        waypoint_energy: theta_e. Testcases with more energy get a waypoint mutation, all others a route mutation.
+        waypoint_keep_probability: epsilon of waypoint mutation, the probability that an NPC stays unchanged.
+        route_keep_probability: epsilon of route mutation, the probability that an NPC stays unchanged.
+        point_keep_probability: probability that a waypoint of a chosen NPC stays unchanged.
+        sigma_position: standard deviation of waypoint mutation [m].
+        sigma_speed: standard deviation of waypoint mutation [m/s].
+        failure_weight: w_1, weight of the failure frequency.
+        degree_weight: w_2, weight of the change of the violation degree.
+        selection_weight: w_3, weight of the selection frequency.
+        route_cost: energy that a parent loses with each route mutation, in addition to the three terms.
+        mutant_energy: initial energy of a kept mutant. "degree-change" is 1 + w_2 dE_V (paper equation 17).
+            "degree-and-novelty" is 1 + dO / 2 + d / 2, with the mutant's gain in degree dO and its novelty d.
+        success: mutants that count as failures in the failure frequency, "failed" ones or "failed-or-novel" ones.
+        degree_distance: the distance d in the denominator 1 - d of the change of the violation degree: the mutant's
+            distance from its "parent", or from the nearest of all "known" behaviors.
+        bounded: whether the change of the violation degree is bounded by tanh. The paper prints it unbounded.
+        assessment: options for the violation degree and the failure of an execution, as the search sees them.
+        miner: options for abstracting behaviors.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     initial_corpus: int = 4
@@ -104,10 +104,10 @@ class BehAVExplorOptions:
 
 
 class BehAVExplor:
-    """Behavior diversity and violation degree guide the search, energies select what is mutated, and how.
+    """Search guided by behavior diversity and violation degrees; energies select testcases and their mutations.
 
-    Until the initial corpus has been executed and one of it passed, initial scenarios are asked for: with many
-    candidates in flight there are more of them than `initial_corpus`, and those that pass are testcases as well.
+    Initial scenarios are asked for until the initial corpus has been executed and one of its scenarios has passed. With
+    many candidates in flight, there are more of them than `initial_corpus`. Those that pass become testcases as well.
     """
 
     Options: ClassVar[type] = BehAVExplorOptions
@@ -126,7 +126,7 @@ class BehAVExplor:
         self._n_failed = 0
 
     def ask(self) -> Candidate:
-        """An initial scenario, or the mutant of a testcase drawn by energy (Algorithm 1, lines 6-7).
+        """Return an initial scenario, or the mutant of a testcase drawn by energy (Algorithm 1, lines 6-7).
 
         Raises:
             SearchExhausted: if none of `MAX_FAILED_INITIAL` initial scenarios passed.
@@ -143,7 +143,7 @@ class BehAVExplor:
         return Candidate(number, self._mutate(parent, kind, rng), kind, parent.number)
 
     def _kind(self, parent: Testcase, rng: np.random.Generator) -> str:
-        """How the parent is mutated (Algorithm 2, line 3)."""
+        """Choose the mutation of the parent (Algorithm 2, line 3)."""
         if self._options.mutation == "random":
             return WAYPOINTS if rng.random() < 0.5 else ROUTES
         return WAYPOINTS if parent.energy > self._options.waypoint_energy else ROUTES
@@ -167,8 +167,9 @@ class BehAVExplor:
         """Learn from an execution (Algorithm 1, lines 9-18).
 
         Returns:
-            For an initial scenario: kept. For a mutant: `novelty`, its distance to the known behaviors; `novel`;
-            `distance` to its parent; `kept`; `parent_energy` after the update; and, if kept, its own `energy`.
+            For an initial scenario, whether it was `kept`. For a mutant: `novelty`, its distance from the known
+            behaviors; whether it is `novel`; its `distance` from its parent; whether it was `kept`; the `parent_energy`
+            after the update; and its own `energy` if it was kept.
         """
         run = assess(trace, verdict, self._logical.roadmap, self._options.assessment)
         self._n_failed += run.failed
@@ -214,7 +215,7 @@ class BehAVExplor:
         return learned
 
     def _novelty(self, candidate: Candidate, parent: Testcase, behavior: Behavior | None) -> tuple[float, float]:
-        """The distances of a mutant's behavior to the nearest in Y, and to its parent's (paper equations 8, 9)."""
+        """Compute the distances of a mutant's behavior from the nearest in Y and from its parent's (equations 8, 9)."""
         if self._options.novelty == "random":
             novelty, distance = draws(self._seed, candidate.number, _NOVELTY_DRAWS).random(2).tolist()
             return novelty, distance
@@ -224,13 +225,13 @@ class BehAVExplor:
         return float(distances[self._known].min()), float(distances[parent.behavior])
 
     def _energy(self, gain: float, change: float, novelty: float) -> float:
-        """E_s' of a kept mutant."""
+        """Compute E_s' of a kept mutant."""
         if self._options.mutant_energy == "degree-and-novelty":
             return 1 + gain / 2 + novelty / 2
         return 1 + self._options.degree_weight * change  # paper equation 17
 
     def _update_energy(self, parent: Testcase, change: float, failed: bool) -> None:
-        """E_s after its mutant s' (paper equation 14)."""
+        """Update E_s of the parent after its mutant s' (paper equation 14)."""
         options = self._options
         parent.n_failed += failed
         parent.n_passed += not failed
@@ -246,7 +247,7 @@ class BehAVExplor:
         self._corpus.add(Testcase(candidate.number, candidate.scenario, candidate.parent, run.degree, index, energy))
 
     def status(self) -> Mapping[str, float]:
-        """Size of the corpus, its mean and greatest energy, and novel mutants kept."""
+        """Return the size of the corpus, its mean and greatest energy, and the number of novel mutants kept."""
         energies = [testcase.energy for testcase in self._corpus]
         return {
             "corpus": len(self._corpus),

@@ -1,4 +1,4 @@
-"""The corpus: the scenarios that a search keeps to make others from, each with its record."""
+"""The corpus: the scenarios that a search keeps to mutate, each with its record."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,21 +11,21 @@ from behavexplor.fuzz.energy import selection_probabilities
 
 @dataclass(slots=True)
 class Testcase:
-    """A kept scenario with its record; the paper calls it a seed.
+    """A kept scenario with its record. The paper calls it a seed.
 
     Attributes:
-        number: of the candidate that it was.
-        scenario: what is mutated.
-        parent: number of the testcase that it was made from, if any.
+        number: number of the candidate that became this testcase.
+        scenario: the scenario to mutate.
+        parent: number of the testcase from which it was mutated, if any.
         degree: violation degree of its execution, the paper's O [m].
         behavior: index of its behavior in the miner.
         energy: the paper's E.
-        selections: how often it was selected.
-        n_failed: how many of its mutants failed, the paper's #F.
-        n_passed: how many did not, #NF.
+        selections: number of times that it was selected.
+        n_failed: number of its mutants that failed, the paper's #F.
+        n_passed: number of its mutants that did not fail, the paper's #NF.
     """
 
-    __test__ = False  # pytest, this is not yours
+    __test__ = False  # keeps pytest from collecting the class
 
     number: int
     scenario: Scenario
@@ -39,7 +39,7 @@ class Testcase:
 
 
 class Corpus:
-    """Testcases in the order they were kept; failures never become testcases."""
+    """Testcases in the order in which they were kept. Failures never become testcases."""
 
     def __init__(self) -> None:
         self._testcases: dict[int, Testcase] = {}
@@ -51,15 +51,15 @@ class Corpus:
         return iter(self._testcases.values())
 
     def __getitem__(self, number: int) -> Testcase:
-        """The testcase that was the candidate of this number."""
+        """Return the testcase with the given candidate number."""
         return self._testcases[number]
 
     def add(self, testcase: Testcase) -> None:
-        """Keep a testcase."""
+        """Add a testcase."""
         self._testcases[testcase.number] = testcase
 
     def select(self, rng: np.random.Generator, *, uniform: bool = False) -> Testcase:
-        """A testcase drawn by energy (paper equation 18), or uniformly; the selection is recorded."""
+        """Draw a testcase by energy (paper equation 18) or uniformly, and record the selection."""
         testcases = list(self)
         energies = np.array([0.0 if uniform else testcase.energy for testcase in testcases])
         chosen = testcases[rng.choice(len(testcases), p=selection_probabilities(energies))]

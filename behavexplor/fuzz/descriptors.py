@@ -1,4 +1,4 @@
-"""What a run was like, in a few numbers: where quality-diversity methods keep their scenarios apart."""
+"""Behavior descriptors: a few measures of an execution, by which quality-diversity methods distinguish scenarios."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -14,27 +14,27 @@ from behavexplor.errors import InputError
 Floats = NDArray[np.float64]
 Measure = Literal["mean-speed", "braking", "cornering", "standing", "duration"]
 
-SCALES: Mapping[Measure, float] = MappingProxyType(  # what counts as 1, and all beyond it
+SCALES: Mapping[Measure, float] = MappingProxyType(  # values that are scaled to 1; greater values are clipped to 1
     {
-        "mean-speed": 12.0,  # of the ego [m/s]
-        "braking": 8.0,  # its hardest [m/s2]
-        "cornering": 4.0,  # its greatest acceleration across its heading [m/s2]
-        "standing": 1.0,  # share of the time that it stood
-        "duration": 120.0,  # [s]
+        "mean-speed": 12.0,  # mean speed of the ego [m/s]
+        "braking": 8.0,  # hardest braking of the ego [m/s2]
+        "cornering": 4.0,  # greatest acceleration of the ego across its heading [m/s2]
+        "standing": 1.0,  # share of the time in which the ego stood still
+        "duration": 120.0,  # duration of the execution [s]
     }
 )
-_SLOW = 0.3  # less counts as standing [m/s], as it does at the end of an episode
+_SLOW = 0.3  # speed below which the ego counts as standing [m/s], equal to the environments' standstill speed
 
 
 def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
-    """Measures of the ego's behavior in a run.
+    """Compute measures of the ego's behavior in an execution.
 
     Args:
-        trace: of the run.
-        measures: which.
+        trace: trace of the execution.
+        measures: measures to compute.
 
     Returns:
-        Shape (measures,), each in [0, 1].
+        Measures in [0, 1], shape (measures,).
     """
     states = state_matrix(trace).astype(np.float64)
     speed, across = states[:, 0], np.abs(states[:, 5])
@@ -49,10 +49,10 @@ def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
 
 
 def check_measures(measures: Sequence[Measure]) -> None:
-    """Refuse measures that span no space.
+    """Check that there is at least one measure, and that no measure is named twice.
 
     Raises:
         InputError: if there is none, or one is named twice.
     """
     if not measures or len(set(measures)) < len(measures):
-        raise InputError(f"measures: name each of them once, at least one; got {', '.join(measures) or 'none'}")
+        raise InputError(f"measures: name at least one, and each only once; got {', '.join(measures) or 'none'}")

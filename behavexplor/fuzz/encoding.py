@@ -1,6 +1,6 @@
-"""Scenarios as vectors of fixed length, every point of which is a scenario that can be run.
+"""Encoding of scenarios as vectors of fixed length. Every vector is a valid scenario.
 
-The methods that recombine, interpolate or learn need numbers in place of NPCs: all of them use this one encoding.
+Methods that recombine, interpolate or learn need numbers instead of NPCs. All of them use this encoding.
 """
 
 from collections.abc import Iterator
@@ -16,33 +16,36 @@ from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
 
-TYPE, ROUTE, START = 0, 1, 2  # genes of an NPC: its type, its route, where it starts; further positions follow
+TYPE, ROUTE, START = 0, 1, 2  # genes of an NPC: type, route and start; the other positions and the speeds follow
 _UNUSED = 0.5  # gene of a waypoint that the route does not have
-_DIGITS = 6  # of decoded positions [m] and speeds [m/s], so that copies of a scenario are equal to it
-_STEPS = 64  # places tried along a lane for a vehicle that cannot start where its genes say
+_DIGITS = 6  # decimals of decoded positions [m] and speeds [m/s], so that copies of a scenario are equal to it
+_STEPS = 64  # positions tried along a lane for a vehicle that cannot start at its own position
 
 
 class Encoding:
-    """The scenarios of a logical scenario as points of [0, 1]^n, each parameter a gene, uniform as the sampler's.
+    """Encoding of a logical scenario's concrete scenarios as points of [0, 1]^n.
 
-    An NPC is a block of genes: its type and its route, each an equal part of [0, 1]; for every waypoint its
-    position as a share of what is left of its range behind the waypoint before it; for every waypoint but the last
-    its speed as a share of the speed range. A point whose NPCs would start in each other's way is repaired,
-    always in the same way: NPC after NPC takes the nearest free place along its lane, or else along the next
-    route's.
+    Each parameter is a gene, and uniform genes give the distribution of the sampler. An NPC is a block of genes:
+
+    - its type and its route, each an equal part of [0, 1];
+    - the position of every waypoint, as a share of the part of its range that lies behind the previous waypoint;
+    - the speed at every waypoint but the last, as a share of the speed range.
+
+    If NPCs would start in each other's way, the point is repaired deterministically: one NPC after the other takes the
+    nearest free position along its lane, or else along the first lane of the next route.
 
     Attributes:
-        logical: what is encoded.
-        n_npcs: blocks of a vector.
-        n_genes: genes of a block.
+        logical: the encoded logical scenario.
+        n_npcs: number of blocks in a vector.
+        n_genes: number of genes in a block.
 
     Raises:
-        InputError: if there are no NPCs.
+        InputError: if the logical scenario has no NPCs.
     """
 
     def __init__(self, logical: LogicalScenario) -> None:
         if logical.n_npcs < 1:
-            raise InputError(f"{logical.name}: a scenario has no NPCs, so there is nothing to search")
+            raise InputError(f"{logical.name}: a scenario has no NPCs, so there is nothing to search; raise n_npcs")
         self.logical = logical
         self._routes = logical.roadmap.npc_routes
         self._n_waypoints = max(len(logical.position_ranges(route)) for route in self._routes)
@@ -56,20 +59,20 @@ class Encoding:
 
     @cached_property
     def speed_genes(self) -> NDArray[np.intp]:
-        """Indices of an NPC's speeds within its block, shape (waypoints - 1,)."""
+        """Indices of an NPC's speed genes within its block, shape (waypoints - 1,)."""
         return np.arange(START + self._n_waypoints, self.n_genes)
 
     def decode(self, vector: Floats) -> Scenario:
-        """The scenario at a point.
+        """Decode a vector to a scenario.
 
         Args:
-            vector: shape (n,); values beyond [0, 1] count as 0 and 1.
+            vector: genes, shape (n,). Values beyond [0, 1] are clipped.
 
         Returns:
             A scenario that is valid in `logical`.
 
         Raises:
-            InputError: if the vector has another shape or is not finite, or there is no place for all vehicles.
+            InputError: if the vector has a wrong shape or is not finite, or there is no place for all vehicles.
         """
         vector = np.asarray(vector, dtype=np.float64)
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
@@ -80,13 +83,15 @@ class Encoding:
         return Scenario(self.logical.name, tuple(npcs))
 
     def encode(self, scenario: Scenario) -> Floats:
-        """The point of a scenario, the middle one of its type and route; `decode` restores it to its six digits.
+        """Encode a scenario as a vector. `decode` restores it to six decimals.
+
+        The genes of type and route are the middles of their parts of [0, 1].
 
         Args:
-            scenario: valid in `logical`, with as many NPCs as that has.
+            scenario: a scenario that is valid in `logical` and has all `n_npcs` NPCs.
 
         Returns:
-            Shape (n,).
+            Genes, shape (n,).
 
         Raises:
             InputError: if the scenario has fewer NPCs.
@@ -96,13 +101,15 @@ class Encoding:
         return np.concatenate([self._block(npc) for npc in scenario.npcs])
 
     def features(self, vectors: Floats) -> Floats:
-        """Points for distances and regression: types and routes that differ are at distance 1, whichever they are.
+        """Convert vectors to features for distances and regression.
+
+        Types and routes are one-hot: any two different types, or routes, are at distance 1.
 
         Args:
-            vectors: shape (k, n).
+            vectors: genes, shape (k, n).
 
         Returns:
-            Shape (k, n_npcs * (types + routes + n_genes - 2)).
+            Features, shape (k, n_npcs * (types + routes + n_genes - 2)).
         """
         blocks = vectors.reshape(len(vectors), self.n_npcs, self.n_genes)
         parts = [
@@ -112,7 +119,7 @@ class Encoding:
         return np.concatenate([*parts, blocks[..., START:]], axis=2).reshape(len(vectors), -1)
 
     def _placed(self, genes: Floats, others: list[NPC]) -> NPC:
-        """The NPC of a block of genes, or of the nearest ones with which it can start beside the others."""
+        """Decode an NPC from a block of genes, moved to the nearest position at which it can start beside `others`."""
         route = int(_parts(genes[ROUTE], len(self._routes)))
         for i in range(len(self._routes)):
             for start in _outwards(float(genes[START])):
@@ -154,12 +161,12 @@ class Encoding:
 
 
 def _parts(genes: Floats, count: int) -> NDArray[np.intp]:
-    """Which of `count` equal parts of [0, 1] each gene lies in."""
+    """Return the index of the part that contains each gene, among `count` equal parts of [0, 1]."""
     return np.minimum((np.clip(genes, 0.0, 1.0) * count).astype(np.intp), count - 1)
 
 
 def _outwards(share: float) -> Iterator[float]:
-    """Shares of a lane: the given one, then others ever farther from it."""
+    """Yield shares of a lane: the given one, then others at a growing distance from it."""
     yield share
     for step in range(1, _STEPS + 1):
         for other in (share + step / _STEPS, share - step / _STEPS):

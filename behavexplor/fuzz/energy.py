@@ -1,4 +1,4 @@
-"""Energy: how likely a testcase is to be selected, and how boldly it is mutated (paper section III-C)."""
+"""Energy of testcases, which determines their selection and their mutation (paper section III-C)."""
 
 import math
 
@@ -7,18 +7,18 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-SELECTION_CHANGE = -0.05  # dE_S: the decay with each selection
-_BENIGN_SHARE = 0.1  # a passed mutant takes less than a failed one gives
+SELECTION_CHANGE = -0.05  # dE_S, the decay with each selection
+_BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
 _GAMMA = 1e-5  # gamma of equation 16, against division by zero
 
 
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
-    """dE_F of the parent (paper equation 15).
+    """Compute dE_F of the parent (paper equation 15).
 
     Args:
-        failed: whether its last mutant failed.
-        n_failed: #F, how many of its mutants failed, the last one included.
-        n_passed: #NF, how many did not.
+        failed: whether the last mutant of the parent failed.
+        n_failed: #F, number of mutants that failed, including the last one.
+        n_passed: #NF, number of mutants that did not fail, including the last one.
     """
     if failed:
         return n_failed / (n_passed + n_failed)
@@ -26,27 +26,27 @@ def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
 
 
 def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool) -> float:
-    """dE_V of a mutant and its parent (paper equation 16).
+    """Compute dE_V of a mutant and its parent (paper equation 16).
 
     Args:
-        parent_degree: O_s, the parent's violation degree [m].
-        degree: O_s' of the mutant [m].
+        parent_degree: O_s, the violation degree of the parent [m].
+        degree: O_s', the violation degree of the mutant [m].
         distance: dis(s', s), the distance of their behaviors, in [0, 1].
-        bounded: whether the tanh of the printed formula is taken. As printed a single mutant at distance 1 weighs
-            1e5 per meter, and the selection never recovers from it.
+        bounded: whether the printed formula is bounded by tanh. Unbounded, a single mutant at distance 1 changes the
+            energy by 1e5 per meter, and the selection never recovers from it.
     """
     change = (parent_degree - degree) / (1 - distance + _GAMMA)
     return math.tanh(change) if bounded else change
 
 
 def selection_probabilities(energies: Floats) -> Floats:
-    """p_i of each testcase (paper equation 18), over the positive energies so that they sum to 1.
+    """Compute p_i of each testcase (paper equation 18), normalized over the positive energies so that they sum to 1.
 
     Args:
-        energies: E, shape (n,); if none is positive, all testcases are equally likely.
+        energies: E of each testcase, shape (n,). If none is positive, all testcases are equally likely.
 
     Returns:
-        Shape (n,).
+        Probabilities, shape (n,).
     """
     weights = np.maximum(energies, 0.0)
     total = weights.sum()

@@ -1,4 +1,4 @@
-"""Many-objective selection: each objective's best first, then fronts, then whoever stands alone.
+"""Many-objective selection: the best of each objective first, then by fronts, then by crowding distance.
 
 Source: Panichella et al., "Reformulating branch coverage as a many-objective optimization problem", ICST 2015
 (preference sorting); Deb et al., NSGA-II, 2002 (fronts by domination, crowding distance). All objectives are minimized.
@@ -12,14 +12,14 @@ Ints = NDArray[np.intp]
 
 
 def survivors(values: Floats, count: int) -> Ints:
-    """The `count` fittest of n individuals, the fittest first.
+    """Return the `count` fittest of n individuals, the fittest first.
 
     Args:
-        values: objectives, shape (n, k).
-        count: at most n.
+        values: objectives of the individuals, shape (n, k).
+        count: number of survivors, at most n.
 
     Returns:
-        Indices, shape (count,).
+        Indices of the survivors, shape (count,).
     """
     ranks = preference_ranks(values)
     crowding = np.zeros(len(values))
@@ -30,7 +30,10 @@ def survivors(values: Floats, count: int) -> Ints:
 
 
 def preference_ranks(values: Floats) -> Ints:
-    """Front of each individual, shape (n,): 0 for the best in any objective, then by domination among the others."""
+    """Compute the front of each individual, shape (n,).
+
+    The best individual in any objective has front 0. All other individuals are sorted by domination.
+    """
     ranks = np.full(len(values), -1, dtype=np.intp)
     ranks[values.argmin(0)] = 0
     no_worse = (values[:, None] <= values[None]).all(2)
@@ -43,7 +46,7 @@ def preference_ranks(values: Floats) -> Ints:
 
 
 def crowding_distances(values: Floats) -> Floats:
-    """How far apart the neighbors of each individual of a front are, infinite at its ends, shape (n,)."""
+    """Compute the distance between the neighbors of each individual in a front, infinite at its ends; shape (n,)."""
     distances = np.zeros(len(values))
     for column in values.T:
         order = np.argsort(column, kind="stable")

@@ -1,8 +1,8 @@
 """MAP-Elites: the most dangerous scenario of every kind of behavior, in an archive of pyribs.
 
-Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015; variation of Vassiliades and Mouret,
-"Discovering the elite hypervolume by leveraging interspecies correlation", GECCO 2018; archive of pyribs (Tjanaka et
-al., GECCO 2023).
+Source: Mouret and Clune, "Illuminating search spaces by mapping elites", 2015. The variation is that of Vassiliades and
+Mouret, "Discovering the elite hypervolume by leveraging interspecies correlation", GECCO 2018. The archive is that of
+pyribs (Tjanaka et al., GECCO 2023).
 """
 
 from collections.abc import Mapping
@@ -26,16 +26,16 @@ MAX_CELLS = 1_000_000
 
 @dataclass(frozen=True)
 class MAPElitesOptions:
-    """The options of `MAPElites`.
+    """Options of `MAPElites`.
 
     Attributes:
-        initial: uniform scenarios executed before the first variation.
-        measures: what spans the archive, see `behavexplor.fuzz.descriptors`.
-        bins: cells of the archive along each measure.
-        variation: how elites are varied.
+        initial: number of uniform scenarios executed before the first variation.
+        measures: dimensions of the archive; see `behavexplor.fuzz.descriptors`.
+        bins: number of cells along each measure.
+        variation: options for the variation of elites.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     initial: int = 20
@@ -51,7 +51,7 @@ class MAPElitesOptions:
 
 
 class MAPElites:
-    """The scenario of least degree for every kind of behavior: MAP-Elites (needs pyribs)."""
+    """MAP-Elites: the scenario with the lowest violation degree for every kind of behavior (needs pyribs)."""
 
     Options: ClassVar[type] = MAPElitesOptions
 
@@ -61,14 +61,14 @@ class MAPElites:
         self._archive = _archive(self._asker.encoding.size, options)
 
     def ask(self) -> Candidate:
-        """A uniform scenario at first, then variations of elites."""
+        """Return a uniform scenario at first, then variations of elites."""
         return ask_elites(self._asker, self._archive, self._options.initial, self._options.variation)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
-        """Put a scenario into its cell if it is the first one there, or better than the one there.
+        """Put a scenario into its cell, if the cell is empty or the scenario is better than the cell's elite.
 
         Returns:
-            `cell`, and whether it was `kept` there.
+            The `cell` of the scenario, and whether it was `kept`.
         """
         measures = describe(trace, self._options.measures)
         objective = 0.0 if verdict.failed else -verdict.degree
@@ -78,12 +78,12 @@ class MAPElites:
         return {"cell": int(self._archive.index_of_single(measures)), "kept": bool(np.ravel(status)[0] > 0)}
 
     def status(self) -> Mapping[str, float]:
-        """Cells with an elite, and their share of all."""
+        """Return the number of cells with an elite, and their share of all cells."""
         return {"elites": len(self._archive), "coverage": float(self._archive.stats.coverage)}
 
 
 def _archive(size: int, options: MAPElitesOptions) -> Any:
-    """An archive of pyribs.
+    """Create an archive of pyribs.
 
     Raises:
         InputError: if pyribs is not installed.

@@ -1,4 +1,4 @@
-"""Mutations of a scenario (paper Algorithm 2). A mutant is a valid scenario that differs from its parent."""
+"""Mutations of scenarios (paper Algorithm 2). A mutant is a valid scenario that differs from its parent."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,10 +10,10 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.errors import InputError
 
-WAYPOINTS: Final = "waypoints"  # kinds of mutation, the origins of mutants
+WAYPOINTS: Final = "waypoints"  # kinds of mutation, which are the origins of mutants
 ROUTES: Final = "routes"
-MAX_KEEP_PROBABILITY: Final = 0.95  # beyond it, almost every draw would leave a scenario as it is
-MIN_SIGMA: Final = 1e-6  # [m] and [m/s]; below it, so would noise
+MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
+MIN_SIGMA: Final = 1e-6  # [m] and [m/s]; smaller noise would leave a scenario unchanged
 _ATTEMPTS = 1000
 
 
@@ -27,16 +27,16 @@ def mutate_waypoints(
     sigma_speed: float,
     point_keep_probability: float = 0.0,
 ) -> Scenario:
-    """Gaussian noise on the waypoints of some NPCs; routes and types stay.
+    """Mutate a scenario by Gaussian noise on the waypoints of some NPCs. Routes and types stay unchanged.
 
     Args:
         scenario: the parent, valid in `logical`.
-        logical: gives the lanes, the speed range and the spawn rules.
-        rng: source of the draws.
-        keep_probability: epsilon, the probability that an NPC stays as it is.
-        sigma_position: deviation of the noise on positions [m].
-        sigma_speed: deviation of the noise on speeds [m/s].
-        point_keep_probability: the probability that a waypoint of a chosen NPC stays as it is.
+        logical: logical scenario with the lanes, the speed range and the spawn rules.
+        rng: random generator.
+        keep_probability: epsilon, the probability that an NPC stays unchanged.
+        sigma_position: standard deviation of the noise on positions [m].
+        sigma_speed: standard deviation of the noise on speeds [m/s].
+        point_keep_probability: probability that a waypoint of a chosen NPC stays unchanged.
 
     Raises:
         InputError: if no mutant was found.
@@ -51,13 +51,13 @@ def mutate_waypoints(
 def mutate_routes(
     scenario: Scenario, logical: LogicalScenario, rng: np.random.Generator, *, keep_probability: float
 ) -> Scenario:
-    """A new type, route and uniform waypoints for some NPCs.
+    """Mutate a scenario by a new type, a new route and new uniform waypoints for some NPCs.
 
     Args:
         scenario: the parent, valid in `logical`.
-        logical: what NPCs are sampled from.
-        rng: source of the draws.
-        keep_probability: epsilon, the probability that an NPC stays as it is.
+        logical: logical scenario from which the new NPCs are sampled.
+        rng: random generator.
+        keep_probability: epsilon, the probability that an NPC stays unchanged.
 
     Raises:
         InputError: if no mutant was found.
@@ -72,17 +72,17 @@ def mutate_routes(
 def shift_waypoints(
     npc: NPC, logical: LogicalScenario, rng: np.random.Generator, sigma: tuple[float, float], keep_probability: float
 ) -> NPC:
-    """The NPC with Gaussian noise on its waypoints, wherever others may stand.
+    """Return an NPC with Gaussian noise on its waypoints, regardless of other vehicles.
 
-    A waypoint stays in its lane, and waypoints of one lane that overtook each other change places. Speeds stay
-    in their range, and the last one stays 0.
+    A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
+    and the last one stays 0.
 
     Args:
-        npc: valid in `logical`.
-        logical: gives the lanes and the speed range.
-        rng: source of the draws.
-        sigma: deviations of the noise on positions [m] and on speeds [m/s].
-        keep_probability: the probability that a waypoint gets no noise.
+        npc: an NPC that is valid in `logical`.
+        logical: logical scenario with the lanes and the speed range.
+        rng: random generator.
+        sigma: standard deviations of the noise on positions [m] and on speeds [m/s].
+        keep_probability: probability that a waypoint gets no noise.
     """
     low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
     values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
@@ -102,7 +102,7 @@ def _mutate(
     keep_probability: float,
     change: Callable[[NPC], NPC],
 ) -> Scenario:
-    """Change each NPC with probability 1 - epsilon, and place it beside the others by the spawn rules."""
+    """Change each NPC with probability 1 - epsilon, and place it beside the other NPCs by the spawn rules."""
     for _ in range(_ATTEMPTS):
         npcs = list(scenario.npcs)
         for i in np.flatnonzero(rng.random(len(npcs)) > keep_probability):

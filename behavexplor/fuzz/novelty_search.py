@@ -1,7 +1,7 @@
-"""Novelty search: scenarios whose runs are unlike those before them, in an archive of pyribs.
+"""Novelty search: scenarios whose executions differ from all earlier ones, in an archive of pyribs.
 
 Source: Lehman and Stanley, "Abandoning objectives: evolution through the search for novelty alone", Evolutionary
-Computation 19(2), 2011; archive of pyribs (Tjanaka et al., GECCO 2023).
+Computation 19(2), 2011. The archive is that of pyribs (Tjanaka et al., GECCO 2023).
 """
 
 from collections.abc import Mapping
@@ -23,17 +23,17 @@ from behavexplor.judge.specs import Verdict
 
 @dataclass(frozen=True)
 class NoveltySearchOptions:
-    """The options of `NoveltySearch`.
+    """Options of `NoveltySearch`.
 
     Attributes:
-        initial: uniform scenarios executed before the first variation.
-        measures: what behaviors are told apart by, see `behavexplor.fuzz.descriptors`.
-        neighbors: nearest neighbors whose mean distance is the novelty.
-        threshold: least novelty of a scenario that is kept, in the measures, each of which spans [0, 1].
-        variation: how kept scenarios are varied.
+        initial: number of uniform scenarios executed before the first variation.
+        measures: measures that distinguish behaviors; see `behavexplor.fuzz.descriptors`.
+        neighbors: number of nearest neighbors whose mean distance is the novelty.
+        threshold: least novelty of a kept scenario, in the space of the measures, each of which spans [0, 1].
+        variation: options for the variation of kept scenarios.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     initial: int = 20
@@ -50,7 +50,7 @@ class NoveltySearchOptions:
 
 
 class NoveltySearch:
-    """Scenarios whose runs are unlike those kept before, whatever their degree: novelty search (needs pyribs)."""
+    """Novelty search: scenarios whose behavior is new, regardless of their violation degree (needs pyribs)."""
 
     Options: ClassVar[type] = NoveltySearchOptions
 
@@ -60,14 +60,14 @@ class NoveltySearch:
         self._archive = _archive(self._asker.encoding.size, options)
 
     def ask(self) -> Candidate:
-        """A uniform scenario at first, then variations of kept ones."""
+        """Return a uniform scenario at first, then variations of kept scenarios."""
         return ask_elites(self._asker, self._archive, self._options.initial, self._options.variation)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario if its run was novel.
+        """Keep a scenario if its execution was novel.
 
         Returns:
-            `distance`, the mean one to the nearest kept runs (1 for the first), and whether it was `kept`.
+            The mean `distance` from the nearest kept executions (1 for the first), and whether it was `kept`.
         """
         measures = describe(trace, self._options.measures)
         first = self._archive.empty
@@ -78,12 +78,12 @@ class NoveltySearch:
         }
 
     def status(self) -> Mapping[str, float]:
-        """Size of the archive."""
+        """Return the size of the archive."""
         return {"archive": len(self._archive)}
 
 
 def _archive(size: int, options: NoveltySearchOptions) -> Any:
-    """An archive of pyribs.
+    """Create an archive of pyribs.
 
     Raises:
         InputError: if pyribs is not installed.

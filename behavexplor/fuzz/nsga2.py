@@ -1,7 +1,7 @@
-"""NSGA-II on the degrees of all specs, by pymoo.
+"""NSGA-II on the violation degrees of all specs, by pymoo.
 
 Source: Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on Evolutionary
-Computation 6(2), 2002, as pymoo (Blank and Deb, IEEE Access 8, 2020) has it.
+Computation 6(2), 2002, in the implementation of pymoo (Blank and Deb, IEEE Access 8, 2020).
 """
 
 from collections import deque
@@ -28,16 +28,16 @@ OFFSPRING = "offspring"  # origin of candidates
 
 @dataclass(frozen=True)
 class NSGA2Options:
-    """The options of `NSGA2`; the defaults are pymoo's, but for the population, which is smaller.
+    """Options of `NSGA2`. The defaults are pymoo's, except for the population, which is smaller.
 
     Attributes:
-        population: individuals of a generation.
-        crossover_probability: of simulated binary crossover.
-        crossover_eta: its distribution index; the greater, the more a child resembles a parent.
+        population: number of individuals in a generation.
+        crossover_probability: probability of simulated binary crossover.
+        crossover_eta: distribution index of the crossover. With a greater index, offspring resemble their parents more.
         mutation_eta: distribution index of polynomial mutation.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     population: int = 20
@@ -53,12 +53,12 @@ class NSGA2Options:
 
 
 class _Generation:
-    """Individuals of pymoo that are executed together; complete once each has objectives."""
+    """Individuals of one generation of pymoo. It is complete once all of them have objectives."""
 
     def __init__(self, population: Any) -> None:
         self.population = population
         self.vectors: Floats = population.get("X").astype(np.float64)
-        self.values: dict[int, Floats] = {}  # by index
+        self.values: dict[int, Floats] = {}  # objectives by index
 
     @property
     def complete(self) -> bool:
@@ -66,10 +66,10 @@ class _Generation:
 
 
 class NSGA2:
-    """Multi-objective genetic search on the degrees of all specs: NSGA-II (needs pymoo).
+    """NSGA-II: multi-objective genetic search on the violation degrees of all specs (needs pymoo).
 
-    A generation is bred of the population as it is when it is asked for. With one candidate in flight that is after
-    the generation before it; with more, generations overlap.
+    A generation is bred from the population at the time when its first individual is asked for. With one candidate in
+    flight, the previous generation is complete by then; with more, generations overlap.
     """
 
     Options: ClassVar[type] = NSGA2Options
@@ -82,7 +82,7 @@ class NSGA2:
         self._generations = 0
 
     def ask(self) -> Candidate:
-        """The next individual of a generation that is not executed yet."""
+        """Return the next individual that is not executed yet."""
         rng = self._asker.draws()
         if not self._queue:
             self._plan(rng)
@@ -95,7 +95,7 @@ class NSGA2:
     def _plan(self, rng: np.random.Generator) -> None:
         self._algorithm.random_state = rng
         bred = self._algorithm.infill()
-        if bred is None:  # it found no offspring that is not in the population
+        if bred is None:  # pymoo found no offspring that is new to the population
             bred = self._algorithm.initialization.do(
                 self._algorithm.problem, self._algorithm.pop_size, random_state=rng
             )
@@ -103,10 +103,10 @@ class NSGA2:
         self._queue.extend((generation, index) for index in range(len(generation.vectors)))
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Give an individual its objectives, and end its generation if it was the last one.
+        """Set the objectives of an individual, and end its generation if it was the last one.
 
         Returns:
-            `objectives`, one for each spec.
+            The `objectives`, one for each spec.
         """
         generation, index = self._in_flight.pop(candidate.number)
         generation.vectors[index] = self._asker.told(candidate)
@@ -116,7 +116,7 @@ class NSGA2:
         return {"objectives": generation.values[index].tolist()}
 
     def _end(self, generation: _Generation) -> None:
-        """Survival of the fittest among the population and a complete generation."""
+        """Select the survivors among the population and a complete generation."""
         from pymoo.core.evaluator import Evaluator  # noqa: PLC0415
         from pymoo.problems.static import StaticProblem  # noqa: PLC0415
 
@@ -130,12 +130,12 @@ class NSGA2:
         self._generations += 1
 
     def status(self) -> Mapping[str, float]:
-        """Generations that are complete."""
+        """Return the number of complete generations."""
         return {"generations": self._generations}
 
 
 def _algorithm(size: int, options: NSGA2Options) -> Any:
-    """Pymoo's algorithm on points of [0, 1]^size.
+    """Create pymoo's algorithm on points of [0, 1]^size.
 
     Raises:
         InputError: if pymoo is not installed.

@@ -1,4 +1,4 @@
-"""The paper's Random: mutations of random testcases, without any feedback (section IV, baselines and ablation)."""
+"""The paper's Random: mutations of random testcases without feedback (section IV, baselines and ablation)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,23 +19,23 @@ from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
-_KEEPING_DRAWS = 1  # purpose of draws beside those that made the candidate
+_KEEPING_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
 
 
 @dataclass(frozen=True)
 class RandomMutationOptions:
-    """The options of `RandomMutation`; mutations are those of the paper.
+    """Options of `RandomMutation`. The mutations are those of the paper.
 
     Attributes:
-        initial_corpus: scenarios executed before the first mutation.
-        keep_probability: of a mutant that passed to become a testcase; the paper does not say. 0: only initial
-            scenarios are ever mutated; 1: every mutant that passed is, in its turn.
-        npc_keep_probability: epsilon, the probability that an NPC stays as it is.
-        sigma_position: deviation of waypoint mutation [m].
-        sigma_speed: deviation of waypoint mutation [m/s].
+        initial_corpus: number of scenarios executed before the first mutation.
+        keep_probability: probability that a mutant that passed becomes a testcase. The paper does not state it. With 0,
+            only initial scenarios are ever mutated. With 1, every mutant that passed becomes a testcase.
+        npc_keep_probability: epsilon, the probability that an NPC stays unchanged.
+        sigma_position: standard deviation of waypoint mutation [m].
+        sigma_speed: standard deviation of waypoint mutation [m/s].
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     initial_corpus: int = 4
@@ -53,10 +53,10 @@ class RandomMutationOptions:
 
 
 class RandomMutation:
-    """A random testcase mutated at random, nothing is learned: the paper's Random.
+    """The paper's Random: random mutations of random testcases, without learning.
 
-    It is BehAVExplor with a coin in place of each decision: which testcase is mutated, how, and whether the mutant
-    is kept. Failures are never kept.
+    This is BehAVExplor with a random choice in place of each decision: which testcase is mutated, by which mutation,
+    and whether the mutant is kept. Failures are never kept.
     """
 
     Options: ClassVar[type] = RandomMutationOptions
@@ -65,12 +65,12 @@ class RandomMutation:
         self._logical = logical
         self._seed = seed
         self._options = options
-        self._corpus: list[tuple[int, Scenario]] = []  # with the numbers of the candidates
+        self._corpus: list[tuple[int, Scenario]] = []  # candidate numbers and scenarios
         self._asked = 0
         self._told = 0
 
     def ask(self) -> Candidate:
-        """An initial scenario, or the mutant of a testcase.
+        """Return an initial scenario, or the mutant of a random testcase.
 
         Raises:
             SearchExhausted: if none of `MAX_FAILED_INITIAL` initial scenarios passed.
@@ -97,10 +97,10 @@ class RandomMutation:
         return Candidate(number, mutant, WAYPOINTS, parent)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Keep a scenario that passed: an initial one always, a mutant by chance.
+        """Keep a scenario that passed: an initial scenario always, a mutant at random.
 
         Returns:
-            `kept`.
+            Whether the scenario was `kept`.
         """
         self._told += 1
         lucky = draws(self._seed, candidate.number, _KEEPING_DRAWS).random() < self._options.keep_probability
@@ -110,5 +110,5 @@ class RandomMutation:
         return {"kept": bool(kept)}
 
     def status(self) -> Mapping[str, float]:
-        """Size of the corpus."""
+        """Return the size of the corpus."""
         return {"corpus": len(self._corpus)}

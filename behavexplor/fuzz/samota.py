@@ -1,7 +1,8 @@
-"""SAMOTA: many-objective search that asks surrogate models first, globally and locally in turn.
+"""SAMOTA: many-objective search on surrogate models, alternating between global and local search.
 
 Source: Haq et al., "Efficient Online Testing for DNN-Enabled Systems using Surrogate-Assisted and Many-Objective
-Optimization", ICSE 2022. Comments that begin with "SAMOTA" say which of its steps a line follows.
+Optimization", ICSE 2022. Docstrings and comments that begin with "SAMOTA" name the step of the publication that the
+code follows.
 """
 
 from collections import deque
@@ -31,25 +32,25 @@ PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of ca
 
 @dataclass(frozen=True)
 class SAMOTAOptions:
-    """The options of `SAMOTA`.
+    """Options of `SAMOTA`.
 
     Attributes:
-        population: initial scenarios, and predicted individuals of a generation.
-        adaptive_samples: points drawn for each initial scenario, of which the farthest from all others is taken.
-        generations: of predicted individuals in a global search.
-        database_limit: most executions that a global surrogate learns from: half of them the best ones. It bounds
-            the cost of an execution, which grows with its cube.
-        local_share: of the executions, the best of each objective, that a local search starts from.
-        local_limit: most of them.
-        cluster_size: fewest of them in a cluster.
-        local_population: predicted individuals of a generation in a local search.
-        local_generations: of predicted individuals in a local search.
-        crossover_probability: for an NPC to come from the other parent.
-        mutation_probability: for a gene to get noise.
-        mutation_sigma: its deviation, a share of the gene's range.
+        population: number of initial scenarios, and of predicted individuals in a generation of a global search.
+        adaptive_samples: number of points drawn for each initial scenario. The farthest from all earlier ones is taken.
+        generations: number of generations of predicted individuals in a global search.
+        database_limit: greatest number of executions that a global surrogate learns from; half of them are the best
+            ones. It bounds the cost of an execution, which grows with the cube of this number.
+        local_share: share of the executions, the best of each objective, from which a local search starts.
+        local_limit: greatest number of executions from which a local search starts.
+        cluster_size: least number of executions in a cluster of a local search.
+        local_population: number of predicted individuals in a generation of a local search.
+        local_generations: number of generations of predicted individuals in a local search.
+        crossover_probability: probability that an NPC comes from the second parent.
+        mutation_probability: probability that a gene gets noise.
+        mutation_sigma: standard deviation of the noise, as a share of the gene's range.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     population: int = 6
@@ -77,10 +78,10 @@ class SAMOTAOptions:
 
 
 class SAMOTA:
-    """Many-objective search on surrogate models of the degrees, global and local in turn: SAMOTA (ICSE 2022).
+    """SAMOTA: many-objective search on surrogate models of the violation degrees (ICSE 2022).
 
-    A search is planned from all that has been told when its first candidate is asked for. With one candidate in
-    flight that is all that was asked for.
+    Global and local searches alternate. A search is planned when its first candidate is asked for, from all executions
+    told so far. With one candidate in flight, these are the executions of all earlier candidates.
     """
 
     Options: ClassVar[type] = SAMOTAOptions
@@ -89,16 +90,16 @@ class SAMOTA:
         self._options = options
         self._asker = Asker(logical, seed)
         self._queue: deque[tuple[Floats, str]] = deque()
-        self._vectors: list[Floats] = []  # SAMOTA's database: what was executed,
-        self._values: list[Floats] = []  # and with what objectives
-        self._uncovered: Ints = np.zeros(0, dtype=np.intp)  # objectives that no execution has violated
+        self._vectors: list[Floats] = []  # SAMOTA, database: the executed points
+        self._values: list[Floats] = []  # SAMOTA, database: their objectives
+        self._uncovered: Ints = np.zeros(0, dtype=np.intp)  # objectives that no execution has brought to 0
         self._searches = 0
 
     def ask(self) -> Candidate:
-        """An initial scenario, or the next one of a search."""
+        """Return an initial scenario, or the next scenario of a search."""
         rng = self._asker.draws()
         if not self._queue:
-            with threadpool_limits(limits=1):  # the last bits of a model must not depend on how many there are
+            with threadpool_limits(limits=1):  # the last bits of a model must not depend on the number of threads
                 self._queue.extend(self._plan(rng))
         vector, origin = self._queue.popleft()
         return self._asker.candidate(vector, rng, origin)
@@ -107,7 +108,7 @@ class SAMOTA:
         """Add an execution to the database.
 
         Returns:
-            `objectives`, one for each spec.
+            The `objectives`, one for each spec.
         """
         values = objectives(verdict)
         if not self._values:
@@ -116,11 +117,11 @@ class SAMOTA:
         self._values.append(values)
         self._uncovered = self._uncovered[values[self._uncovered] > 0]
         if not len(self._uncovered):
-            self._uncovered = np.arange(len(values))  # SAMOTA: when all is covered, all is searched for again
+            self._uncovered = np.arange(len(values))  # SAMOTA: once all are covered, all are searched again
         return {"objectives": values.tolist()}
 
     def _plan(self, rng: np.random.Generator) -> list[tuple[Floats, str]]:
-        """What to execute next; SAMOTA: a loop of global and local search."""
+        """SAMOTA: plan the next executions, by global and local search in turn."""
         if len(self._vectors) < self._options.population:
             return [(self._asker.farthest(rng, self._options.adaptive_samples, 1)[0], INITIAL)]
         self._searches += 1
@@ -128,7 +129,7 @@ class SAMOTA:
         return self._global(vectors, values, rng) if self._searches % 2 else self._local(vectors, values, rng)
 
     def _global(self, vectors: Floats, values: Floats, rng: np.random.Generator) -> list[tuple[Floats, str]]:
-        """SAMOTA, global search: per uncovered objective the predicted best, and the one models disagree most about."""
+        """SAMOTA, global search: find the predicted best and the most uncertain point for each uncovered objective."""
         rows = self._training_rows(values, rng)
         features = self._asker.encoding.features
         ensemble = fit_ensemble(features(vectors[rows]), values[rows], rng)
@@ -148,7 +149,7 @@ class SAMOTA:
         return _distinct([*((vector, PROMISING) for vector in best), *((vector, UNCERTAIN) for vector in doubtful)])
 
     def _training_rows(self, values: Floats, rng: np.random.Generator) -> Ints:
-        """All executions; of too many the best in any objective, and others at random."""
+        """Choose the executions to learn from: all of them, or up to the limit the best ones and random other ones."""
         limit = self._options.database_limit
         if len(values) <= limit:
             return np.arange(len(values))
@@ -157,7 +158,7 @@ class SAMOTA:
         return np.concatenate([order[: limit // 2], rng.choice(rest, limit - limit // 2, replace=False)])
 
     def _local(self, vectors: Floats, values: Floats, rng: np.random.Generator) -> list[tuple[Floats, str]]:
-        """SAMOTA, local search: the predicted best within each cluster of each objective's best executions."""
+        """SAMOTA, local search: find the predicted best in each cluster of each objective's best executions."""
         from sklearn.cluster import HDBSCAN  # noqa: PLC0415 - slow to import, needed only once a campaign runs
 
         options = self._options
@@ -169,7 +170,7 @@ class SAMOTA:
             labels = np.zeros(len(top), dtype=np.intp)
             if len(top) > options.cluster_size:
                 labels = HDBSCAN(min_cluster_size=options.cluster_size, copy=True).fit_predict(points)
-            if (labels < 0).all():  # no cluster: all of them are one
+            if (labels < 0).all():  # without any cluster, all points form one
                 labels[:] = 0
             for label in range(labels.max() + 1):
                 members = labels == label
@@ -178,7 +179,7 @@ class SAMOTA:
         return _distinct(found)
 
     def _minimum(self, members: Floats, model: Ensemble, rng: np.random.Generator) -> Floats:
-        """The point of least predicted value in the box round the members, by a small genetic algorithm; shape (n,)."""
+        """Find the point of least predicted value in the box around the members by a genetic algorithm; shape (n,)."""
         low, high = members.min(0), members.max(0)
         features = self._asker.encoding.features
         population = members
@@ -192,7 +193,7 @@ class SAMOTA:
         return np.asarray(population[0])
 
     def _children(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
-        """Points made of parents: NPCs exchanged between two of them, then noise on some genes; shape (count, n)."""
+        """Breed points: exchange NPCs between two parents, then add noise to some genes; shape (count, n)."""
         options, n_npcs = self._options, self._asker.encoding.n_npcs
         first, second = rng.integers(len(parents), size=(2, count))
         other = rng.random((count, n_npcs)) < options.crossover_probability
@@ -203,10 +204,10 @@ class SAMOTA:
         return np.asarray(np.clip(children + noise * noisy, 0.0, 1.0))
 
     def status(self) -> Mapping[str, float]:
-        """Searches planned, and objectives that are not covered."""
+        """Return the number of planned searches, and of uncovered objectives."""
         return {"searches": self._searches, "uncovered": len(self._uncovered)}
 
 
 def _distinct(found: list[tuple[Floats, str]]) -> list[tuple[Floats, str]]:
-    """The first of each point."""
+    """Remove repeated points, keeping the first of each."""
     return list({vector.tobytes(): (vector, origin) for vector, origin in reversed(found)}.values())[::-1]

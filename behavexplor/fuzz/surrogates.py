@@ -1,12 +1,13 @@
-"""Surrogate models: what the objectives of a scenario might be, without executing it.
+"""Surrogate models, which predict the objectives of a scenario without executing it.
 
 Source: Haq et al., "Efficient Online Testing for DNN-Enabled Systems using Surrogate-Assisted and Many-Objective
-Optimization", ICSE 2022 (SAMOTA), global and local surrogates. Models come from scikit-learn. Their inputs are
-`Encoding.features`, which are on one scale by construction, in training and in prediction alike; outputs are
-centered anew for every fit.
+Optimization", ICSE 2022 (SAMOTA), global and local surrogates. The models come from scikit-learn. Their inputs are
+`Encoding.features`, which have one scale by construction, both in training and in prediction. Outputs are centered for
+every fit.
 
-All models are kernel machines: scikit-learn fits them, and their predictions, a kernel times coefficients, are
-computed here for all of them at once. Asked one by one for a handful of points, they would mostly check their input.
+All models are kernel machines. scikit-learn fits them. Their predictions are a kernel times coefficients, and are
+computed here for all models at once: separate calls for a handful of points would spend most of their time checking
+the input.
 """
 
 from collections.abc import Callable
@@ -17,10 +18,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_HELD_OUT = 0.2  # share of the rows that models are weighted by
-_FEWEST = 10  # rows with which some are held out
-_LEAST_LENGTH = 0.1  # of kernels, where points are alike
-_RIDGE = 1e-2  # on the diagonal of the kernel matrix
+_HELD_OUT = 0.2  # share of the rows that are held out to weight the models
+_FEWEST = 10  # least number of rows at which some are held out
+_LEAST_LENGTH = 0.1  # least length scale of a kernel, for points that are all alike
+_RIDGE = 1e-2  # added to the diagonal of the kernel matrix
 
 
 def _polynomial(squared: Floats, products: Floats, length: float) -> Floats:  # noqa: ARG001 - a kernel's signature
@@ -46,12 +47,12 @@ class Ensemble:
     """Several models of k objectives, fitted to the same n points.
 
     Attributes:
-        kernels: of the models.
-        points: shape (n, features).
-        length: what the kernels take for near.
-        coefficients: of the kernels at the points, shape (models, n, k).
-        means: of the objectives, taken off before the fit, shape (k,).
-        weights: of the models, shape (models, k); they sum to 1 for each objective.
+        kernels: kernel of each model.
+        points: training points, shape (n, features).
+        length: length scale of the kernels.
+        coefficients: coefficients of the kernels at the points, shape (models, n, k).
+        means: means of the objectives, which are subtracted before the fit, shape (k,).
+        weights: weights of the models, which sum to 1 for each objective, shape (models, k).
     """
 
     kernels: tuple[Kernel, ...]
@@ -62,16 +63,16 @@ class Ensemble:
     weights: Floats
 
     def outputs(self, points: Floats) -> Floats:
-        """What each model predicts at points of shape (p, features); shape (models, p, k)."""
+        """Compute each model's predictions at points of shape (p, features). Returns shape (models, p, k)."""
         squared, products = _products(points, self.points)
         values = np.stack([kernel(squared, products, self.length) for kernel in self.kernels])
         return np.asarray(values @ self.coefficients + self.means)
 
     def predict(self, points: Floats) -> tuple[Floats, Floats]:
-        """Objectives, and how far the models disagree about them at most.
+        """Predict objectives, and the greatest disagreement of the models about them.
 
         Args:
-            points: shape (p, features).
+            points: points, shape (p, features).
 
         Returns:
             Weighted mean and widest difference of the models' predictions, each of shape (p, k).
@@ -81,19 +82,19 @@ class Ensemble:
 
 
 def _products(points: Floats, others: Floats) -> tuple[Floats, Floats]:
-    """Squared distances and scalar products of all pairs, each of shape (points, others)."""
+    """Compute the squared distances and scalar products of all pairs, each of shape (points, others)."""
     products = points @ others.T
     squared = (points**2).sum(1)[:, None] + (others**2).sum(1) - 2 * products
     return np.maximum(squared, 0.0), products
 
 
 def fit_ensemble(points: Floats, values: Floats, rng: np.random.Generator) -> Ensemble:
-    """A quadratic polynomial, an RBF regressor and a Gaussian process, weighted by their errors on held-out rows.
+    """Fit a quadratic polynomial, an RBF regressor and a Gaussian process, weighted by their errors on held-out rows.
 
     Args:
-        points: shape (n, features), n >= 2.
-        values: shape (n, k).
-        rng: chooses the rows that are held out.
+        points: training points, shape (n, features), n >= 2.
+        values: objectives at the points, shape (n, k).
+        rng: random generator that chooses the held-out rows.
     """
     n = len(points)
     weights = np.full((len(KERNELS), values.shape[1]), 1 / len(KERNELS))
@@ -107,12 +108,12 @@ def fit_ensemble(points: Floats, values: Floats, rng: np.random.Generator) -> En
 
 
 def fit_rbf(points: Floats, values: Floats) -> Ensemble:
-    """One RBF regressor; arguments as of `fit_ensemble`."""
+    """Fit a single RBF regressor. The arguments are those of `fit_ensemble`."""
     return _fit(points, values, (RBF,), np.ones((1, values.shape[1])))
 
 
 def _fit(points: Floats, values: Floats, kernels: tuple[Kernel, ...], weights: Floats) -> Ensemble:
-    """Models whose length is the median distance of the points, so that nothing has to be searched for."""
+    """Fit models whose length scale is the median distance of the points, so that no length has to be searched for."""
     squared, _ = _products(points, points)
     length = max(float(np.sqrt(np.median(squared[np.triu_indices(len(points), 1)]))), _LEAST_LENGTH)
     means = values.mean(0)
@@ -121,7 +122,7 @@ def _fit(points: Floats, values: Floats, kernels: tuple[Kernel, ...], weights: F
 
 
 def _coefficients(kernel: Kernel, length: float, points: Floats, values: Floats) -> Floats:
-    """What scikit-learn's model of a kernel fits, shape (n, k)."""
+    """Fit the coefficients of a kernel by scikit-learn's model, shape (n, k)."""
     from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415 - slow to import
     from sklearn.gaussian_process.kernels import Matern  # noqa: PLC0415
     from sklearn.kernel_ridge import KernelRidge  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""Uniform sampling: the baseline that every search must beat."""
+"""Uniform sampling, the baseline that every search must beat."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class UniformOptions:
 
 
 class Uniform:
-    """Every scenario drawn afresh, each parameter uniform in its range; nothing is learned."""
+    """Uniform sampling: every scenario is drawn independently, with each parameter uniform in its range."""
 
     Options: ClassVar[type] = UniformOptions
 
@@ -26,15 +26,15 @@ class Uniform:
         self._asked = 0
 
     def ask(self) -> Candidate:
-        """The next scenario, from the sampler."""
+        """Return the next sampled scenario."""
         number = self._asked
         self._asked += 1
         return Candidate(number, self._logical.sample(draws(self._seed, number)), UNIFORM, None)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
-        """Nothing is learned."""
+        """Ignore the execution, since nothing is learned."""
         return {}
 
     def status(self) -> Mapping[str, float]:
-        """Nothing to show."""
+        """Return no figures."""
         return {}

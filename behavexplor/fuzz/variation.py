@@ -1,4 +1,4 @@
-"""How quality-diversity methods make a scenario of two that they kept."""
+"""Variation of kept scenarios (elites) in quality-diversity methods."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -10,7 +10,7 @@ from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.vector_search import Asker
 
 VARIATION: Final = "variation"  # origin of candidates
-ELITES: Final = "number"  # name of an archive's field: the candidate that an elite was
+ELITES: Final = "number"  # archive field with the candidate number of each elite
 
 
 @dataclass(frozen=True)
@@ -18,13 +18,13 @@ class VariationOptions:
     """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1).
 
     Attributes:
-        iso_sigma: deviation of the noise on every gene, a share of its range.
-        line_sigma: deviation of the step towards the second elite, a share of the way.
-        npc_keep_probability: the probability that an NPC stays as it is in the first elite; noise on all of them at
-            once would leave little of what made it good.
+        iso_sigma: standard deviation of the noise on every gene, as a share of its range.
+        line_sigma: standard deviation of the step toward the second elite, as a share of the distance.
+        npc_keep_probability: probability that an NPC stays as in the first elite. Noise on all NPCs at once would
+            destroy most of what made the elite good.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names it.
     """
 
     iso_sigma: float = 0.05
@@ -38,13 +38,13 @@ class VariationOptions:
 
 
 def ask_elites(asker: Asker, archive: Any, initial: int, options: VariationOptions) -> Candidate:
-    """A uniform scenario at first, then one made of two uniformly drawn elites.
+    """Return a uniform scenario at first, then variations of two uniformly drawn elites.
 
     Args:
-        asker: makes it.
-        archive: of pyribs, with the field `ELITES`.
-        initial: how many are uniform; all are while the archive is empty.
-        options: of the variation.
+        asker: vector search that makes the candidate.
+        archive: archive of pyribs with the field `ELITES`.
+        initial: number of uniform scenarios. While the archive is empty, all scenarios are uniform.
+        options: options of the variation.
     """
     rng = asker.draws()
     if archive.empty or asker.asked < initial:

@@ -1,4 +1,4 @@
-"""What the methods that search vectors have in common when they are asked: numbers, draws, and no scenario twice."""
+"""Shared part of all methods that search vectors: candidate numbers, random draws, and no scenario twice."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,10 @@ _ATTEMPTS = 1000
 
 
 class Asker:
-    """Makes candidates of vectors, and remembers those in flight.
+    """Vector search: makes candidates from vectors, and remembers the vectors in flight.
 
-    Executing a scenario twice teaches nothing. Where a method makes one that it asked for before, such as a copy
-    of a parent, one NPC of it is drawn afresh.
+    Executing a scenario twice teaches nothing. If a method makes a scenario that it asked for before, such as a copy of
+    a parent, one of its NPCs is redrawn.
     """
 
     def __init__(self, logical: LogicalScenario, seed: int) -> None:
@@ -32,49 +32,49 @@ class Asker:
 
     @property
     def asked(self) -> int:
-        """How many candidates there were."""
+        """Number of candidates so far."""
         return self._number
 
     def draws(self) -> np.random.Generator:
-        """The random numbers of the next candidate."""
+        """Return the random generator of the next candidate."""
         return draws(self._seed, self._number)
 
     def uniform(self, rng: np.random.Generator, count: int = 1) -> Floats:
-        """Uniform points, shape (count, n)."""
+        """Draw uniform points, shape (count, n)."""
         return rng.random((count, self.encoding.size))
 
     def farthest(self, rng: np.random.Generator, samples: int, count: int) -> Floats:
-        """Of uniform points those farthest from all that was asked for.
+        """Draw uniform points, and return those farthest from all earlier candidates.
 
         Args:
-            rng: source of the draws.
-            samples: how many points are drawn.
-            count: how many of them are returned.
+            rng: random generator.
+            samples: number of points to draw.
+            count: number of points to return.
 
         Returns:
-            Shape (count, n), the farthest one first.
+            Points, the farthest one first, shape (count, n).
         """
         vectors = self.uniform(rng, samples)
         if not self._vectors:
             return vectors[:count]
         points = self.encoding.features(vectors)
         known = self.encoding.features(np.array(self._vectors))
-        with threadpool_limits(limits=1):  # as many threads as there are would decide ties
+        with threadpool_limits(limits=1):  # otherwise ties would depend on the number of threads
             products = points @ known.T
         squared = (points**2).sum(1)[:, None] + (known**2).sum(1) - 2 * products
         return vectors[np.argsort(-squared.min(1), kind="stable")[:count]]
 
     def candidate(self, vector: Floats, rng: np.random.Generator, origin: str, parent: int | None = None) -> Candidate:
-        """The next candidate.
+        """Make the next candidate.
 
         Args:
-            vector: the point of its scenario, shape (n,).
-            rng: for what has to be drawn to make the scenario a new one.
-            origin: see `Candidate`.
-            parent: see `Candidate`.
+            vector: point of its scenario, shape (n,).
+            rng: random generator, used if the scenario is not new and NPCs must be redrawn.
+            origin: origin of the candidate; see `Candidate`.
+            parent: parent of the candidate; see `Candidate`.
 
         Raises:
-            InputError: if there is no new scenario.
+            InputError: if no new scenario was found.
         """
         scenario = self.encoding.decode(vector)
         for _ in range(_ATTEMPTS):
@@ -85,7 +85,7 @@ class Asker:
             vector = blocks.ravel()
             scenario = self.encoding.decode(vector)
         else:
-            raise InputError(f"None of {_ATTEMPTS} scenarios was new: nothing is left to search")
+            raise InputError(f"No new scenario in {_ATTEMPTS} attempts: the search space is exhausted")
         number = self._number
         self._number += 1
         self._asked.add(scenario)
@@ -94,5 +94,5 @@ class Asker:
         return Candidate(number, scenario, origin, parent)
 
     def told(self, candidate: Candidate) -> Floats:
-        """The point of a candidate that is told, shape (n,): of the scenario that was run, after any repair."""
+        """Return the point of a told candidate, shape (n,). It encodes the executed scenario, after any repair."""
         return self._in_flight.pop(candidate.number)

@@ -46,5 +46,5 @@ def test_the_shortest_trace():
 
 @pytest.mark.parametrize("measures", [(), ("braking", "braking")])
 def test_measures_that_span_nothing(measures):
-    with pytest.raises(InputError, match="measures: name each of them once"):
+    with pytest.raises(InputError, match="measures: name at least one, and each only once"):
         check_measures(measures)

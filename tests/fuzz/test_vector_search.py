@@ -59,7 +59,7 @@ def test_an_exhausted_space_is_said(monkeypatch):
     only = asker.encoding.decode(point())
     monkeypatch.setattr(asker.encoding, "decode", lambda vector: only)
     asker.candidate(point(), asker.draws(), "made")
-    with pytest.raises(InputError, match="None of 1000 scenarios was new"):
+    with pytest.raises(InputError, match="No new scenario in 1000 attempts: the search space is exhausted"):
         asker.candidate(point(), asker.draws(), "made")
 
 

@@ -1,6 +1,6 @@
-"""The functional scenarios: each file is one, its name that of the scenario.
+"""The functional scenarios, one per file. Each file is named after its scenario.
 
-A new one is a new file with a subclass of `behavexplor.envs.driving.DrivingEnv` named after it: `lane_follow.py`
-holds `LaneFollowEnv`, and its vector environment `LaneFollowVectorEnv`, and is registered as
+To add a scenario, add a file with a subclass of `behavexplor.envs.driving.DrivingEnv` that is named after it. For
+example, `lane_follow.py` holds `LaneFollowEnv` and its vector environment `LaneFollowVectorEnv`, and is registered as
 `behavexplor/lane-follow-v0`.
 """

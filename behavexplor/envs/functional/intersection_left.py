@@ -1,4 +1,4 @@
-"""S2: the ego turns left at a non-signalised crossing."""
+"""S2: the ego turns left at an unsignalized intersection."""
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.driving import DrivingEnv
@@ -7,11 +7,11 @@ from behavexplor.envs.vector import vector_env
 
 
 class IntersectionLeftEnv(DrivingEnv):
-    """The ego turns left at a non-signalised crossing (S2).
+    """The ego turns left at an unsignalized intersection (S2).
 
     ![S2](intersection-left.png)
 
-    The crossing of S1, where the ego's way leads across that of those who come towards it.
+    The intersection is that of S1. The ego's path crosses the path of oncoming vehicles.
 
     ## Version history
 

@@ -1,4 +1,4 @@
-"""S1: the ego goes straight through a non-signalised crossing."""
+"""S1: the ego goes straight through an unsignalized intersection."""
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.driving import DrivingEnv
@@ -7,11 +7,11 @@ from behavexplor.envs.vector import vector_env
 
 
 class IntersectionStraightEnv(DrivingEnv):
-    """The ego goes straight through a non-signalised crossing (S1).
+    """The ego goes straight through an unsignalized intersection (S1).
 
     ![S1](intersection-straight.png)
 
-    Two roads with two lanes in each direction cross. The ego comes from the south on the inner lane; nobody has the
+    Two roads with two lanes in each direction cross. The ego comes from the south on the inner lane. No vehicle has the
     right of way.
 
     ## Version history

@@ -1,4 +1,4 @@
-"""S4: the ego changes lanes, two to the right, on a straight road of four lanes."""
+"""S4: the ego changes two lanes to the right on a straight road with four lanes."""
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.driving import DrivingEnv
@@ -7,11 +7,11 @@ from behavexplor.envs.vector import vector_env
 
 
 class LaneChangeEnv(DrivingEnv):
-    """The ego changes two lanes to the right on a straight road of four lanes (S4).
+    """The ego changes two lanes to the right on a straight road with four lanes (S4).
 
     ![S4](lane-change.png)
 
-    The road of S3, the ego starting in the second lane from the left.
+    The road is that of S3. The ego starts in the second lane from the left.
 
     ## Version history
 

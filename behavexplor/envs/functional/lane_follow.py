@@ -1,4 +1,4 @@
-"""S3: the ego follows its lane on a straight road of four lanes."""
+"""S3: the ego follows its lane on a straight road with four lanes."""
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.driving import DrivingEnv
@@ -7,12 +7,12 @@ from behavexplor.envs.vector import vector_env
 
 
 class LaneFollowEnv(DrivingEnv):
-    """The ego follows its lane on a straight road of four lanes (S3).
+    """The ego follows its lane on a straight road with four lanes (S3).
 
     ![S3](lane-follow.png)
 
-    Four lanes run in the ego's direction, and it starts in the third from the left; the other direction lies beyond
-    the double yellow line.
+    Four lanes run in the ego's direction, and the ego starts in the third from the left. The lanes of the opposite
+    direction lie beyond the double yellow line.
 
     ## Version history
 

@@ -1,7 +1,7 @@
-"""The environments in lock-step and compiled: structure of arrays, one kernel over all scenarios.
+"""Compiled vector environments: many scenarios in lock-step, as structures of arrays with one kernel over all of them.
 
-`DrivingVectorEnv` is made for any `behavexplor.envs.driving.DrivingEnv` by `vector_env`, or by a subclass that
-names its `env_class`; what it cannot do it refuses.
+`vector_env` makes a `DrivingVectorEnv` for any `behavexplor.envs.driving.DrivingEnv`. A subclass of `DrivingVectorEnv`
+that names its `env_class` works as well. Unsupported options are refused.
 """
 
 from behavexplor.envs.vector.env import DrivingVectorEnv, vector_env

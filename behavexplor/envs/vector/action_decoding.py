@@ -1,4 +1,4 @@
-"""From actions to what kernels understand: acceleration and steering, or the code of a maneuver."""
+"""Convert actions to the commands of the kernels: acceleration and steering, or the code of a maneuver."""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from behavexplor.envs.vector.meta import MANEUVERS
 
 Floats = NDArray[np.float64]
-Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # from actions, shape (B, ...), to commands, shape (B, 2)
+Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)
 
 
 def make_commands(action_type: ActionType) -> Commands:
-    """The commands of an environment's actions."""
+    """Return the function that converts an environment's actions to commands."""
     if isinstance(action_type, DiscreteMetaAction):
         codes = [[MANEUVERS.index(name), 0.0] for _, name in sorted(action_type.actions.items())]
         return partial(_looked_up, np.array(codes))
@@ -36,7 +36,7 @@ def _looked_up(table: Floats, actions: NDArray[Any]) -> Floats:
 
 
 def _discrete_commands(action_type: DiscreteAction) -> Floats:
-    """The command of each action, as highway-env gives it to its vehicle; shape (actions, 2)."""
+    """Return the command that highway-env gives its vehicle for each action, shape (actions, 2)."""
     given: list[dict[str, float]] = []
     action_type.controlled_vehicle = SimpleNamespace(act=given.append)
     for action in range(action_type.space().n):
@@ -52,7 +52,7 @@ def _continuous_commands(
     acceleration_range: tuple[float, float] | None,
     steering_range: tuple[float, float] | None,
 ) -> Floats:
-    """`ContinuousAction.get_action` for a batch, in the precision of the actions as there."""
+    """Compute `ContinuousAction.get_action` for a batch, in the precision of the actions, as highway-env does."""
     commands = np.zeros((len(actions), 2))
     if clip:
         actions = np.clip(actions, -1, 1)

@@ -1,4 +1,4 @@
-"""Contact of boxes with boxes and lines, one pair at a time: `behavexplor.data.geometry`, compiled."""
+"""Compiled contact tests of boxes with boxes and lines, one pair at a time; see `behavexplor.data.geometry`."""
 
 import math
 from typing import Final, TypeAlias
@@ -13,12 +13,12 @@ Floats = NDArray[np.float64]
 
 Corners: TypeAlias = tuple[tuple[float, float, float, float], tuple[float, float, float, float]]  # all x, all y [m]
 
-RADIUS: Final = math.hypot(*EGO_SIZE) / 2  # of the ego's corners [m]
+RADIUS: Final = math.hypot(*EGO_SIZE) / 2  # distance of the ego's corners from its center [m]
 
 
 @kernel
 def corners(x: float, y: float, heading: float, length: float, width: float) -> Corners:
-    """Corners in order round an oriented box."""
+    """Compute the corners of an oriented box, in order around it."""
     cos, sin = math.cos(heading), math.sin(heading)
     a, b = 0.5 * length, 0.5 * width
     return (
@@ -29,13 +29,13 @@ def corners(x: float, y: float, heading: float, length: float, width: float) -> 
 
 @kernel
 def boxes_touch(a: Corners, b: Corners) -> bool:
-    """Whether two boxes touch or overlap, by the separating axis theorem."""
+    """Return whether two boxes touch or overlap, by the separating axis theorem."""
     return not (_sides_separate(a, b) or _sides_separate(b, a))
 
 
 @kernel
 def _sides_separate(box: Corners, other: Corners) -> bool:
-    """Whether a box's sides are axes on which the two do not meet."""
+    """Return whether a side of the box is an axis that separates it from the other box."""
     xs, ys = box
     for i in range(2):
         ex, ey = xs[i + 1] - xs[i], ys[i + 1] - ys[i]
@@ -48,7 +48,7 @@ def _sides_separate(box: Corners, other: Corners) -> bool:
 
 @kernel
 def _span(box: Corners, ex: float, ey: float) -> tuple[float, float]:
-    """Least and greatest projection of the corners on an axis."""
+    """Compute the least and greatest projection of the corners on an axis."""
     xs, ys = box
     low, high = math.inf, -math.inf
     for i in range(4):
@@ -59,7 +59,7 @@ def _span(box: Corners, ex: float, ey: float) -> tuple[float, float]:
 
 @kernel
 def line_distance(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Distance of a point from a segment [m]."""
+    """Compute the distance of a point from a segment [m]."""
     dx, dy = bx - ax, by - ay
     squared = dx * dx + dy * dy
     share = ((x - ax) * dx + (y - ay) * dy) / (squared if squared > 0 else 1.0)
@@ -69,7 +69,10 @@ def line_distance(x: float, y: float, ax: float, ay: float, bx: float, by: float
 
 @kernel
 def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> bool:
-    """Whether a segment touches or enters a box: its two sides and the segment's normal are the axes."""
+    """Return whether a segment touches or enters a box.
+
+    The separating axes are two sides of the box and the normal of the segment.
+    """
     xs, ys = box
     for i in range(3):
         ex, ey = ay - by, bx - ax
@@ -84,7 +87,7 @@ def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> 
 
 @kernel
 def touches_line(lines: Floats, x: float, y: float, heading: float) -> bool:
-    """Whether the ego's box touches one of some lines, shape (lines, 4) [m]."""
+    """Return whether the ego's box touches any of the lines, shape (lines, 4) [m]."""
     for i in range(len(lines)):
         ax, ay, bx, by = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
         if min(ax, bx) - x > RADIUS or x - max(ax, bx) > RADIUS or min(ay, by) - y > RADIUS or y - max(ay, by) > RADIUS:

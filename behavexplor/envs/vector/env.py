@@ -1,4 +1,4 @@
-"""The vector environment: many scenarios in lock-step, compiled."""
+"""The compiled vector environment, which runs many scenarios in lock-step."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
@@ -35,24 +35,24 @@ _OPTIONS = ("scenario", "scenarios", "reset_mask")
 
 
 class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
-    """`num_envs` environments in lock-step: what `env_class` does, many times as fast.
+    """`num_envs` environments in lock-step, equivalent to `env_class` but many times as fast.
 
-    A subclass names its `env_class`. Sub-environment i behaves as the single environment does, to 1e-9 in every
-    state; its NPCs move alike bit by bit. With a seed s it draws the scenarios that the single environment
-    draws with the seed s + i. Observations `Scene` and `Kinematics` and the actions `ContinuousAction`,
-    `DiscreteAction` and `DiscreteMetaAction` are supported. `scenarios` are those of the latest episodes.
+    A subclass names its `env_class`. Sub-environment i behaves like the single environment, to 1e-9 in every state, and
+    its NPCs move identically, bit by bit. With a seed s, it draws the scenarios that the single environment draws with
+    the seed s + i. The observations `Scene` and `Kinematics` and the actions `ContinuousAction`, `DiscreteAction` and
+    `DiscreteMetaAction` are supported. The attribute `scenarios` holds the scenarios of the latest episodes.
 
-    All of gymnasium's autoreset modes are supported. With `AutoresetMode.DISABLED` a sub-environment whose episode has
+    All of gymnasium's autoreset modes are supported. With `AutoresetMode.DISABLED`, a sub-environment whose episode has
     ended rests until it is reset: its action has no effect, its reward is 0, and it still counts as ended.
 
     Args:
-        num_envs: how many sub-environments.
-        config: see `behavexplor.envs.driving.DrivingEnv`.
-        autoreset_mode: what happens after the end of an episode.
-        render_mode: None; there is nothing to see here.
+        num_envs: number of sub-environments.
+        config: configuration of the environment; see `behavexplor.envs.driving.DrivingEnv`.
+        autoreset_mode: gymnasium's autoreset mode, applied after the end of an episode.
+        render_mode: must be None, since the vector environment does not render.
 
     Raises:
-        InputError: for a wrong config, and for what only the single environment can do.
+        InputError: if the config is wrong, or asks for something that only the single environment supports.
     """
 
     env_class: ClassVar[type[DrivingEnv]]
@@ -66,7 +66,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     ) -> None:
         check_value("num_envs", num_envs, COUNT)
         if render_mode is not None:
-            raise InputError("The vector environment cannot render; replay a trace, or use gymnasium.make")
+            raise InputError("The vector environment cannot render: replay a trace, or use gymnasium.make")
         self._mode = _autoreset_mode(autoreset_mode)
         single = self.env_class(config)
         check_supported(single)
@@ -96,12 +96,12 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Begin episodes.
 
         Args:
-            seed: of the first sub-environment, the others count on from it; or one for each.
-            options: `scenario`, to run in all sub-environments, or `scenarios`, one for each, None where one is to
-                be sampled; `reset_mask`, which sub-environments begin anew, shape (num_envs,).
+            seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
+            options: a `scenario` for all sub-environments, or a list of `scenarios` with one for each, where None asks
+                for a sampled scenario. A `reset_mask` selects the sub-environments to reset, shape (num_envs,).
 
         Raises:
-            InputError: if a scenario cannot be run here, or an option is unknown or has a wrong shape.
+            InputError: if a scenario cannot be run in this environment, or an option is unknown or has a wrong shape.
         """
         options = options or {}
         for key in options:
@@ -120,15 +120,15 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Take an action in every sub-environment.
 
         Args:
-            actions: shape (num_envs, ...).
+            actions: one action for each sub-environment, shape (num_envs, ...).
 
         Raises:
             gymnasium.error.ResetNeeded: if a sub-environment has not begun an episode.
-            InputError: if these are no actions of the action space; numbers beyond a Box are clipped.
+            InputError: if the actions are not in the action space. Numbers beyond the bounds of a Box are clipped.
 
         Returns:
-            Observations, shape (num_envs, ...); rewards, terminations and truncations, shape (num_envs,); infos,
-            where `trace` and `end` are those of episodes that have just ended.
+            Observations, shape (num_envs, ...); rewards, terminations and truncations, each of shape (num_envs,); and
+            infos, which contain the `trace` and `end` of episodes that have just ended.
         """
         numbers = self._slots.numbers
         if (numbers[:, END] == IDLE).any():
@@ -158,13 +158,13 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         return self._observations.copy(), rewards, *self._ends(), infos
 
     def _ends(self) -> tuple[Bools, Bools]:
-        """Which episodes are terminated, and which truncated."""
+        """Return which episodes are terminated, and which are truncated."""
         end = self._slots.numbers[:, END]
         terminated = (end >= 0) & _TERMINAL[end]
         return terminated, (end >= 0) & ~terminated
 
     def _begin(self, mask: Bools, scenarios: Sequence[Scenario | None] | None = None) -> dict[str, Any]:
-        """Begin an episode in some slots: of a given scenario, or of one that is sampled."""
+        """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
         infos = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None
@@ -183,7 +183,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             observe_kinematics(self._world, self._slots, self._view, mask, self._observations)
 
     def _step_infos(self, mask: Bools, terms: Mapping[str, Floats]) -> dict[str, Any]:
-        """What the single environment says in `info`, of some slots, in gymnasium's format for vectors."""
+        """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
         if not mask.any():
             return {}
         rewards: dict[str, Any] = {}
@@ -208,7 +208,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         return infos | {"final_info": self._step_infos(done, terms), "_final_info": done.copy()}
 
     def _trace(self, b: int) -> Trace:
-        """The trace of the episode that has ended in slot b."""
+        """Return the trace of the episode that has ended in slot b."""
         slots, roadmap = self._slots, self.logical.roadmap
         frames = int(slots.numbers[b, FRAME]) + 1
         decisions = np.arange(0, frames - 1, self._world.rules.substeps)
@@ -238,7 +238,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         one = isinstance(seed, int | np.integer)
         seeds = [int(seed) + b for b in range(self.num_envs)] if one else seed  # type: ignore[arg-type]
         if not isinstance(seeds, Sequence) or len(seeds) != self.num_envs:
-            raise InputError(f"seed: expected one, or a list of {self.num_envs}, got {shown(seed)}")
+            raise InputError(f"seed: expected one seed, or a list of {self.num_envs}, got {shown(seed)}")
         if not all(own is None or (isinstance(own, int | np.integer) and own >= 0) for own in seeds):
             raise InputError(f"seed: expected whole numbers from 0, got {shown(seed)}")
         if one:
@@ -269,9 +269,10 @@ def _autoreset_mode(name: AutoresetMode | str) -> AutoresetMode:
 
 
 def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:
-    """The vector environment of an environment class, such as gymnasium's `vector_entry_point` takes.
+    """Make the vector environment class of an environment class, for gymnasium's `vector_entry_point`.
 
-    It can be pickled where it is kept beside `env_class` by its own name: `LaneFollowVectorEnv` of `LaneFollowEnv`.
+    It can be pickled if it is stored in the module of `env_class` under its own name, such as `LaneFollowVectorEnv`
+    for `LaneFollowEnv`.
     """
     name = env_class.__name__.removesuffix("Env") + "VectorEnv"
     members = {"env_class": env_class, "__doc__": DrivingVectorEnv.__doc__, "__module__": env_class.__module__}

@@ -1,6 +1,6 @@
-"""highway-env's lanes as rows of an array: coordinates, the closest lane, and the lane that comes next.
+"""highway-env's lanes as rows of an array: coordinates, the closest lane, and the next lane.
 
-Operations stand in highway-env's own order, so that results are the same to the last bits.
+Operations follow highway-env's own order, so that results are equal to the last bits.
 """
 
 import math
@@ -15,20 +15,21 @@ from behavexplor.jit import kernel
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CURVED, X, Y, A, B, C, LENGTH, WIDTH = range(8)  # columns; X, Y is the start, or the center of a curved lane
-# A, B, C: x and y of the direction and the heading; of a curved lane radius, phase at the start and turn (1 right)
+CURVED, X, Y, A, B, C, LENGTH, WIDTH = range(8)  # columns of `Network.lanes`
+# Straight lane: (X, Y) is its start; A and B are the x and y of its direction, and C is its heading.
+# Curved lane: (X, Y) is its center; A is its radius, B its phase at the start, and C its turn (1: to the right).
 
-ORIGIN, TARGET, FIRST, COUNT = range(4)  # columns of roads: nodes, the first lane, and how many lanes
-ROAD, NUMBER = range(2)  # columns of a route: road, and the lane's number on it
+ORIGIN, TARGET, FIRST, COUNT = range(4)  # columns of `Network.roads`: nodes, first lane, number of lanes
+ROAD, NUMBER = range(2)  # columns of `Network.route`: road, and number of the lane on it
 
 
 class Network(NamedTuple):
     """The road network, and the ego's route through it.
 
     Attributes:
-        lanes: all lanes in highway-env's order, shape (lanes, 8); columns above.
+        lanes: all lanes in highway-env's order, with the columns `CURVED` to `WIDTH`, shape (lanes, 8).
         roads: nodes and lanes of the groups of parallel lanes, shape (roads, 4).
-        lane_road: the road of each lane, shape (lanes,).
+        lane_road: road of each lane, shape (lanes,).
         route: road and lane number of each lane of the ego's route, shape (steps, 2).
     """
 
@@ -38,11 +39,11 @@ class Network(NamedTuple):
     route: Ints
 
 
-VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # by which highway-env extends lanes [m]
+VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]
 
 
 def lane_row(lane: AbstractLane) -> list[float]:
-    """A straight or circular lane as a row."""
+    """Return a straight or circular lane as a row of `Network.lanes`."""
     if isinstance(lane, CircularLane):
         return [1.0, *lane.center, lane.radius, lane.start_phase, lane.direction, lane.length, lane.width]
     return [0.0, *lane.start, *lane.direction, lane.heading, lane.length, lane.width]
@@ -50,14 +51,14 @@ def lane_row(lane: AbstractLane) -> list[float]:
 
 @kernel
 def wrap_to_pi(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """Wrap an angle to [-pi, pi)."""
     wrapped: float = ((angle + math.pi) % (2 * math.pi)) - math.pi
     return wrapped
 
 
 @kernel
 def lane_coordinates(lanes: Floats, i: int, x: float, y: float) -> tuple[float, float]:
-    """Station and offset of a point on lane i [m]."""
+    """Compute the station and offset of a point on lane i [m]."""
     dx, dy = x - lanes[i, X], y - lanes[i, Y]
     if lanes[i, CURVED] == 0.0:
         return dx * lanes[i, A] + dy * lanes[i, B], dy * lanes[i, A] - dx * lanes[i, B]
@@ -69,7 +70,7 @@ def lane_coordinates(lanes: Floats, i: int, x: float, y: float) -> tuple[float, 
 
 @kernel
 def lane_heading(lanes: Floats, i: int, station: float) -> float:
-    """Direction of lane i at a station [rad]."""
+    """Compute the heading of lane i at a station [rad]."""
     if lanes[i, CURVED] == 0.0:
         return float(lanes[i, C])
     phase = lanes[i, C] * station / lanes[i, A] + lanes[i, B]
@@ -78,7 +79,7 @@ def lane_heading(lanes: Floats, i: int, station: float) -> float:
 
 @kernel
 def lane_point(lanes: Floats, i: int, station: float) -> tuple[float, float]:
-    """The point of lane i's center line at a station [m]."""
+    """Compute the point of lane i's center line at a station [m]."""
     if lanes[i, CURVED] == 0.0:
         return lanes[i, X] + station * lanes[i, A], lanes[i, Y] + station * lanes[i, B]
     phase = lanes[i, C] * station / lanes[i, A] + lanes[i, B]
@@ -87,14 +88,14 @@ def lane_point(lanes: Floats, i: int, station: float) -> tuple[float, float]:
 
 @kernel
 def lane_distance(lanes: Floats, i: int, x: float, y: float) -> float:
-    """highway-env's distance of a point from lane i: beside it and beyond its ends, added up [m]."""
+    """Compute highway-env's distance of a point from lane i: its offset plus its distance beyond either end [m]."""
     station, offset = lane_coordinates(lanes, i, x, y)
     return float(abs(offset) + max(station - lanes[i, LENGTH], 0.0) + max(-station, 0.0))
 
 
 @kernel
 def closest_lane(lanes: Floats, x: float, y: float, heading: float) -> int:
-    """The lane that is closest in position and heading."""
+    """Return the lane that is closest in position and heading."""
     best, nearest = 0, math.inf
     for i in range(len(lanes)):
         if _least_distance(lanes, i, x, y) >= nearest:
@@ -109,7 +110,7 @@ def closest_lane(lanes: Floats, x: float, y: float, heading: float) -> int:
 
 @kernel
 def _least_distance(lanes: Floats, i: int, x: float, y: float) -> float:
-    """A part of the distance from lane i that is cheap to compute [m]."""
+    """Compute a lower bound of the distance from lane i that is cheap to compute: the offset [m]."""
     dx, dy = x - lanes[i, X], y - lanes[i, Y]
     if lanes[i, CURVED] == 0.0:
         return float(abs(dy * lanes[i, A] - dx * lanes[i, B]))
@@ -118,31 +119,31 @@ def _least_distance(lanes: Floats, i: int, x: float, y: float) -> float:
 
 @kernel
 def is_reachable(lanes: Floats, i: int, x: float, y: float) -> bool:
-    """Whether highway-env lets a vehicle change to lane i."""
+    """Return whether highway-env lets a vehicle change to lane i."""
     station, offset = lane_coordinates(lanes, i, x, y)
     return bool(abs(offset) <= 2 * lanes[i, WIDTH] and 0 <= station < lanes[i, LENGTH] + VEHICLE_LENGTH)
 
 
 @kernel
 def is_after_end(lanes: Floats, i: int, x: float, y: float) -> bool:
-    """Whether a vehicle is so near the end of lane i that highway-env looks for the next."""
+    """Return whether a vehicle is so near the end of lane i that highway-env looks for the next lane."""
     station, _ = lane_coordinates(lanes, i, x, y)
     return bool(station > lanes[i, LENGTH] - VEHICLE_LENGTH / 2)
 
 
 @kernel
 def next_lane(network: Network, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
-    """The lane after the given one, along the route where that goes on from there, else the closest.
+    """Find the lane after the given one: along the route if it continues from there, else the closest lane.
 
     Args:
-        network: see `Network`.
-        position: how many steps of the route are done.
-        lane: the present lane.
-        x: of the vehicle [m].
-        y: of the vehicle [m].
+        network: the road network and the ego's route.
+        position: number of completed steps of the route.
+        lane: the current lane.
+        x: position of the vehicle [m].
+        y: position of the vehicle [m].
 
     Returns:
-        The next lane, and how many steps of the route are done then.
+        The next lane, and the number of steps of the route that are completed then.
     """
     lanes, roads, route = network.lanes, network.roads, network.route
     road = network.lane_road[lane]
@@ -168,7 +169,7 @@ def next_lane(network: Network, position: int, lane: int, x: float, y: float) ->
 def _lane_on(
     lanes: Floats, roads: Ints, road: int, number: int, following: int, wanted: int, x: float, y: float
 ) -> tuple[int, float]:
-    """The lane to take on the following road, and the distance of a point from it."""
+    """Return the lane to take on the following road, and the distance of a point from it."""
     first, count = roads[following, FIRST], roads[following, COUNT]
     if roads[road, COUNT] == count:
         lane = first + (number if wanted < 0 else wanted)

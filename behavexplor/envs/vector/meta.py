@@ -1,6 +1,6 @@
-"""Meta-actions: highway-env's `MDPVehicle`, that follows target lanes and target speeds.
+"""Meta-actions: highway-env's `MDPVehicle`, which follows target lanes and target speeds.
 
-Operations stand in highway-env's own order, so that results are the same to the last bits.
+Operations follow highway-env's own order, so that results are equal to the last bits.
 """
 
 import math
@@ -26,7 +26,7 @@ from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 
-MANEUVERS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's names; their place is the code
+MANEUVERS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's names; the code is the index
 LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(5)
 
 KP_SPEED: Final = float(ControlledVehicle.KP_A)  # [1/s]
@@ -35,12 +35,12 @@ KP_LATERAL: Final = float(ControlledVehicle.KP_LATERAL)  # [1/s]
 PURSUIT_TIME: Final = float(ControlledVehicle.TAU_PURSUIT)  # [s]
 MAX_STEERING: Final = float(ControlledVehicle.MAX_STEERING_ANGLE)  # [rad]
 LENGTH: Final = float(EGO_SIZE[0])  # [m]
-SLOWEST: Final = 1e-2  # speed that is divided by at least [m/s]
+SLOWEST: Final = 1e-2  # least speed in a denominator [m/s]
 
 
 @kernel
 def changed_speed(speeds: Floats, index: int, maneuver: int, speed: float) -> int:
-    """The index of the target speed after a maneuver: `MDPVehicle.act`."""
+    """Return the index of the target speed after a maneuver: `MDPVehicle.act`."""
     if maneuver not in (FASTER, SLOWER):
         return index
     index = nearest_speed(speeds, speed) + (1 if maneuver == FASTER else -1)
@@ -49,7 +49,7 @@ def changed_speed(speeds: Floats, index: int, maneuver: int, speed: float) -> in
 
 @kernel
 def nearest_speed(speeds: Floats, speed: float) -> int:
-    """The index of the nearest of evenly spaced speeds."""
+    """Return the index of the nearest of evenly spaced speeds."""
     last = len(speeds) - 1
     share = (speed - speeds[0]) / (speeds[last] - speeds[0])
     return int(min(max(np.rint(share * last), 0.0), float(last)))
@@ -57,7 +57,7 @@ def nearest_speed(speeds: Floats, speed: float) -> int:
 
 @kernel
 def changed_lane(network: Network, lane: int, maneuver: int, x: float, y: float) -> int:
-    """The target lane after a maneuver: `ControlledVehicle.act` with a meta-action."""
+    """Return the target lane after a maneuver: `ControlledVehicle.act` with a meta-action."""
     if maneuver not in (LANE_LEFT, LANE_RIGHT):
         return lane
     road = network.lane_road[lane]
@@ -68,7 +68,10 @@ def changed_lane(network: Network, lane: int, maneuver: int, x: float, y: float)
 
 @kernel
 def follow_road(network: Network, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
-    """Target lane, the next at the end of a lane, and steps of the route done: `ControlledVehicle.follow_road`."""
+    """Return the target lane and the completed steps of the route: `ControlledVehicle.follow_road`.
+
+    Near the end of a lane, the target is the next lane.
+    """
     if is_after_end(network.lanes, lane, x, y):
         return next_lane(network, position, lane, x, y)
     return lane, position
@@ -76,13 +79,13 @@ def follow_road(network: Network, position: int, lane: int, x: float, y: float) 
 
 @kernel
 def throttle(target_speed: float, speed: float) -> float:
-    """The acceleration towards a speed [m/s2]: `ControlledVehicle.speed_control`."""
+    """Compute the acceleration toward a target speed [m/s2]: `ControlledVehicle.speed_control`."""
     return KP_SPEED * (target_speed - speed)
 
 
 @kernel
 def steering(lanes: Floats, lane: int, x: float, y: float, heading: float, speed: float) -> float:
-    """The steering angle towards a lane [rad]: `ControlledVehicle.steering_control`."""
+    """Compute the steering angle toward a target lane [rad]: `ControlledVehicle.steering_control`."""
     station, offset = lane_coordinates(lanes, lane, x, y)
     ahead = station + speed * PURSUIT_TIME
     future_heading = lane_heading(lanes, lane, ahead)

@@ -1,4 +1,4 @@
-"""What every ego sees, from arrays: the `Scene` and the `Kinematics` observation."""
+"""The `Scene` and `Kinematics` observations of all egos, computed from arrays."""
 
 import math
 from typing import NamedTuple
@@ -36,14 +36,14 @@ class View(NamedTuple):
     """The options of a Kinematics observation.
 
     Attributes:
-        features: codes, the indexes of `behavexplor.envs.kinematics.FEATURES`, shape (features,).
-        relative: whether each is given relative to the ego, shape (features,).
-        low: of its range, 0 where it is not normalized, shape (features,).
-        width: of its range, 0 where it is not normalized, shape (features,).
+        features: code of each feature, its index in `behavexplor.envs.kinematics.FEATURES`, shape (features,).
+        relative: whether each feature is relative to the ego, shape (features,).
+        low: lower end of each feature's range, 0 if it is not normalized, shape (features,).
+        width: width of each feature's range, 0 if it is not normalized, shape (features,).
         clip: whether normalized values are clipped.
-        see_behind: whether vehicles behind are seen.
-        observe_intentions: whether destinations are seen.
-        distance: how far vehicles are seen [m].
+        see_behind: whether vehicles behind the ego are observed.
+        observe_intentions: whether the destinations of other vehicles are observed.
+        distance: greatest distance at which vehicles are observed [m].
     """
 
     features: Ints
@@ -57,7 +57,7 @@ class View(NamedTuple):
 
 
 def make_view(observation: Kinematics) -> View:
-    """The options of an observation that has been made once, so that its default ranges are known."""
+    """Return the options of an observation that was computed at least once, so that its default ranges are set."""
     ranges = (observation.features_range or {}) if observation.normalize else {}
     spans = np.array([ranges.get(feature, (0.0, 0.0)) for feature in observation.features], dtype=np.float64)
     return View(
@@ -74,7 +74,7 @@ def make_view(observation: Kinematics) -> View:
 
 @kernel
 def observe_scene(slots: Slots, chosen: Bools, observations: Floats) -> None:
-    """Fill the chosen slots' `Scene`, shape (B, 1 + N, 8); see `behavexplor.data.scene`."""
+    """Fill the `Scene` observations of the chosen slots, shape (B, 1 + N, 8); see `behavexplor.data.scene`."""
     for b in range(len(chosen)):
         if not chosen[b]:
             continue
@@ -91,7 +91,7 @@ def observe_scene(slots: Slots, chosen: Bools, observations: Floats) -> None:
 
 @kernel
 def observe_kinematics(world: World, slots: Slots, view: View, chosen: Bools, observations: Singles) -> None:
-    """Fill the chosen slots' Kinematics, shape (B, vehicles_count, features)."""
+    """Fill the Kinematics observations of the chosen slots, shape (B, vehicles_count, features)."""
     lanes, ego, npc = world.network.lanes, slots.ego, slots.npc
     order, gaps = np.empty(npc.shape[1], dtype=np.int64), np.empty(npc.shape[1])
     origin = np.zeros(len(view.features))
@@ -105,7 +105,7 @@ def observe_kinematics(world: World, slots: Slots, view: View, chosen: Bools, ob
             if row == 0:
                 x, y, heading, speed = ego[b, X], ego[b, Y], ego[b, HEADING], ego[b, SPEED]
                 end_x, end_y = world.ego_end[0], world.ego_end[1]
-                knows_end = slots.numbers[b, ROUTE_POSITION] < len(world.network.route)  # what is done is dropped
+                knows_end = slots.numbers[b, ROUTE_POSITION] < len(world.network.route)  # completed steps are dropped
             else:
                 x, y, heading, speed = npc[b, i, X], npc[b, i, Y], npc[b, i, HEADING], npc[b, i, SPEED]
                 route = slots.npc_numbers[b, i, ROUTE]
@@ -126,7 +126,7 @@ def observe_kinematics(world: World, slots: Slots, view: View, chosen: Bools, ob
 def _sort_seen(
     lanes: Floats, ego: Floats, npc: Floats, b: int, n_npcs: int, view: View, order: Ints, gaps: Floats
 ) -> int:
-    """The NPCs of slot b that are seen, the nearest along the ego's lane first, into `order`; returns their number."""
+    """Fill `order` with the observed NPCs of slot b, the nearest along the ego's lane first. Return their number."""
     lane = closest_lane(lanes, ego[b, X], ego[b, Y], ego[b, HEADING])
     own, _ = lane_coordinates(lanes, lane, ego[b, X], ego[b, Y])
     n = 0
@@ -147,7 +147,7 @@ def _sort_seen(
 
 @kernel
 def _normalized(value: float, low: float, width: float, clip: bool) -> float:
-    """A value mapped from its range to [-1, 1], where it has one."""
+    """Map a value from its range to [-1, 1], if it has a range."""
     if width == 0.0:
         return value
     value = -1 + (value - low) * 2 / width
@@ -158,7 +158,10 @@ def _normalized(value: float, low: float, width: float, clip: bool) -> float:
 def _value(
     lanes: Floats, feature: int, x: float, y: float, heading: float, speed: float, end_x: float, end_y: float
 ) -> float:
-    """A feature of a vehicle whose route ends at some point; at its own place where nobody knows."""
+    """Compute a feature of a vehicle.
+
+    The end point of its route is its own position if its destination is unknown.
+    """
     if feature <= POS_Y:
         return 1.0 if feature == PRESENCE else x if feature == POS_X else y
     if feature <= VEL_Y:
@@ -174,7 +177,7 @@ def _value(
 
 @kernel
 def _lane_offset(lanes: Floats, feature: int, x: float, y: float, heading: float) -> float:
-    """Station [m], offset [m] or angle [rad] of a vehicle in the lane that is closest to it."""
+    """Compute the station [m], offset [m] or angle [rad] of a vehicle in its closest lane."""
     lane = closest_lane(lanes, x, y, heading)
     station, offset = lane_coordinates(lanes, lane, x, y)
     if feature == LONG_OFF:

@@ -1,4 +1,4 @@
-"""The reward of every slot: `behavexplor.envs.reward.reward_terms` for arrays."""
+"""Rewards of all slots: `behavexplor.envs.reward.reward_terms` for arrays."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ COLLISION, ARRIVED = ENDS.index("collision"), ENDS.index("arrived")
 
 
 def reward_terms(weights: Mapping[str, float], slots: Slots, active: Bools) -> dict[str, Floats]:
-    """The terms of the reward of the latest decision, each of shape (B,), 0 where nothing was decided."""
+    """Compute the terms of the reward of the latest decision, each of shape (B,). They are 0 in inactive slots."""
     end, outcome = slots.numbers[:, END], slots.outcome
     rear_end = outcome[:, REAR_END] > 0
     happened = {

@@ -1,4 +1,4 @@
-"""The state of all episodes in lock-step: one row, a slot, for each."""
+"""The state of all episodes in lock-step, one row (slot) for each episode."""
 
 from typing import NamedTuple
 
@@ -34,9 +34,9 @@ VX, VY = 3, 4  # columns of `record` after X, Y and HEADING
 N_RECORD = 5
 
 FRAME, STANDING, LINE_FRAME, END, N_NPCS = range(5)  # columns of `numbers`
-TARGET_LANE, ROUTE_POSITION, SPEED_INDEX = range(5, 8)  # and those of meta-actions
+TARGET_LANE, ROUTE_POSITION, SPEED_INDEX = range(5, 8)  # columns of `numbers` for meta-actions
 N_COUNT = 8
-RUNNING, IDLE = -1, -2  # `END` where no episode has ended; else an index of `behavexplor.data.trace.ENDS`
+RUNNING, IDLE = -1, -2  # `END` if no episode has ended; otherwise it is an index of `behavexplor.data.trace.ENDS`
 
 ROUTE, N_PHASES, PHASE = range(3)  # columns of `npc_numbers`
 
@@ -44,21 +44,22 @@ PROGRESS, MEAN_ACCELERATION, TOUCHED, REAR_END = range(4)  # columns of `outcome
 
 
 class Slots(NamedTuple):
-    """B episodes in lock-step, of N NPCs at most.
+    """B episodes in lock-step, each with at most N NPCs.
 
     Attributes:
         ego: x [m], y [m], heading [rad], speed [m/s], and the command: acceleration [m/s2] and steering [rad];
             shape (B, 6).
-        numbers: whole numbers, columns above: the latest frame, how many frames the ego has been standing, the frame
-            at which it first touched an illegal line (-1: none), how the episode ended, the number of NPCs, and
-            the lane, place on the route and index of the speed that meta-actions aim at; shape (B, 8).
+        numbers: whole numbers, shape (B, 8): the latest frame, the number of frames for which the ego has stood still,
+            the frame at which it first touched an illegal line (-1: none), the end of the episode, the number of NPCs,
+            and for meta-actions the target lane, the position on the route and the index of the target speed.
         record: x [m], y [m], heading [rad] and velocity [m/s] of the ego in every frame, shape (B, T, 5).
-        outcome: of the latest decision: progress along the route [m], mean acceleration [m/s2], whether the ego
-            touched an illegal line for the first time, and whether a faster NPC struck it from behind; shape (B, 4).
+        outcome: result of the latest decision, shape (B, 4): progress along the route [m], mean acceleration [m/s2],
+            whether the ego touched an illegal line for the first time, and whether a faster NPC struck it from behind.
         size: length and width of every vehicle [m], the ego first, shape (B, 1 + N, 2).
-        npc: the NPCs' rows of their motion tables, shape (B, N, 5).
-        npc_numbers: route, number of phases and present phase of every NPC, shape (B, N, 3).
-        phases: see `behavexplor.envs.npc.fill_phases`, shape (B, N, phases, 4).
+        npc: current motion of the NPCs, with the columns of a motion table, shape (B, N, 5).
+        npc_numbers: route, number of phases and current phase of every NPC, shape (B, N, 3).
+        phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
+            `behavexplor.envs.npc.fill_phases`.
     """
 
     ego: Floats
@@ -72,12 +73,12 @@ class Slots(NamedTuple):
 
 
 def make_slots(n_slots: int, n_frames: int, logical: LogicalScenario) -> Slots:
-    """Slots without episodes.
+    """Create slots without episodes.
 
     Args:
-        n_slots: how many.
-        n_frames: that an episode has at most.
-        logical: which scenarios are to be run.
+        n_slots: number of slots.
+        n_frames: greatest number of frames of an episode.
+        logical: logical scenario of the scenarios to run.
     """
     npcs = logical.n_npcs
     routes = logical.roadmap.npc_routes
@@ -98,15 +99,16 @@ def make_slots(n_slots: int, n_frames: int, logical: LogicalScenario) -> Slots:
 
 @kernel
 def begin_episode(world: World, slots: Slots, b: int, routes: Ints, sizes: Floats, waypoints: Floats) -> None:
-    """Put a scenario into slot b.
+    """Begin an episode in slot b.
 
     Args:
-        world: the place.
-        slots: changed in place.
+        world: the environment's map and rules.
+        slots: the slots, changed in place.
         b: the slot.
         routes: row of each NPC's route, shape (n_npcs,).
         sizes: length and width of each NPC [m], shape (n_npcs, 2).
-        waypoints: position [m] and speed [m/s], filled up with copies of the last; shape (n_npcs, waypoints, 2).
+        waypoints: position [m] and speed [m/s] of each waypoint, padded with copies of the last one, shape
+            (n_npcs, waypoints, 2).
     """
     numbers, ego = slots.numbers[b], slots.ego[b]
     ego[:] = 0.0
@@ -133,7 +135,7 @@ def begin_episode(world: World, slots: Slots, b: int, routes: Ints, sizes: Float
 def move_npcs(
     routes: Routes, numbers: Ints, npc: Floats, npc_numbers: Ints, phases: Floats, b: int, time: float
 ) -> None:
-    """Put the NPCs of slot b where they are at a time [s] that is not before the last; arrays are those of `Slots`."""
+    """Move the NPCs of slot b to their positions at a time [s], which never decreases. Arrays are those of `Slots`."""
     for i in range(numbers[b, N_NPCS]):
         n = npc_numbers[b, i, PHASE]
         while n + 1 < npc_numbers[b, i, N_PHASES] and phases[b, i, n + 1, BEGIN] <= time:
@@ -151,7 +153,7 @@ def move_npcs(
 
 
 def put_scenario(world: World, slots: Slots, b: int, scenario: Scenario, roadmap: RoadMap) -> None:
-    """Begin an episode of a scenario in slot b; changes `slots` in place."""
+    """Begin an episode of a scenario in slot b. Changes `slots` in place."""
     index = route_index(roadmap)
     n_waypoints = slots.phases.shape[2] - 1
     waypoints = np.empty((len(scenario.npcs), n_waypoints, 2))

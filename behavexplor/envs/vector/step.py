@@ -1,7 +1,7 @@
-"""One decision of every ego: from its command to what has come of it.
+"""Simulate one decision of every ego, from its command to the outcome.
 
-Functions take numbers and single arrays, not `World` and `Slots`: these have dozens of fields, and every call would
-copy them all.
+Functions take numbers and single arrays instead of `World` and `Slots`. Those have dozens of fields, and every call
+would copy all of them.
 """
 
 import math
@@ -68,10 +68,11 @@ def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
     """Simulate until the next decision, or until an episode ends.
 
     Args:
-        world: the place and its rules.
-        slots: changed in place.
-        commands: acceleration [m/s2] and steering [rad]; of meta-actions the code first. Shape (B, 2).
-        active: which slots are stepped, shape (B,).
+        world: the environment's map and rules.
+        slots: the slots, changed in place.
+        commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the code
+            of the maneuver.
+        active: whether each slot is stepped, shape (B,).
     """
     rules, ego, numbers, record = world.rules, slots.ego, slots.numbers, slots.record
     for b in range(len(active)):
@@ -123,7 +124,7 @@ def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
 
 @kernel
 def _within_speeds(rules: Rules, speed: float, acceleration: float) -> float:
-    """The acceleration that keeps the ego within its speeds: `Vehicle.clip_actions`."""
+    """Limit the acceleration to keep the ego within its speed range: `Vehicle.clip_actions`."""
     if speed > rules.max_speed:
         return min(acceleration, rules.max_speed - speed)
     if speed < rules.min_speed:
@@ -135,7 +136,7 @@ def _within_speeds(rules: Rules, speed: float, acceleration: float) -> float:
 def _bicycle(
     rules: Rules, x: float, y: float, heading: float, speed: float, acceleration: float, slip: float
 ) -> tuple[float, float, float, float]:
-    """highway-env's bicycle model: `Vehicle.step`."""
+    """Advance the ego by one step of highway-env's bicycle model: `Vehicle.step`."""
     dt = 1 / rules.frequency
     x += speed * math.cos(heading + slip) * dt
     y += speed * math.sin(heading + slip) * dt
@@ -145,7 +146,7 @@ def _bicycle(
 
 @kernel
 def _find_end(rules: Rules, frame: int, standing: int, x: float, y: float) -> int:
-    """How the episode has ended unless by a collision, or `RUNNING`: `DrivingEnv._find_end`."""
+    """Return the end of the episode other than a collision, or `RUNNING`: `DrivingEnv._find_end`."""
     dx, dy = x - rules.destination_x, y - rules.destination_y
     if math.hypot(dx, dy) <= rules.arrival_distance:
         return ARRIVED
@@ -158,7 +159,7 @@ def _find_end(rules: Rules, frame: int, standing: int, x: float, y: float) -> in
 
 @kernel
 def _touched(npc: Floats, size: Floats, b: int, first: int, n_npcs: int, x: float, y: float, heading: float) -> int:
-    """The first NPC of slot b, counting from `first`, that the ego's box touches; -1 where there is none."""
+    """Return the first NPC of slot b, from `first` on, that the ego's box touches, or -1 if there is none."""
     for i in range(first, n_npcs):
         length, width = size[b, 1 + i, 0], size[b, 1 + i, 1]
         reach = RADIUS + math.hypot(length, width) / 2
@@ -175,7 +176,7 @@ def _touched(npc: Floats, size: Floats, b: int, first: int, n_npcs: int, x: floa
 def _appraise(
     rules: Rules, ego_lanes: Floats, record: Floats, outcome: Floats, b: int, decided: int, frame: int
 ) -> None:
-    """What the reward asks of the ego's motion since the latest decision: `Recorder.reward_terms`."""
+    """Compute the ego's progress and mean acceleration since the latest decision: `Recorder.reward_terms`."""
     elapsed = frame / rules.frequency - decided / rules.frequency
     before = math.hypot(record[b, decided, VX], record[b, decided, VY])
     outcome[b, MEAN_ACCELERATION] = (math.hypot(record[b, frame, VX], record[b, frame, VY]) - before) / elapsed
@@ -185,7 +186,7 @@ def _appraise(
 
 @kernel
 def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b: int, n_npcs: int) -> bool:
-    """Whether every NPC that touches the ego ran into its back: `behavexplor.envs.reward.struck_from_behind`."""
+    """Return whether every NPC that touches the ego ran into its back: `behavexplor.envs.reward.struck_from_behind`."""
     x, y, heading = record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING]
     speed = math.hypot(record[b, frame, VX], record[b, frame, VY])
     i = _touched(npc, size, b, 0, n_npcs, x, y, heading)
@@ -200,7 +201,7 @@ def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b
 
 @kernel
 def _station(lanes: Floats, x: float, y: float) -> float:
-    """Station of a point on the ego's route [m]: `behavexplor.data.roadmap.Route.project`."""
+    """Compute the station of a point on the ego's route [m]: `behavexplor.data.roadmap.Route.project`."""
     best, nearest = 0.0, math.inf
     last = len(lanes) - 1
     for i in range(last + 1):

@@ -1,4 +1,4 @@
-"""What the vector environment cannot do, said before it would do something else."""
+"""Check that the vector environment supports an environment, before it would silently behave differently."""
 
 from types import FunctionType
 from typing import Any
@@ -10,14 +10,14 @@ from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.scene_observation import SceneObservation
 from behavexplor.errors import InputError
 
-_CHANGEABLE = {"logical", "default_config"}  # what a subclass may define anew without changing any rule
+_CHANGEABLE = {"logical", "default_config"}  # a subclass may redefine these without changing any rule
 
 
 def check_supported(env: DrivingEnv) -> None:
-    """Whether the vector environment can stand in for an environment.
+    """Check that the vector environment can replace an environment.
 
     Raises:
-        InputError: naming what it cannot do.
+        InputError: if it cannot; the message names what is not supported.
     """
     obstacle = _changed_rule(type(env)) or _odd_observation(env.observation_type) or _odd_action(env.action_type)
     if obstacle:

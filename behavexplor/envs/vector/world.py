@@ -1,4 +1,4 @@
-"""Everything that kernels need to know about an environment, as plain arrays."""
+"""An environment's map and rules as plain arrays, for the kernels."""
 
 import math
 from collections.abc import Sequence
@@ -19,26 +19,26 @@ from behavexplor.envs.vector.lanes import Network, lane_row
 
 Floats = NDArray[np.float64]
 
-EGO_X, EGO_Y, EGO_HEADING, EGO_COS, EGO_SIN, EGO_CURVATURE, EGO_LENGTH, EGO_BEGIN = range(8)  # of `ego_lanes`
+EGO_X, EGO_Y, EGO_HEADING, EGO_COS, EGO_SIN, EGO_CURVATURE, EGO_LENGTH, EGO_BEGIN = range(8)  # `ego_lanes` columns
 
 
 class Rules(NamedTuple):
-    """The numbers by which episodes run and end.
+    """The numbers that determine how episodes run and end.
 
     Attributes:
-        min_speed: of the ego [m/s].
-        max_speed: of the ego [m/s].
-        frequency: of the simulation [Hz].
-        substeps: steps of the simulation from one decision to the next.
-        max_frames: number of steps at which an episode is cut.
-        arrival_distance: [m].
-        passed_distance: [m].
-        standstill_speed: [m/s].
-        standstill_frames: number of steps.
-        destination_x: [m].
-        destination_y: [m].
-        destination_cos: cosine of the heading there.
-        destination_sin: and its sine.
+        min_speed: least speed of the ego [m/s].
+        max_speed: greatest speed of the ego [m/s].
+        frequency: simulation frequency [Hz].
+        substeps: simulation steps per decision.
+        max_frames: number of steps at which an episode times out.
+        arrival_distance: greatest distance from the destination that counts as arrival [m].
+        passed_distance: distance beyond the destination at which it counts as passed [m].
+        standstill_speed: speed below which the ego counts as standing [m/s].
+        standstill_frames: number of standing steps at which an episode ends by a standstill.
+        destination_x: position of the destination [m].
+        destination_y: position of the destination [m].
+        destination_cos: cosine of the lane's heading at the destination.
+        destination_sin: sine of the lane's heading at the destination.
     """
 
     min_speed: float
@@ -60,16 +60,16 @@ class World(NamedTuple):
     """An environment's map and rules.
 
     Attributes:
-        network: all lanes, and the ego's route.
-        rules: the numbers.
-        npc_routes: the NPCs' routes.
-        npc_ends: where these end, shape (routes, 2) [m].
-        ego_end: where the ego's route ends, shape (2,) [m].
-        ego_lanes: the lanes of the ego's route, shape (steps, 8); columns above.
-        illegal_lines: ends, shape (lines, 4) [m].
-        start: x [m], y [m] and heading [rad] of the ego, shape (3,).
+        network: the lanes, and the ego's route.
+        rules: the numbers that determine how episodes run and end.
+        npc_routes: the routes of NPCs.
+        npc_ends: end point of each NPC route, shape (routes, 2) [m].
+        ego_end: end point of the ego's route, shape (2,) [m].
+        ego_lanes: lanes of the ego's route, with the columns `EGO_X` to `EGO_BEGIN`, shape (steps, 8).
+        illegal_lines: end points of each illegal line, shape (lines, 4) [m].
+        start: x [m], y [m] and heading [rad] of the ego's start, shape (3,).
         is_meta: whether the ego takes meta-actions.
-        target_speeds: that meta-actions choose from, shape (speeds,) [m/s].
+        target_speeds: target speeds of meta-actions, shape (speeds,) [m/s].
     """
 
     network: Network
@@ -85,7 +85,7 @@ class World(NamedTuple):
 
 
 def make_world(env: driving.DrivingEnv) -> World:
-    """The world of an environment that has been reset."""
+    """Return the map and rules of an environment that has been reset."""
     roadmap, action = env.logical.roadmap, env.action_type
     network = road_network(roadmap)
     ends = [_end(network.get_lane(network.indexes(route)[-1])) for route in (roadmap.ego_route, *roadmap.npc_routes)]
