@@ -11,7 +11,7 @@ import tyro
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.forecast import forecast
-from behavexplor.bench.runs import ExperimentProgress, run_state
+from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.tables import Table, tables
 from behavexplor.bench.writing import table_csv, table_latex

@@ -70,7 +70,7 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
         close = []
         for other, whole_circle in candidates:
             gap = other.position - ego.position
-            if not math.sqrt(gap.dot(gap)) < self.env.PERCEPTION_DISTANCE:
+            if not math.sqrt(gap[0] * gap[0] + gap[1] * gap[1]) < self.env.PERCEPTION_DISTANCE:
                 continue
             ahead = lane.local_coordinates(other.position)[0] - own
             if whole_circle or behind < ahead:

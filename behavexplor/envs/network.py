@@ -71,6 +71,12 @@ class MapNetwork(RoadNetwork):  # type: ignore[misc]
         return coordinates
 
 
+class _Straight(StraightLane):  # type: ignore[misc]
+    """highway-env's straight lane with plain arithmetic; see `behavexplor.envs.c_library`."""
+
+    local_coordinates = with_c_library(StraightLane.local_coordinates)
+
+
 class _Arc(CircularLane):  # type: ignore[misc]
     """highway-env's circular lane with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
@@ -100,7 +106,7 @@ def _simulator_lane(lane: Lane, roadmap: RoadMap) -> AbstractLane:
         "speed_limit": roadmap.speed_limit,
     }
     if lane.curvature == 0.0:
-        return StraightLane(lane.pose(0.0)[:2], lane.pose(lane.length)[:2], **style)
+        return _Straight(lane.pose(0.0)[:2], lane.pose(lane.length)[:2], **style)
     side = math.copysign(math.pi / 2, lane.curvature)
     radius = 1 / abs(lane.curvature)
     towards = lane.heading + side

@@ -43,8 +43,8 @@ class RobustnessSpec:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name) or self.name in RESERVED:
             raise InputError(
-                f"The spec {self.source or self.name} is named {self.name!r}: a name begins with a letter, has letters, "
-                f"digits, '_', '-', '.', and is none of {', '.join(sorted(RESERVED))}; give it an attribute `name`"
+                f"The spec {self.source or self.name} is named {self.name!r}. A name has letters, digits, '_', '-' and "
+                f"'.', begins with a letter, and is none of {', '.join(sorted(RESERVED))}: give it an attribute `name`"
             )
 
     def degree(self, trace: Trace) -> float:

@@ -224,7 +224,7 @@ def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, 
     result = run(*FUZZ, *flags, "--ads", f"tests.drivers:{driver}", "--out", tmp_path / "a")
     assert result.returncode == 0, result.stderr
     assert "Traceback" not in result.stderr
-    assert "Beware" in result.stderr or kind in {"crash", "hang"}
+    assert "Warning" in result.stderr or kind in {"crash", "hang"}
     failed = [record for record in records(tmp_path / "a") if "error" in record]
     assert f"error        {len(failed):5}   executions {failed[0]['id']}" in result.stdout
     for record in failed:

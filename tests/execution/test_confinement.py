@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from behavexplor.execution import executor
+from behavexplor.data.target import Target
+from behavexplor.execution import evaluator
 from behavexplor.execution.confinement import confine
-from behavexplor.execution.executor import make_executor, warm_up
+from behavexplor.execution.evaluator import Evaluator
+from behavexplor.execution.start import check_ads, start_executor
 from tests.confining import confines
 
 pytestmark = pytest.mark.skipif(not confines(), reason="this system cannot confine a process")
@@ -118,13 +120,13 @@ def test_an_ads_that_writes_is_stopped_unless_it_may(tmp_path, monkeypatch):
         "        return super().predict(observation, *arguments, **keywords)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    with make_executor(1, "lane-follow", "diarist:Diarist") as workers:
-        warnings = warm_up(workers)
+    with start_executor(Target("lane-follow", "diarist:Diarist"), 1) as workers:
+        warnings = check_ads(workers)
     assert "PermissionError" in warnings[0]
     assert "--unconfined" in warnings[0]
     assert not diary.exists()
-    with make_executor(1, "lane-follow", "diarist:Diarist", unconfined=True) as workers:
-        assert warm_up(workers) == []
+    with start_executor(Target("lane-follow", "diarist:Diarist", unconfined=True), 1) as workers:
+        assert check_ads(workers) == []
     assert diary.stat().st_size > 0
 
 
@@ -132,8 +134,10 @@ def test_what_a_system_cannot_prevent_is_said(monkeypatch):
     for library in ("landlockpy", "pyseccomp"):
         monkeypatch.setitem(sys.modules, library, None)
     assert confine() == ("write files", "use the network")
-    monkeypatch.setattr(executor, "_loose", ["write files"])
-    monkeypatch.setattr(executor, "_simulation", [])
-    monkeypatch.setattr(executor, "preflight_warnings", lambda _: [])
-    executor.begin("lane-follow", "constant")
-    assert b"write files" in executor.examine(b"")
+    monkeypatch.setattr(evaluator, "confine", lambda: ("write files",))
+    monkeypatch.setattr(evaluator, "keep_no_code", lambda: None)
+    monkeypatch.setattr(evaluator, "preflight_warnings", lambda _: [])
+    service = Evaluator(env="lane-follow", ads="tests.drivers:cruiser")
+    service.confine()
+    service.begin()
+    assert b"write files" in service.preflight(b"")

@@ -7,17 +7,27 @@ import numpy as np
 import pytest
 
 from behavexplor.data.scenario import Scenario
+from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import InProcessExecutor, begin, evaluate, evaluations, make_executor
+from behavexplor.execution.evaluator import EXECUTE, Evaluator
+from behavexplor.execution.in_process import InProcessExecutor
 from behavexplor.execution.rollout import ADSError, rollout
 from behavexplor.execution.simulation import Simulation, environment_id
+from behavexplor.execution.start import start_executor
 from tests.drivers import Cruiser
 
 LOGICAL = IntersectionStraightEnv.logical
 
 SCENARIOS = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(4)]
+
+
+def begun(ads):
+    """An evaluator that has begun in this process."""
+    evaluator = Evaluator(env="intersection-straight", ads=ads)
+    evaluator.begin()
+    return evaluator
 
 
 class Diary(Cruiser):
@@ -57,26 +67,27 @@ def test_recorded_actions_give_the_same_trace():
 
 
 def test_all_executors_give_the_same_traces():
-    arguments = ("intersection-straight", "tests.drivers:cruiser")
-    simulation = begin(*arguments)
+    target = Target("intersection-straight", "tests.drivers:cruiser")
+    simulation = Simulation(target.env, target.ads)
     expected = [simulation.run(scenario).to_bytes() for scenario in SCENARIOS]
     for workers in (0, 1, 2):
-        with make_executor(workers, *arguments) as executor:
-            futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
+        with start_executor(target, workers) as executor:
+            futures = [executor.submit(EXECUTE, scenario.to_json().encode()) for scenario in SCENARIOS]
             assert [future.result() for future in futures] == expected
 
 
 def test_errors_come_back_from_the_executor():
-    for together in (None, evaluations(begin("intersection-straight", "tests.drivers:cruiser"))):
-        future = InProcessExecutor(together).submit(evaluate, b"{}")
+    evaluator = begun("tests.drivers:cruiser")
+    for batched in ("", EXECUTE):
+        future = InProcessExecutor(evaluator, batched).submit(EXECUTE, b"{}")
         with pytest.raises(InputError, match="functional: missing"):
             future.result()
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(workers):
-    arguments = ("intersection-straight", "tests.drivers:Timid")
-    simulation = begin(*arguments)
+    target = Target("intersection-straight", "tests.drivers:Timid")
+    simulation = Simulation(target.env, target.ads)
     scenarios = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(12)]
     expected = []
     for scenario in scenarios:
@@ -85,8 +96,8 @@ def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(w
         except ADSError as error:
             expected.append(str(error))
     assert {type(outcome) for outcome in expected} == {bytes, str}
-    with make_executor(workers, *arguments) as executor:
-        futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in scenarios]
+    with start_executor(target, workers) as executor:
+        futures = [executor.submit(EXECUTE, scenario.to_json().encode()) for scenario in scenarios]
         for future, outcome in zip(futures, expected, strict=True):
             if isinstance(outcome, bytes):
                 assert future.result() == outcome
@@ -96,21 +107,21 @@ def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(w
 
 
 def test_what_is_not_vectorized_runs_alone():
-    assert evaluations(begin("intersection-straight", "tests.drivers:Hermit")) is None
-    with make_executor(0, "intersection-straight", "tests.drivers:Hermit") as executor:
-        futures = [executor.submit(evaluate, scenario.to_json().encode()) for scenario in SCENARIOS]
+    assert begun("tests.drivers:Hermit").batch is None
+    with start_executor(Target("intersection-straight", "tests.drivers:Hermit"), 0) as executor:
+        futures = [executor.submit(EXECUTE, scenario.to_json().encode()) for scenario in SCENARIOS]
         assert all(Trace.from_bytes(future.result()).end for future in futures)
 
 
 def test_waiting_evaluations_can_be_cancelled_or_finished():
-    begin("intersection-straight", "tests.drivers:cruiser")
+    target = Target("intersection-straight", "tests.drivers:cruiser")
     request = SCENARIOS[0].to_json().encode()
-    executor = make_executor(0, "intersection-straight", "tests.drivers:cruiser")
-    futures = [executor.submit(evaluate, request) for _ in range(3)]
-    executor.shutdown(wait=False, cancel_futures=True)
+    executor = start_executor(target, 0)
+    futures = [executor.submit(EXECUTE, request) for _ in range(3)]
+    executor.shutdown(wait=False)
     assert all(future.cancelled() for future in futures)
-    with make_executor(0, "intersection-straight", "tests.drivers:cruiser") as executor:
-        future = executor.submit(evaluate, request)
+    with start_executor(target, 0) as executor:
+        future = executor.submit(EXECUTE, request)
     assert future.done()
 
 
@@ -163,7 +174,6 @@ def test_a_meta_action_out_of_range_is_named():
 
 
 def test_an_ads_that_exits_is_an_error_of_its_execution():
-    begin("intersection-straight", "tests.drivers:Leaver")
-    future = InProcessExecutor().submit(evaluate, SCENARIOS[0].to_json().encode())
+    future = InProcessExecutor(begun("tests.drivers:Leaver")).submit(EXECUTE, SCENARIOS[0].to_json().encode())
     with pytest.raises(ADSError, match=r"called sys.exit\(0\)"):
         future.result()

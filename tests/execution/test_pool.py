@@ -1,5 +1,6 @@
 """Worker processes: whatever happens in one, its task has an outcome and the others go on."""
 
+import math
 import os
 import signal
 import time
@@ -10,19 +11,8 @@ import pytest
 from behavexplor.errors import InputError
 from behavexplor.execution.pool import WorkerDiedError, WorkerPool
 from behavexplor.execution.rollout import ADSError, _ask
+from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
-
-
-def begin():
-    pass
-
-
-def refuse():
-    raise OSError("no such thing")
-
-
-def decline():
-    raise InputError("no such road")
 
 
 def echo(data):
@@ -53,7 +43,28 @@ def failing_ads(data):
     raise ADSError("raised", data.decode())
 
 
-FUNCTIONS = {function.__name__: function for function in (echo, raising, dying, dying_once, sleeping, failing_ads)}
+class Functions(Service):
+    """Offers the functions above."""
+
+    functions = {function.__name__: function for function in (echo, raising, dying, dying_once, sleeping, failing_ads)}
+
+
+class Refusing(Functions):
+    def begin(self):
+        raise OSError("no such thing")
+
+
+class Declining(Functions):
+    def begin(self):
+        raise InputError("no such road")
+
+
+def recipe(service, **settings):
+    return Recipe(f"{__name__}:{service.__name__}", settings)
+
+
+def make_pool(service=Functions, workers=1, time_limit=5.0):
+    return WorkerPool(workers, recipe(service), time_limit, memory_limit=8.0)
 
 
 def is_running(process):
@@ -66,13 +77,13 @@ def is_running(process):
 
 @pytest.fixture
 def pool():
-    pool = WorkerPool(2, FUNCTIONS, begin, (), time_limit=5.0, memory_limit=8.0)
+    pool = make_pool(workers=2)
     yield pool
-    pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown(wait=False)
 
 
 def test_bytes_go_out_and_come_back_from_several_processes(pool):
-    answers = [future.result() for future in [pool.submit(echo, b"x" * size) for size in (0, 1, 10**6) * 4]]
+    answers = [future.result() for future in [pool.submit("echo", b"x" * size) for size in (0, 1, 10**6) * 4]]
     assert [len(answer.rstrip(b"0123456789")) for answer in answers] == [0, 1, 10**6] * 4
     processes = {answer.lstrip(b"x") for answer in answers}
     assert 1 <= len(processes) <= 2
@@ -81,14 +92,14 @@ def test_bytes_go_out_and_come_back_from_several_processes(pool):
 
 def test_an_exception_comes_back_as_words(pool):
     with pytest.raises(RuntimeError, match="LookupError: nothing there"):
-        pool.submit(raising, b"nothing there").result()
+        pool.submit("raising", b"nothing there").result()
     with pytest.raises(ADSError, match="it was me") as caught:
-        pool.submit(failing_ads, b"it was me").result()
+        pool.submit("failing_ads", b"it was me").result()
     assert (caught.value.kind, caught.value.message) == ("raised", "it was me")
 
 
 def test_a_dead_worker_costs_its_own_task_and_no_other(pool):
-    futures = [pool.submit(dying, b"7") if i % 3 == 0 else pool.submit(echo, b"alive") for i in range(9)]
+    futures = [pool.submit("dying", b"7") if i % 3 == 0 else pool.submit("echo", b"alive") for i in range(9)]
     for i, future in enumerate(futures):
         if i % 3 == 0:
             with pytest.raises(WorkerDiedError, match="exit code 7"):
@@ -98,8 +109,8 @@ def test_a_dead_worker_costs_its_own_task_and_no_other(pool):
 
 
 def test_a_worker_that_takes_too_long_is_replaced():
-    pool = WorkerPool(1, FUNCTIONS, begin, (), time_limit=0.5, memory_limit=8.0)
-    late, after = pool.submit(sleeping, b"60"), pool.submit(echo, b"next")
+    pool = make_pool(time_limit=0.5)
+    late, after = pool.submit("sleeping", b"60"), pool.submit("echo", b"next")
     with pytest.raises(WorkerDiedError, match=r"no answer within 0\.5 s"):
         late.result()
     assert after.result().startswith(b"next")
@@ -107,26 +118,26 @@ def test_a_worker_that_takes_too_long_is_replaced():
 
 
 def test_a_worker_that_cannot_begin_fails_its_task():
-    pool = WorkerPool(1, FUNCTIONS, refuse, (), time_limit=5.0, memory_limit=8.0)
+    pool = make_pool(Refusing)
     with pytest.raises(InputError, match="cannot be loaded: its process ended"):
-        pool.submit(echo, b"").result()
+        pool.submit("echo", b"").result()
     pool.shutdown()
 
 
 def test_why_a_worker_cannot_begin_is_said():
-    pool = WorkerPool(1, FUNCTIONS, decline, (), time_limit=5.0, memory_limit=8.0)
+    pool = make_pool(Declining)
     for _ in range(2):
         with pytest.raises(InputError, match="no such road"):
-            pool.submit(echo, b"").result()
+            pool.submit("echo", b"").result()
     pool.shutdown()
 
 
 def test_a_call_is_made_again_if_its_worker_was_killed_once(pool, tmp_path):
     mark = str(tmp_path / "mark").encode()
-    assert pool.submit(dying_once, mark).result() == b"second time"
+    assert pool.submit("dying_once", mark).result() == b"second time"
 
 
-class Adder:
+class Adding:
     """Works on up to three requests: in each turn each of them becomes one less, until it is zero.
 
     -1 raises when it has company, and -2 ends the process whenever it does.
@@ -160,18 +171,25 @@ def count_down(data):
     return b"alone"
 
 
+class Adder(Service):
+    functions = {"count_down": count_down, "echo": echo}
+
+    def __init__(self, file):
+        self.batch = Adding(file)
+
+
 @pytest.fixture
 def adders(tmp_path):
-    functions = {"count_down": count_down, "echo": echo}
     file = str(tmp_path / "together")
-    pool = WorkerPool(2, functions, Adder, (file,), time_limit=5.0, memory_limit=8.0, together="count_down")
+    made = Recipe(f"{__name__}:Adder", {"file": file}, batched="count_down")
+    pool = WorkerPool(2, made, time_limit=5.0, memory_limit=8.0)
     yield pool, tmp_path / "together"
-    pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown(wait=False)
 
 
 def test_calls_are_worked_on_together_as_many_as_there_is_room_for(adders):
     pool, file = adders
-    futures = [pool.submit(count_down, b"%d" % number) for number in [3000, *range(1, 40), 2000]]
+    futures = [pool.submit("count_down", b"%d" % number) for number in [3000, *range(1, 40), 2000]]
     assert [future.result() for future in futures] == [b"0"] * 41
     sizes = {int(line) for line in file.read_text().split()}
     assert max(sizes) == 3
@@ -179,15 +197,15 @@ def test_calls_are_worked_on_together_as_many_as_there_is_room_for(adders):
 
 def test_what_fails_in_company_is_called_alone(adders):
     pool, _ = adders
-    futures = [pool.submit(count_down, number) for number in (b"100000", b"-1", b"100000")]
+    futures = [pool.submit("count_down", number) for number in (b"100000", b"-1", b"100000")]
     assert futures[1].result() == b"alone"
     assert {future.result() for future in futures} <= {b"0", b"alone"}
-    assert pool.submit(count_down, b"5").result() == b"0"
+    assert pool.submit("count_down", b"5").result() == b"0"
 
 
 def test_what_kills_its_company_is_found_out_and_the_company_lives(adders):
     pool, _ = adders
-    futures = [pool.submit(count_down, b"-2" if i == 3 else b"20") for i in range(8)]
+    futures = [pool.submit("count_down", b"-2" if i == 3 else b"20") for i in range(8)]
     for i, future in enumerate(futures):
         if i == 3:
             with pytest.raises(WorkerDiedError, match="exit code 3"):
@@ -198,21 +216,21 @@ def test_what_kills_its_company_is_found_out_and_the_company_lives(adders):
 
 def test_a_refused_request_disturbs_no_other(adders):
     pool, _ = adders
-    futures = [pool.submit(count_down, data) for data in (b"50", b"x", b"50")]
+    futures = [pool.submit("count_down", data) for data in (b"50", b"x", b"50")]
     with pytest.raises(RuntimeError, match="ValueError: invalid literal"):
         futures[1].result()
     assert [futures[0].result(), futures[2].result()] == [b"0", b"0"]
-    assert pool.submit(echo, b"").result()
+    assert pool.submit("echo", b"").result()
 
 
 def test_shutting_down_ends_every_process_at_once():
-    pool = WorkerPool(2, FUNCTIONS, begin, (), time_limit=60.0, memory_limit=8.0)
-    first = [pool.submit(echo, b"") for _ in range(8)]
+    pool = make_pool(workers=2, time_limit=60.0)
+    first = [pool.submit("echo", b"") for _ in range(8)]
     processes = {int(future.result()) for future in first}
-    running = [pool.submit(sleeping, b"50") for _ in range(5)]
+    running = [pool.submit("sleeping", b"50") for _ in range(5)]
     time.sleep(0.2)
     before = time.monotonic()
-    pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown(wait=False)
     assert time.monotonic() - before < 5
     deadline = time.monotonic() + 10
     while any(map(is_running, processes)) and time.monotonic() < deadline:
@@ -220,18 +238,50 @@ def test_shutting_down_ends_every_process_at_once():
     assert not any(map(is_running, processes))
     assert any(future.cancelled() for future in running)
     with pytest.raises(RuntimeError, match="shut down"):
-        pool.submit(echo, b"")
+        pool.submit("echo", b"")
 
 
-def test_only_bytes_are_taken(pool):
-    with pytest.raises(TypeError, match="takes bytes"):
-        pool.submit(echo, "text")
+class Patient(Functions):
+    """Has a call that ends as soon as it is told to stop, or after a minute."""
+
+    def __init__(self):
+        self.stopped = False
+        self.functions = {"wait": self.wait, "echo": echo}
+
+    def stop(self):
+        self.stopped = True
+
+    def wait(self, data):
+        Path(data.decode()).touch()
+        deadline = time.monotonic() + 60
+        while not self.stopped and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return b"stopped" if self.stopped else b"late"
+
+
+def test_long_calls_end_early_when_they_are_told_to_and_each_has_a_process(tmp_path):
+    made = Recipe(f"{__name__}:Patient", long_calls=True)
+    pool = WorkerPool(1, made, math.inf, math.inf)
+    first, second = (pool.submit("echo", b"").result() for _ in range(2))
+    assert first != second
+    running, waiting = pool.submit("wait", str(tmp_path / "begun").encode()), pool.submit("echo", b"")
+    while not (tmp_path / "begun").exists():
+        time.sleep(0.01)
+    pool.stop()
+    assert running.result() == b"stopped"
+    assert waiting.cancelled()
+    pool.shutdown()
+
+
+def test_an_unknown_function_is_named(pool):
+    with pytest.raises(RuntimeError, match="KeyError: 'nonsense'"):
+        pool.submit("nonsense", b"").result()
 
 
 def test_an_interrupt_is_left_to_the_campaign(pool):
-    process = int(pool.submit(echo, b"").result())
+    process = int(pool.submit("echo", b"").result())
     os.kill(process, signal.SIGINT)
-    assert pool.submit(echo, b"still here").result().startswith(b"still here")
+    assert pool.submit("echo", b"still here").result().startswith(b"still here")
 
 
 @pytest.mark.parametrize(

@@ -12,16 +12,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from behavexplor.data.target import Target
 from behavexplor.execution.cluster.node import Node, NodeLostError
-from behavexplor.execution.executor import begin
-from behavexplor.execution.worker import ADS_FAILED, FAILED, RESULT
+from behavexplor.execution.evaluator import EXECUTE, evaluator_recipe
+from behavexplor.execution.fingerprint import FINGERPRINT
+from behavexplor.execution.messages import ADS_FAILED, FAILED, REFUSED, RESULT
+from behavexplor.execution.simulation import Simulation, logical_scenario
 
 ROOT = Path(__file__).parents[3]
 ENV = "lane-follow"
 
 
 def started(ads, folder=ROOT):
-    settings = {"env": ENV, "ads": ads, "trust": (), "time_limit": 60.0, "memory_limit": 8.0}
+    recipe = evaluator_recipe(Target(ENV, ads))
+    settings = {"recipe": recipe.to_json(), "time_limit": 60.0, "memory_limit": 8.0}
     return Node(json.dumps(settings), str(folder))
 
 
@@ -53,48 +57,49 @@ def descendants(process):
 
 
 def scenarios(count):
-    logical = begin(ENV, "constant").logical
+    logical = logical_scenario(ENV)
     return [logical.sample(np.random.default_rng(seed)) for seed in range(count)]
 
 
 def test_answers_are_those_of_a_worker_whatever_the_ads_prints():
     chosen = scenarios(5)
-    simulation = begin(ENV, "tests.drivers:Cruiser")
+    simulation = Simulation(ENV, "tests.drivers:Cruiser")
     expected = [RESULT + simulation.run(scenario).to_bytes() for scenario in chosen]
     node = started("tests.faults:Printing")
-    calls = [("evaluate", scenario.to_json().encode()) for scenario in chosen]
+    calls = [(EXECUTE, scenario.to_json().encode()) for scenario in chosen]
     assert asked(node, *calls) == expected
     asyncio.run(node.end())
 
 
 def test_failures_have_their_tags_and_say_where():
     node = started("tests.faults:Segfaulting")
-    calls = [("evaluate", scenario.to_json().encode()) for scenario in scenarios(1)]
-    failed, refused = asked(node, *calls, ("evaluate", b"{}"))
+    calls = [(EXECUTE, scenario.to_json().encode()) for scenario in scenarios(1)]
+    failed, refused, unknown = asked(node, *calls, (EXECUTE, b"{}"), ("nonsense", b""))
     assert failed[:1] == ADS_FAILED
     assert json.loads(failed[1:])["kind"] == "crash"
-    assert refused[:1] == FAILED
+    assert refused[:1] == REFUSED
     assert "functional: missing" in refused.decode()
-    assert f"(on the node {os.uname().nodename})" in refused.decode()
+    assert unknown[:1] == FAILED
+    assert f"(on the node {os.uname().nodename})" in unknown.decode()
     asyncio.run(node.end())
 
 
 def test_an_ads_that_is_not_there_is_named(tmp_path):
     """Also in a folder that only the campaign's machine has: the node works where it was started then."""
     node = started("model.npz", tmp_path / "elsewhere")
-    answer = asked(node, ("identify", b"model.npz"))[0]
-    assert answer[:1] == FAILED
+    answer = asked(node, (FINGERPRINT, b'["model.npz"]'))[0]
+    assert answer[:1] == REFUSED
     assert "model.npz" in answer.decode()
     asyncio.run(node.end())
 
 
 def test_a_process_that_was_killed_is_lost_with_all_its_calls():
     node = started("constant")
-    assert asked(node, ("identify", b"constant"))[0][:1] == RESULT
+    assert asked(node, (FINGERPRINT, b'["constant"]'))[0][:1] == RESULT
     threading.Timer(0.2, os.kill, [node._process.pid, signal.SIGKILL]).start()
-    calls = [("evaluate", scenario.to_json().encode()) for scenario in scenarios(30)]
+    calls = [(EXECUTE, scenario.to_json().encode()) for scenario in scenarios(30)]
     assert any(isinstance(answer, NodeLostError) for answer in asked(node, *calls * 20))
-    assert isinstance(asked(node, ("identify", b"constant"))[0], NodeLostError)
+    assert isinstance(asked(node, (FINGERPRINT, b'["constant"]'))[0], NodeLostError)
     asyncio.run(node.end())
 
 
@@ -102,7 +107,7 @@ def test_a_process_that_was_killed_is_lost_with_all_its_calls():
 def test_a_node_that_is_forgotten_leaves_no_process():
     """Ray and Dask forget a node when the campaign that asked for it has gone."""
     node = started("constant")
-    asked(node, ("identify", b"constant"))
+    asked(node, (FINGERPRINT, b'["constant"]'))
     process = node._process.pid
     family = descendants(process)
     assert len(family) >= 2  # what starts workers, and a worker
@@ -113,8 +118,8 @@ def test_a_node_that_is_forgotten_leaves_no_process():
 
 def test_ctrl_c_is_the_campaigns():
     node = started("constant")
-    asked(node, ("identify", b"constant"))
+    asked(node, (FINGERPRINT, b'["constant"]'))
     assert os.getpgid(node._process.pid) != os.getpgrp()
     os.kill(node._process.pid, signal.SIGINT)
-    assert asked(node, ("identify", b"constant"))[0][:1] == RESULT
+    assert asked(node, (FINGERPRINT, b'["constant"]'))[0][:1] == RESULT
     asyncio.run(node.end())

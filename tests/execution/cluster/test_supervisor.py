@@ -10,10 +10,10 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
 from behavexplor.execution.cluster.supervisor import LOSSES, ClusterError, ClusterExecutor
-from behavexplor.execution.executor import begin, evaluate, examine
-from behavexplor.execution.fingerprint import identify
+from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
+from behavexplor.execution.messages import ADS_FAILED, FAILED, RESULT
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.worker import ADS_FAILED, FAILED, RESULT
+from behavexplor.execution.simulation import logical_scenario
 
 PATIENCE = 20.0  # for what comes at once [s]
 
@@ -42,7 +42,7 @@ class Nodes:
     cores = 2
 
     def __init__(self, *greetings):
-        self.greetings = list(greetings) or [RESULT + identify(b"constant")]
+        self.greetings = list(greetings) or [RESULT + fingerprint(b'["constant"]')]
         self.nodes, self.ended, self.left = [], [], False
         self.refuses = False
 
@@ -52,10 +52,10 @@ class Nodes:
         return self.nodes[-1]
 
     def ask(self, node, function, data):
-        if self.refuses and function != "identify":
+        if self.refuses and function != FINGERPRINT:
             raise LookupError("no such node")
         future = Future()
-        if function != "identify":
+        if function != FINGERPRINT:
             node.calls.append((future, data))
         elif isinstance(node.greeting, Future):
             return node.greeting
@@ -77,12 +77,12 @@ def make():
     executors = []
 
     def made(cluster, count=2, patience=PATIENCE):
-        executors.append(ClusterExecutor(cluster, count, "constant", ("settings", "folder"), patience))
+        executors.append(ClusterExecutor(cluster, count, ("constant",), ("settings", "folder"), patience))
         return executors[-1]
 
     yield made
     for executor in executors:
-        executor.shutdown(wait=False, cancel_futures=True)
+        executor.shutdown(wait=False)
 
 
 def settle(executor):
@@ -97,7 +97,7 @@ def test_answers_are_results_failures_of_the_ads_and_other_failures(make):
     executor = make(cluster, count=1)
     failure = json.dumps({"kind": "hang", "message": "no answer"}).encode()
     for answer in (RESULT + b"trace", ADS_FAILED + failure, FAILED + b"LookupError: no road"):
-        future = executor.submit(evaluate, b"scenario")
+        future = executor.submit("execute", b"scenario")
         settle(executor)
         cluster.nodes[0].answer(answer)
         if answer.startswith(RESULT):
@@ -113,13 +113,13 @@ def test_answers_are_results_failures_of_the_ads_and_other_failures(make):
 
 def test_calls_go_to_the_node_that_has_the_least_to_do(make):
     late = Future()
-    cluster = Nodes(RESULT + identify(b"constant"), late)
+    cluster = Nodes(RESULT + fingerprint(b'["constant"]'), late)
     executor = make(cluster)
-    futures = [executor.submit(evaluate, b"%d" % i) for i in range(3)]
+    futures = [executor.submit("execute", b"%d" % i) for i in range(3)]
     settle(executor)
     assert [len(node.calls) for node in cluster.nodes] == [3, 0]
-    late.set_result(RESULT + identify(b"constant"))
-    futures += [executor.submit(evaluate, b"%d" % i) for i in range(3, 9)]
+    late.set_result(RESULT + fingerprint(b'["constant"]'))
+    futures += [executor.submit("execute", b"%d" % i) for i in range(3, 9)]
     settle(executor)
     assert sorted(len(node.calls) for node in cluster.nodes) == [4, 5]
     for node in cluster.nodes:
@@ -130,7 +130,7 @@ def test_calls_go_to_the_node_that_has_the_least_to_do(make):
 def test_what_a_lost_node_had_is_done_by_another_and_first(make):
     cluster = Nodes()
     executor = make(cluster, count=1)
-    futures = [executor.submit(evaluate, b"%d" % i) for i in range(4)]
+    futures = [executor.submit("execute", b"%d" % i) for i in range(4)]
     settle(executor)
     first = cluster.nodes[0]
     stale, first.calls = first.calls[1:], first.calls[:1]
@@ -149,7 +149,7 @@ def test_what_a_lost_node_had_is_done_by_another_and_first(make):
 def test_a_call_that_is_lost_with_every_node_fails_and_the_others_go_on(make):
     cluster = Nodes()
     executor = make(cluster, count=1)
-    lost = executor.submit(evaluate, b"dangerous")
+    lost = executor.submit("execute", b"dangerous")
     for count in range(LOSSES):
         settle(executor)
         settle(executor)
@@ -157,7 +157,7 @@ def test_a_call_that_is_lost_with_every_node_fails_and_the_others_go_on(make):
         cluster.nodes[count].lose()
     with pytest.raises(ClusterError, match=f"{LOSSES} nodes were lost .* OSError: the node has gone"):
         lost.result(PATIENCE)
-    after = executor.submit(evaluate, b"harmless")
+    after = executor.submit("execute", b"harmless")
     settle(executor)
     settle(executor)
     cluster.nodes[-1].answer()
@@ -169,7 +169,7 @@ def test_a_node_that_cannot_even_be_asked_is_lost(make):
     executor = make(cluster, count=1)
     cluster.refuses = True
     with pytest.raises(ClusterError, match="LookupError: no such node"):
-        executor.submit(evaluate, b"").result(PATIENCE)
+        executor.submit("execute", b"").result(PATIENCE)
 
 
 def test_nodes_that_never_begin_end_the_campaign_at_once(make):
@@ -183,9 +183,9 @@ def test_nodes_that_never_begin_end_the_campaign_at_once(make):
 
 
 def test_one_false_start_is_made_good(make):
-    cluster = Nodes(OSError("gone"), RESULT + identify(b"constant"))
+    cluster = Nodes(OSError("gone"), RESULT + fingerprint(b'["constant"]'))
     executor = make(cluster, count=1)
-    future = executor.submit(examine, b"")
+    future = executor.submit("examine", b"")
     settle(executor)
     cluster.nodes[1].answer(RESULT + b"[]")
     assert future.result(PATIENCE) == b"[]"
@@ -203,17 +203,17 @@ def test_a_node_that_cannot_load_the_ads_says_so(make):
 
 @pytest.mark.parametrize("name", ["behavexplor", "numpy", "kind of processor"])
 def test_a_node_that_would_give_other_results_is_refused(make, name):
-    theirs = {**json.loads(identify(b"constant")), "node": "far", name: "other"}
+    theirs = {**json.loads(fingerprint(b'["constant"]')), "node": "far", name: "other"}
     with pytest.raises(InputError, match=rf"The node far has another {name} \(other\) than this machine"):
         make(Nodes(RESULT + json.dumps(theirs).encode()))
 
 
 def test_a_refusal_later_on_fails_what_comes_after_it(make):
     late = Future()
-    executor = make(Nodes(RESULT + identify(b"constant"), late))
-    running = executor.submit(evaluate, b"")
+    executor = make(Nodes(RESULT + fingerprint(b'["constant"]'), late))
+    running = executor.submit("execute", b"")
     late.set_result(FAILED + b"no such file")
-    for future in (running, executor.submit(evaluate, b"")):
+    for future in (running, executor.submit("execute", b"")):
         with pytest.raises(InputError, match="no such file"):
             future.result(PATIENCE)
 
@@ -221,7 +221,7 @@ def test_a_refusal_later_on_fails_what_comes_after_it(make):
 def test_leaving_waits_for_what_was_submitted_or_does_not(make):
     cluster = Nodes()
     executor = make(cluster, count=1)
-    future = executor.submit(evaluate, b"")
+    future = executor.submit("execute", b"")
     future.add_done_callback(lambda _: None)
     settle(executor)
     cluster.nodes[0].answer()
@@ -229,24 +229,24 @@ def test_leaving_waits_for_what_was_submitted_or_does_not(make):
     assert future.result(PATIENCE) == b""
     assert (cluster.left, cluster.ended) == (True, cluster.nodes)
     with pytest.raises(RuntimeError, match="has been left"):
-        executor.submit(evaluate, b"")
+        executor.submit("execute", b"")
 
     executor = make(Nodes(), count=1)
-    running = executor.submit(evaluate, b"")
+    running = executor.submit("execute", b"")
     settle(executor)
-    executor.shutdown(wait=False, cancel_futures=True)
+    executor.shutdown(wait=False)
     with pytest.raises(ClusterError, match="has been left"):
         running.result(PATIENCE)
 
 
 def test_only_bytes_are_taken(make):
     with pytest.raises(TypeError, match="takes bytes"):
-        make(Nodes()).submit(evaluate, "text")
+        make(Nodes()).submit("execute", "text")
 
 
 def test_lost_nodes_are_no_finding(make, tmp_path):
     config = CampaignConfig(env="lane-follow", ads="constant", method="uniform", budget="3")
-    logical = begin(config.env, config.ads).logical
+    logical = logical_scenario(config.env)
     cluster = Nodes()
     executor = make(cluster)
     cluster.refuses = True
