@@ -88,7 +88,9 @@ def assemble(
         policy.load_state_dict(weights)
     except pickle.UnpicklingError as error:
         first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(f"{archive.path}: its weights contain objects other than tensors, which were not loaded: {first}") from None
+        raise InputError(
+            f"{archive.path}: its weights contain objects other than tensors, which were not loaded: {first}"
+        ) from None
     except Exception as error:  # torch and policy classes raise many kinds for wrong values
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
