@@ -43,7 +43,7 @@ WEAKNESSES = MappingProxyType(
         "R1-1": Weakness(
             "occlusion",
             "prediction",
-            "A vehicle partly hidden by another vehicle is taken for a standing one, instead of predicted like any other.",
+            "A vehicle partly hidden by another vehicle is taken for a standing one, instead of predicted normally.",
             "the hidden share of a moving vehicle's width, seen from the ego's center, exceeds 1 - severity",
             "collision with the hidden vehicle",
         ),
