@@ -1,4 +1,4 @@
-"""The Intelligent Driver Model as a weak reference: follows its route and the vehicle ahead, and ignores all others.
+"""The Intelligent Driver Model, a weak reference: follows its route and the vehicle ahead, ignores other vehicles.
 
 Source: M. Treiber, A. Hennecke, D. Helbing: Congested traffic states in empirical observations and microscopic
 simulations, Physical Review E 62 (2000), equations 1 and 2; with the constants of highway-env's `IDMVehicle`.

@@ -37,7 +37,7 @@ def check_name(name: str) -> None:
     if system not in SYSTEMS and not separator and Path(f"{module}.py").is_file():
         raise InputError(f"{name!r} is a Python module: name the driver in it, such as {module}:MyDriver")
     if not (separator or system in SYSTEMS or name.endswith((".zip", ".npz")) or Path(name).exists()):
-        raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
+        raise unknown_name('ADS (a known name, a policy file, or your own "module:attribute")', name, SYSTEMS)
 
 
 def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:

@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad], positive to the right
-RESOLUTION: Final = 1e-9  # of observations: simulators that differ in the last bits give the same drive
+RESOLUTION: Final = 1e-9  # step to which observations are rounded: last bits of a simulator do not matter
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})  # see `behavexplor.data.scene`
 ACTION: Final[Mapping[str, Any]] = MappingProxyType(

@@ -185,7 +185,10 @@ def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints,
 
 @kernel_in_place
 def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
-    """Return the gaps in a lane, as shares of those needed by distance and closing speed: the smaller share."""
+    """Return the gap in a lane as a share of the gap needed by distance and closing speed.
+
+    It is the smaller of the shares ahead and behind.
+    """
     found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
     ahead = p.gap + p.gap_ahead_time * max(ego.speed - found.speed_ahead, 0.0)
     behind = p.gap + p.gap_behind_time * max(found.speed_behind - ego.speed, 0.0)

@@ -184,7 +184,7 @@ def _expand(
             a = ACCELERATIONS[option]
             if now[i, V] == 0.0 and a < 0.0:
                 continue
-            if not capped:  # a stronger acceleration gives the same motion again
+            if not capped:  # once capped, a stronger acceleration gives the same motion
                 ok, s, v, cost, risk, inside, capped = _advance(
                     situation, now[i, S], now[i, V], a, interval, STAGES[stage]
                 )

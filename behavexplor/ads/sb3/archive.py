@@ -65,7 +65,7 @@ def read_archive(path: Path) -> Archive:
             weights = file.read(WEIGHTS)
     except InputError:
         raise
-    except Exception as error:  # damaged zip files make zipfile, zlib and json raise many kinds
+    except Exception as error:  # zipfile, zlib and json raise many kinds of errors for damaged files
         raise InputError(f"{path} is not a zip file of Stable-Baselines3, or is damaged: {error}") from None
     try:
         settings = {key: _plain(data[key]) for key in SETTINGS if key in data}

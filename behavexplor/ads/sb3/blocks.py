@@ -16,7 +16,7 @@ from stable_baselines3.common.policies import BasePolicy
 from torch.nn.functional import linear, pad
 from torch.overrides import TorchFunctionMode
 
-ROWS: Final = 64  # in a block
+ROWS: Final = 64  # rows in a block
 ALIGNMENT: Final = 16  # most numbers that a processor multiplies at a time; rows begin at multiples of it
 
 Memory = tuple[NDArray[Any], ...]

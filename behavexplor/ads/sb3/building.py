@@ -91,7 +91,7 @@ def assemble(
         raise InputError(
             f"{archive.path}: its weights contain objects other than tensors, which were not loaded: {first}"
         ) from None
-    except Exception as error:  # torch and policy classes raise many kinds for wrong values
+    except Exception as error:  # torch and policy classes can raise anything for wrong values
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
     policy.set_training_mode(False)

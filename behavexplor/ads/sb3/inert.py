@@ -83,7 +83,7 @@ def read_pickle(data: bytes) -> tuple[Any, frozenset[str]]:
         _check_memory(data)
         unpickler = _InertUnpickler(data)
         value = unpickler.load()
-    except Exception as error:  # a damaged pickle makes the unpickler raise many kinds
+    except Exception as error:  # a damaged pickle can make the unpickler raise anything
         raise ValueError(f"not a readable pickle: {type(error).__name__}: {error}") from None
     return value, frozenset(unpickler.names)
 
