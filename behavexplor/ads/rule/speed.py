@@ -238,8 +238,8 @@ def _advance(
     """Drive on with one acceleration.
 
     Returns:
-        True if there is no contact; station, speed, cost, risk and time inside the junction; and True if the speed is
-        at its limit all the time, so that a stronger acceleration makes no difference.
+        True if there is no contact and the wall is not passed; station, speed, cost, risk and time inside the junction;
+        and True if the speed is at its limit all the time, so that a stronger acceleration makes no difference.
     """
     path, graph, p = situation.path, situation.graph, situation.p
     spans = graph.spans
