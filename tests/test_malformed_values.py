@@ -271,7 +271,7 @@ def of_record(value, folder, capfd):
 
 def first_record():
     store = Store.read(STORED)
-    record = store.execution(0).record
+    record = store.execution(0).record.to_dict()
     store.close()
     return record
 

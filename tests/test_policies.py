@@ -88,7 +88,7 @@ def test_a_policys_file_is_fuzzed_from_the_command_line(trained, tmp_path, capsy
             gymnasium.spaces.Discrete(5),
             "vehicles_count: 9, features: [presence, x, y, vx, vy, cos_h, sin_h]",
         ),
-        ((4, 4, 4, 4), gymnasium.spaces.Discrete(17), "Say what it observes and commands"),
+        ((4, 4, 4, 4), gymnasium.spaces.Discrete(17), "Give highway-env's `observation` and `action` configuration"),
     ],
 )
 def test_a_policy_of_other_spaces_is_refused_with_what_would_fit(observations, commands, hint, tmp_path, capsys):
@@ -108,7 +108,7 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
     algorithm = "DQN" if isinstance(spaces[1], gymnasium.spaces.Discrete) else "PPO"
     make_model(algorithm, *spaces).save(tmp_path / "model")
     assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), "--workers", "0"]) == BAD_INPUT
-    advice = capsys.readouterr().err.strip().partition(" of yours: ")[2]
+    advice = capsys.readouterr().err.strip().partition(" your driver: ")[2]
     (tmp_path / "model.yaml").write_text(advice)
     flags = ["--budget", "1", "--workers", "0", "--out", str(tmp_path / "run")]
     assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), *flags]) == OK

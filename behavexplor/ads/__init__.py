@@ -1,1 +1,1 @@
-"""The systems under test."""
+"""Driving systems under test."""

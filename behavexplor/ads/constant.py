@@ -1,4 +1,4 @@
-"""A driver that looks at nothing: the control that any other must beat."""
+"""A driver that ignores its observations: the control that every other driver must beat."""
 
 import re
 from collections.abc import Mapping
@@ -17,19 +17,19 @@ DEFAULT: Final = "2,0"
 
 
 class ConstantDriver:
-    """Always commands the same.
+    """A driver that always gives the same command.
 
     Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`; it is not looked at.
+        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`; its content is ignored.
         action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: 10 Hz.
+        policy_frequency: decisions per second, 10 Hz.
 
     Args:
-        acceleration: [m/s2].
-        steering: [rad], positive to the right.
+        acceleration: constant acceleration [m/s2].
+        steering: constant steering angle [rad], positive to the right.
 
     Raises:
-        InputError: if a value is out of its range.
+        InputError: if a value is out of range.
     """
 
     observation: Mapping[str, Any] = OBSERVATION
@@ -39,11 +39,11 @@ class ConstantDriver:
 
     def __init__(self, acceleration: float, steering: float) -> None:
         for name, value, (low, high) in (
-            ("accelerates", acceleration, ACCELERATION_RANGE),
-            ("steers", steering, STEERING_RANGE),
+            ("acceleration [m/s2]", acceleration, ACCELERATION_RANGE),
+            ("steering angle [rad]", steering, STEERING_RANGE),
         ):
             if not low <= value <= high:
-                raise InputError(f"A constant driver {name} between {low:g} and {high:g}, got {value:g}")
+                raise InputError(f"The constant driver's {name} must be between {low:g} and {high:g}, got {value:g}")
         self._action = as_actions(np.array([[acceleration, steering]]))
 
     def predict(
@@ -53,24 +53,25 @@ class ConstantDriver:
         episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[Floats, Any]:
-        """The same command for each ego, shape (B, 2); see `behavexplor.ads.interface.ADS`."""
+        """Return the same command for each ego, shape (B, 2); see `behavexplor.ads.interface.ADS`."""
         return np.repeat(self._action, len(observation), axis=0), state
 
 
 def constant_driver(roadmap: RoadMap, variant: str = "") -> ConstantDriver:  # noqa: ARG001
-    """The driver of a variant.
+    """Make the driver of a variant.
 
     Args:
-        roadmap: not looked at.
+        roadmap: ignored.
         variant: acceleration [m/s2], or acceleration and steering [rad]: "2" or "0,0.1"; `DEFAULT` if empty.
 
     Raises:
-        InputError: if it is no such numbers.
+        InputError: if the variant is not one or two such numbers.
     """
     number = r"[-+]?\d*\.?\d+"
     if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
         raise InputError(
-            f"constant:{variant} must be an acceleration, or an acceleration and a steering angle: constant:2,0.1"
+            f"constant:{variant}: expected an acceleration [m/s2], or an acceleration and a steering angle [rad], "
+            "such as constant:2,0.1"
         )
     acceleration, _, steering = (variant or DEFAULT).partition(",")
     return ConstantDriver(float(acceleration), float(steering or 0))

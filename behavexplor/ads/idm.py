@@ -1,4 +1,4 @@
-"""The Intelligent Driver Model: follows its route and the vehicle ahead, and looks at nobody else. A weak reference.
+"""The Intelligent Driver Model, a weak reference: follows its route and the vehicle ahead, ignores other vehicles.
 
 Source: M. Treiber, A. Hennecke, D. Helbing: Congested traffic states in empirical observations and microscopic
 simulations, Physical Review E 62 (2000), equations 1 and 2; with the constants of highway-env's `IDMVehicle`.
@@ -21,24 +21,24 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-ACCELERATION: Final = 3.0  # a, on a free road [m/s2]
-BRAKING: Final = 5.0  # b, comfortable [m/s2]
-JAM_GAP: Final = 5.0  # s0 [m]
-TIME_GAP: Final = 1.5  # T [s]
-EXPONENT: Final = 4.0  # delta
-PERIOD: Final = 0.1  # between decisions [s]
+ACCELERATION: Final = 3.0  # a, acceleration on a free road [m/s2]
+BRAKING: Final = 5.0  # b, comfortable deceleration [m/s2]
+JAM_GAP: Final = 5.0  # s0, gap at standstill [m]
+TIME_GAP: Final = 1.5  # T, time gap to the vehicle ahead [s]
+EXPONENT: Final = 4.0  # delta, exponent of the speed
+PERIOD: Final = 0.1  # time between decisions [s]
 
 
 class IDMDriver:
-    """Follows the center line of its route at the speed that the model gives.
+    """A driver that follows the center line of its route at the speed given by the Intelligent Driver Model.
 
     Attributes:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: 10 Hz.
+        policy_frequency: decisions per second, 10 Hz.
 
     Args:
-        roadmap: the map that it drives by.
+        roadmap: road map with the ego's route.
     """
 
     observation: Mapping[str, Any] = OBSERVATION
@@ -60,12 +60,12 @@ class IDMDriver:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: handed back as it is; the model has no memory.
-            episode_start: not looked at.
-            deterministic: it always is.
+            state: returned unchanged; the model has no memory.
+            episode_start: ignored.
+            deterministic: ignored; the model is always deterministic.
 
         Raises:
-            InputError: if the observation has a wrong shape.
+            InputError: if the observation has the wrong shape.
         """
         scenes = as_scenes(observation)
         commands = np.zeros((len(scenes), 2))
@@ -74,29 +74,29 @@ class IDMDriver:
 
 
 def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
-    """The driver.
+    """Make the driver.
 
     Args:
-        roadmap: the map that it drives by.
-        variant: there is none.
+        roadmap: road map with the ego's route.
+        variant: must be empty, because the model has no variants.
 
     Raises:
         InputError: if a variant is given.
     """
     if variant:
-        raise InputError(f"idm:{variant}: the Intelligent Driver Model has no variants, say --ads idm")
+        raise InputError(f"idm:{variant}: the Intelligent Driver Model has no variants; use --ads idm")
     return IDMDriver(roadmap)
 
 
 @kernel_in_place
 def idm_acceleration(speed: float, limit: float, gap: float, leader_speed: float) -> float:
-    """Acceleration [m/s2] after equations 1 and 2.
+    """Compute the acceleration [m/s2] by equations 1 and 2.
 
     Args:
-        speed: v [m/s].
-        limit: v0 [m/s].
-        gap: s, between the bumpers [m], infinite on a free road.
-        leader_speed: of the vehicle ahead [m/s].
+        speed: speed v of the ego [m/s].
+        limit: desired speed v0 [m/s].
+        gap: distance s between the bumpers [m], infinite on a free road.
+        leader_speed: speed of the vehicle ahead [m/s].
     """
     approach = speed * (speed - leader_speed) / (2 * math.sqrt(ACCELERATION * BRAKING))
     desired = JAM_GAP + max(speed * TIME_GAP + approach, 0.0)  # s*
@@ -124,7 +124,7 @@ def _decide(path: Path, scene: Floats) -> tuple[float, float]:
 
 @kernel_in_place
 def _leader(path: Path, scene: Floats, station: float) -> tuple[float, float]:
-    """Gap [m] to the next vehicle that is on the ego's lane and drives its way, and its speed there [m/s]."""
+    """Return the gap [m] to the next vehicle ahead in the ego's lane and direction, and its speed there [m/s]."""
     nearest, leader_speed = math.inf, 0.0
     for i in range(EGO + 1, len(scene)):
         other = scene[i]

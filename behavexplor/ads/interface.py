@@ -1,7 +1,7 @@
-"""What an automated driving system (ADS) is to this package: anything with these attributes and `predict`.
+"""The interface of a driving system under test (ADS): three attributes and a `predict` method.
 
-The signature is that of Stable-Baselines3's `predict`, asked for a batch of B observations at once, so that
-a trained policy is an ADS as it stands once it says what it observes and what it commands.
+`predict` has the signature of Stable-Baselines3's `predict` and receives a batch of B observations at once. So a
+trained policy is an ADS as it stands, once it has the attributes that name its observations and actions.
 """
 
 from collections.abc import Mapping
@@ -13,33 +13,33 @@ from numpy.typing import NDArray
 
 @runtime_checkable
 class ADS(Protocol):
-    """An automated driving system.
+    """A driving system under test.
 
     Attributes:
-        observation: what it observes, as highway-env's observation configuration; `{"type": "Scene"}` is
-            the one of `behavexplor.data.scene`.
-        action: what it commands, as highway-env's action configuration.
-        policy_frequency: how often it is asked [Hz].
+        observation: highway-env's observation configuration; `{"type": "Scene"}` selects the observation of
+            `behavexplor.data.scene`.
+        action: highway-env's action configuration.
+        policy_frequency: decisions per second [Hz].
 
-    An ADS whose attribute `vectorized` is true drives many episodes in lock-step, which is much faster: it is asked for
-    B of them at once, keeps nothing but `state` from one call to the next, and no row's answer depends on another row.
-    Rows of zeros stand for no ego; what is answered to them does not count. Any other is asked for one episode at a
-    time, B = 1.
+    An ADS whose attribute `vectorized` is true drives many episodes in lock-step, which is much faster. It receives B
+    observations at once, keeps nothing but `state` between two calls, and answers each row independently of the other
+    rows. Rows of zeros stand for absent egos, and the actions for them are ignored. Any other ADS drives one episode at
+    a time, B = 1.
     """
 
     @property
     def observation(self) -> Mapping[str, Any]:
-        """highway-env's observation configuration, or `{"type": "Scene"}`."""
+        """The observation configuration of highway-env, or `{"type": "Scene"}`."""
         ...
 
     @property
     def action(self) -> Mapping[str, Any]:
-        """highway-env's action configuration."""
+        """The action configuration of highway-env."""
         ...
 
     @property
     def policy_frequency(self) -> int:
-        """[Hz]."""
+        """Decisions per second [Hz]."""
         ...
 
     def predict(
@@ -52,21 +52,21 @@ class ADS(Protocol):
         """Decide for a batch of egos.
 
         Args:
-            observation: shape (B, ...).
-            state: what the last call returned, None at first.
-            episode_start: whether a row begins an episode, so that its part of `state` is forgotten, shape (B,).
-            deterministic: whether the same input always gets the same answer.
+            observation: observations, shape (B, ...).
+            state: state returned by the last call; None at first.
+            episode_start: True for each row that begins an episode, whose part of `state` is forgotten, shape (B,).
+            deterministic: True if the same input must always give the same actions.
 
         Returns:
-            The actions, shape (B, ...), and the state to hand in next time.
+            The actions, shape (B, ...), and the state for the next call.
         """
         ...
 
 
 @runtime_checkable
 class DecisionLog(Protocol):
-    """An ADS that also says what it has just decided; what it says becomes part of the trace."""
+    """An ADS that also reports its last decisions, which become part of the trace."""
 
     def log(self, state: Any) -> Mapping[str, NDArray[Any]]:
-        """The record of the last decisions by name, each of shape (B, ...), from the state `predict` returned."""
+        """Return the last decisions by name, arrays of shape (B, ...), from the state that `predict` returned."""
         ...

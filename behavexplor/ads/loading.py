@@ -1,4 +1,4 @@
-"""Systems under test by name."""
+"""Load driving systems under test by name."""
 
 from collections.abc import Callable, Collection
 from importlib import import_module
@@ -22,39 +22,39 @@ SYSTEMS = MappingProxyType(
 
 
 def is_shipped(name: str) -> bool:
-    """Whether an ADS is a program of this package, which at most reads numbers from a file."""
+    """Return whether an ADS is a program of this package, which reads at most numbers from a file."""
     return name.partition(":")[0] in SYSTEMS or name.endswith(".npz")
 
 
 def check_name(name: str) -> None:
-    """Refuse what cannot be the name of an ADS; nothing is loaded.
+    """Refuse a name that cannot denote an ADS, without loading anything.
 
     Raises:
-        InputError: if it is neither one of ours, nor a file, nor "module:attribute".
+        InputError: if the name is neither a system of this package, nor a file, nor "module:attribute".
     """
     system, separator, _ = name.partition(":")
     module = name.removesuffix(".py")
     if system not in SYSTEMS and not separator and Path(f"{module}.py").is_file():
-        raise InputError(f"{name!r} is a module of Python: name what drives in it, such as {module}:MyDriver")
+        raise InputError(f"{name!r} is a Python module: name the driver in it, such as {module}:MyDriver")
     if not (separator or system in SYSTEMS or name.endswith((".zip", ".npz")) or Path(name).exists()):
-        raise unknown_name('ADS (a name, a policy\'s file, or "module:attribute" of your own)', name, SYSTEMS)
+        raise unknown_name('ADS (a known name, a policy file, or your own "module:attribute")', name, SYSTEMS)
 
 
 def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
-    """The system under test of a name.
+    """Load a driving system under test by name.
 
     Args:
-        name: one of `SYSTEMS`, with a variant behind a colon or without, such as "rule" or "rule:hardened"; or
-            a policy's file, of `behavexplor.training` (.npz) or of Stable-Baselines3 (.zip, or a folder, see
+        name: a system of `SYSTEMS`, with or without a variant after a colon, such as "rule" or "rule:hardened"; or
+            a policy file of `behavexplor.training` (.npz) or of Stable-Baselines3 (.zip, or a folder, see
             `behavexplor.ads.sb3.policy.load_policy`); or
-            any "package.module:attribute": an object with a `predict` method (see
-            `behavexplor.ads.interface.ADS`), or a class or function that makes one, from the road map if it has a
-            parameter `roadmap`.
-        roadmap: the map that the system may drive by.
-        trust: digests ("sha256:...") of files that may run code of their own while they are loaded.
+            "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), or
+            of a class or function that makes such an object. A class or function with a parameter `roadmap` receives
+            the road map.
+        roadmap: road map for the ADS.
+        trust: digests ("sha256:...") of files that may execute code of their own while they are loaded.
 
     Raises:
-        InputError: if there is none of that name, or what is found cannot predict.
+        InputError: if no ADS has that name, or the object of that name cannot predict.
     """
     check_name(name)
     system, _, variant = name.partition(":")
@@ -68,15 +68,15 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     try:
         found = getattr(import_module(module_name), attribute)
     except Exception as error:  # a module can raise anything when it is imported
-        hint = ", which is looked for in this folder and on PYTHONPATH" if isinstance(error, ImportError) else ""
+        hint = " (modules are looked for in this folder and on PYTHONPATH)" if isinstance(error, ImportError) else ""
         raise InputError(f"The ADS {name!r} cannot be imported: {type(error).__name__}: {error}{hint}") from error
     return _made(name, found, roadmap)
 
 
 def _policy(path: Path, roadmap: RoadMap, trust: Collection[str]) -> ADS:
-    """The policy in a file or folder."""
+    """Load the policy in a file or folder."""
     if path.suffix == ".npz":
-        from behavexplor.ads.learned.driver import LearnedDriver, read_layers  # noqa: PLC0415 - numba takes its time
+        from behavexplor.ads.learned.driver import LearnedDriver, read_layers  # noqa: PLC0415 - numba is slow to import
 
         return LearnedDriver(roadmap, read_layers(path))
     try:
@@ -89,19 +89,19 @@ def _policy(path: Path, roadmap: RoadMap, trust: Collection[str]) -> ADS:
 
 
 def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:
-    """What was found under the name if it is an ADS, or else what it makes."""
+    """Return the object of a name if it is an ADS, or else the ADS that it makes."""
     is_factory = isinstance(found, type) or not hasattr(found, "predict")
     if is_factory and not callable(found):
-        raise InputError(f"{name!r} is no ADS: it has no predict method and cannot make an object that has one")
+        raise InputError(f"{name!r} is not an ADS: it has no predict method and cannot make an object that has one")
     ads = _call(name, found, roadmap) if is_factory else found
     if not callable(getattr(ads, "predict", None)):
-        raise InputError(f"{name!r} is no ADS: what it makes, {ads!r:.80}, has no predict method")
+        raise InputError(f"{name!r} is not an ADS: the object that it makes, {ads!r:.80}, has no predict method")
     result: ADS = ads
     return result
 
 
 def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap) -> Any:
-    """What a class or function makes, given the road map if it has a parameter of that name."""
+    """Call a class or function, with the road map if it has a parameter `roadmap`."""
     try:
         wants_map = "roadmap" in signature(factory).parameters
     except (TypeError, ValueError):
@@ -109,4 +109,4 @@ def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap) -> Any:
     try:
         return factory(roadmap=roadmap) if wants_map else factory()
     except Exception as error:
-        raise InputError(f"The ADS {name!r} cannot be made: {type(error).__name__}: {error}") from error
+        raise InputError(f"The ADS {name!r} cannot be created: {type(error).__name__}: {error}") from error

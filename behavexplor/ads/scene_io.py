@@ -1,4 +1,4 @@
-"""What a driver of this package observes, remembers and commands: scenes, an acceleration and a steering angle."""
+"""Observations, memory and actions of this package's drivers: scenes in, acceleration and steering angle out."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad], positive to the right
-RESOLUTION: Final = 1e-9  # of what is observed, so that simulators that differ in the last bits see the same drive
+RESOLUTION: Final = 1e-9  # step to which observations are rounded: last bits of a simulator do not matter
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})  # see `behavexplor.data.scene`
 ACTION: Final[Mapping[str, Any]] = MappingProxyType(
@@ -27,13 +27,13 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
 
 
 def as_scenes(observation: NDArray[Any]) -> Floats:
-    """What is observed, to `RESOLUTION`.
+    """Return an observation as scenes, rounded to `RESOLUTION`.
 
     Args:
         observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
 
     Raises:
-        InputError: if it has another shape.
+        InputError: if the observation has another shape.
     """
     scenes = np.asarray(observation, dtype=np.float64)
     if scenes.ndim != 3 or scenes.shape[1] == 0 or scenes.shape[2] != N_COLUMNS:
@@ -42,12 +42,12 @@ def as_scenes(observation: NDArray[Any]) -> Floats:
 
 
 def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:
-    """A new array of what is remembered, which may be changed: zeros at first, and where an episode begins.
+    """Return the memory as a new, writable array: zeros at first, and in rows that begin an episode.
 
     Args:
-        state: what the last call of `predict` returned; None at first.
-        episode_start: whether a row begins an episode, shape (B,); None for no row.
-        shape: (B, numbers that are remembered of each ego).
+        state: state returned by the last call of `predict`; None at first.
+        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+        shape: shape of the memory, (B, numbers remembered for each ego).
 
     Raises:
         InputError: if an array has another shape.
@@ -63,7 +63,7 @@ def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, sha
 
 
 def as_actions(commands: Floats) -> Floats:
-    """Accelerations [m/s2] and steering angles [rad], shape (B, 2), as actions in [-1, 1] over their ranges."""
+    """Convert accelerations [m/s2] and steering angles [rad], shape (B, 2), to actions in [-1, 1] over their ranges."""
     low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
     actions: Floats = 2 * (commands - low) / (high - low) - 1
     return actions

@@ -7,19 +7,20 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
+from behavexplor.bench.campaign_service import CampaignService, Outcome, campaign_request, take_outcome
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.bench.forecast import forecast
-from behavexplor.bench.runs import Cells, State, _campaign, _Stop, state
+from behavexplor.bench.runs import ExperimentRunner, RunState, run_state
 from behavexplor.bench.summaries import summarize
 from behavexplor.bench.timing import Stopwatch, Timing, read_timing
-from behavexplor.campaign.campaign import Progress
+from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 from behavexplor.commands import main
 from behavexplor.errors import InputError
@@ -79,7 +80,7 @@ def records(root):
     found = {}
     for path in sorted(root.rglob("campaign.db")):
         store = Store.read(path.parent)
-        found[str(path.parent.relative_to(root))] = [json.dumps(execution.record) for execution in store.executions()]
+        found[str(path.parent.relative_to(root))] = [execution.record.to_json() for execution in store.executions()]
         store.close()
     return found
 
@@ -205,7 +206,7 @@ def test_a_campaign_that_fails_is_named_and_the_others_go_on(tmp_path):
     path = write(tmp_path, 3, text.replace("seeds: 2", "seeds: 1").replace("  BehAVExplor: {config: paper}\n", ""))
     result = run(path, "--out", tmp_path / "out", "--jobs", 2)
     assert result.returncode == 3
-    assert "Uniform on intersection-straight with tests.drivers:Crashing, seed 1: its process ended" in result.stderr
+    assert "Uniform on intersection-straight with tests.drivers:Crashing, seed 1: " in result.stderr
     assert "1 of 2 campaigns are finished" in result.stdout
     assert {row["ads"] for row in summaries(tmp_path / "out")} == {"tests.drivers:cruiser"}
 
@@ -215,10 +216,10 @@ def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
     (folder / "other.yaml").write_text((folder / "small.yaml").read_text() + "batch: 3\n")
     experiment = read_experiment(str(folder / "other.yaml"))
     with pytest.raises(InputError, match="holds another campaign than the experiment's now"):
-        Cells(experiment.runs(), folder / "out", 1, 0)
+        ExperimentRunner(experiment.runs(), folder / "out", 1, 0)
     smaller = read_experiment(str(write(folder / "out", 10)))
     with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):
-        state(smaller.runs()[0], folder / "out")
+        run_state(smaller.runs()[0], folder / "out")
 
 
 def test_a_search_that_ends_early_has_finished(tmp_path):
@@ -226,24 +227,35 @@ def test_a_search_that_ends_early_has_finished(tmp_path):
         "  Uniform: {method: uniform}\n", ""
     )
     experiment = read_experiment(str(write(tmp_path, 20, text.replace("baseline: Uniform\n", ""))))
-    run, other = experiment.runs()
-    said = []
-    folder = tmp_path / run.folder
-    assert _campaign(yaml.safe_load(run.config.to_yaml()), folder, 0, _Stop(), lambda *words: said.append(words))
-    assert ("progress", 5) in said
+    first, other = experiment.runs()
+    folder = tmp_path / first.folder
+    assert CampaignService().run_in(first.config, folder, 0) == Outcome(finished=True)
     assert read_timing(folder).ended == "Five are enough."
     assert read_timing(folder).executions == 5
-    assert state(run, tmp_path) == State(5, finished=True)
-    assert state(other, tmp_path) == State(0, finished=False)
-    assert Cells([run], tmp_path, 1, 0).run(lambda _: None).finished == 1
+    assert run_state(first, tmp_path) == RunState(5, finished=True)
+    assert run_state(other, tmp_path) == RunState(0, finished=False)
+    assert ExperimentRunner([first], tmp_path, 1, 0).run(lambda _: None).finished == 1
 
 
 def test_a_campaign_told_to_stop_before_it_began_does_nothing_and_is_not_finished(tmp_path):
-    run, *_ = read_experiment(str(write(tmp_path, 20))).runs()
-    stop = _Stop()
-    stop()
-    assert not _campaign(yaml.safe_load(run.config.to_yaml()), tmp_path / run.folder, 0, stop, lambda *_: None)
-    assert state(run, tmp_path) == State(0, finished=False)
+    planned, *_ = read_experiment(str(write(tmp_path, 20))).runs()
+    service = CampaignService()
+    service.stop()
+    assert service.run_in(planned.config, tmp_path / planned.folder, 0) == Outcome(finished=False)
+    assert run_state(planned, tmp_path) == RunState(0, finished=False)
+
+
+def test_a_campaign_without_this_folder_is_sent_back_and_goes_on_elsewhere(whole, tmp_path):
+    """As on a cluster: what is there goes out, what came of it comes back."""
+    planned, *_ = read_experiment(str(write(tmp_path, 20))).runs()
+    short = replace(planned.config, budget="8")
+    folder = tmp_path / planned.folder
+    for config in (short, planned.config):
+        answer = CampaignService().run(campaign_request(config, folder, 0, remote=True))
+        assert take_outcome(answer, folder) == Outcome(finished=True)
+    assert run_state(planned, tmp_path) == RunState(20, finished=True)
+    name = str(planned.folder)
+    assert records(tmp_path)[name] == records(whole[0] / "out")[name]
 
 
 def test_classes_and_faults_of_failures_are_those_of_the_records(whole):
@@ -264,12 +276,12 @@ def test_signatures_are_of_drivers_with_the_planners_log_alone(whole, tmp_path):
     assert {failure.signature for failure in summarize(cruiser, whole[0] / "out").failures} == {None}
     text = TEXT.replace("tests.drivers:cruiser", "rule")
     (run, *_) = read_experiment(str(write(tmp_path, 30, text))).runs()
-    assert _campaign(yaml.safe_load(run.config.to_yaml()), tmp_path / run.folder, 0, _Stop(), lambda *_: None)
+    assert CampaignService().run_in(run.config, tmp_path / run.folder, 0).finished
     summary = summarize(run, tmp_path)
     store = Store.read(tmp_path / run.folder)
     failed = [store.execution(failure.number) for failure in summary.failures]
     store.close()
-    expected = [signature(execution.load_trace(), tuple(execution.record["violated"])) for execution in failed]
+    expected = [signature(execution.load_trace(), execution.record.violated) for execution in failed]
     assert [failure.signature for failure in summary.failures] == [found or "unexplained" for found in expected]
     assert summary.weaknesses()
     assert summary.weaknesses() <= set(WEAKNESSES)

@@ -56,7 +56,7 @@ def run(folder, executor=None, observe=lambda _: None, **config):
     try:
         campaign.run(observe)
     finally:
-        records = [execution.record for execution in store.executions()]
+        records = [execution.record.to_dict() for execution in store.executions()]
         store.close()
     return records
 
@@ -90,11 +90,11 @@ def test_failures_are_recorded_with_their_class_and_fault(tmp_path):
     store = Store.read(tmp_path / "a")
     kinds = Counter()
     for execution in store.executions():
-        record, trace = execution.record, execution.load_trace()
+        record, trace = execution.record.to_dict(), execution.load_trace()
         if not record["violated"]:
             assert not {"class", "fault"} & record.keys()
             continue
-        kind = violation_class(trace, judge(trace))
+        kind = violation_class(trace, judge(trace).violated)
         assert record["class"] == (kind.id if kind else "R1")  # the fake goes on driving after a contact
         assert record.get("fault") == (contact_fault(trace) if record["class"].startswith("R1") else None)
         kinds[record["class"]] += 1
@@ -159,7 +159,7 @@ def test_what_is_counted_is_stored(tmp_path):
     def observe(progress):
         reader = Store.read(folder)
         assert len(reader) >= progress.executions
-        assert progress.failed == sum(bool(execution.record["violated"]) for execution in reader.executions())
+        assert progress.failed == sum(execution.record.failed for execution in reader.executions())
         reader.close()
 
     assert len(run(folder, observe=observe)) == 40

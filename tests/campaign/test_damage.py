@@ -115,7 +115,7 @@ def test_overwritten_bytes_are_noticed_and_no_other_row_is_lost_for_them(folder,
     data[place : place + 64] = rng.bytes(64)
     (folder / DATABASE).write_bytes(data)
     store, losses = Store.read(folder), Losses()
-    records = {record["id"]: record for record in store.records(losses)}
+    records = {record.id: record for record in store.records(losses)}
     store.close()
     assert all(record == execution(n, ["collision"] if n % 3 == 0 else []).record for n, record in records.items())
     assert len(records) + len(losses.damaged) == COUNT or losses.cut_off

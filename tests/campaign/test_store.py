@@ -6,6 +6,7 @@ import sqlite3
 import pytest
 
 from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
@@ -14,16 +15,17 @@ from tests.strategies import random_trace
 TRACES = [random_trace(seed).to_bytes() for seed in range(3)]
 
 
-def execution(number, violated=()):
-    record = {
-        "id": number,
-        "violated": list(violated),
-        "degree": 0.1 * number,
-        "degrees": {"collision": 0.1 * number},
-        "novelty": 0.5,
-        "end": "arrived",
-        "scenario": Scenario("intersection-straight", ()).to_dict(),
-    }
+def execution(number, violated=(), violation_class=None):
+    record = Record(
+        id=number,
+        violated=tuple(violated),
+        violation_class=violation_class,
+        degree=0.1 * number,
+        degrees={"collision": 0.1 * number},
+        novelty=0.5,
+        end="arrived",
+        scenario=Scenario("intersection-straight", ()).to_dict(),
+    )
     return Execution(record, TRACES[number % 3], 1.5 * number)
 
 
@@ -79,7 +81,7 @@ def test_each_failure_has_a_file(store):
     store.add(execution(0))
     store.add(execution(1, ["collision"]))
     store.commit()
-    assert json.loads(store.failure_path(1).read_text()) == execution(1, ["collision"]).record
+    assert json.loads(store.failure_path(1).read_text()) == execution(1, ["collision"]).record.to_dict()
     assert [path.name for path in (store.folder / "failures").iterdir()] == ["000001.json"]
 
 

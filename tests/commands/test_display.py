@@ -95,18 +95,14 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
 
 
 def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
-    failed = execution(0, ["collision"])
-    failed.record["class"] = "R1/kind"
-    store.add(failed)
+    store.add(execution(0, ["collision"], "R1/kind"))
     store.commit()
     assert "in 1 class; each counts once" in summary(PROGRESS, store, "behavexplor")
 
 
 def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
     for number in range(30):
-        failed = execution(number, ["collision"])
-        failed.record["class"] = f"R1/kind-{min(number // 2, 10):02}"
-        store.add(failed)
+        store.add(execution(number, ["collision"], f"R1/kind-{min(number // 2, 10):02}"))
     store.commit()
     text = summary(PROGRESS, store, "behavexplor")
     assert "6 failed (12.0%) in 11 classes; each counts once, for the first of these:" in text

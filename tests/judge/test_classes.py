@@ -16,7 +16,7 @@ RIGHT_OF_IT = np.array([[[-300.0, 1.75 + 1.75], [300.0, 1.75 + 1.75]]])  # a lin
 
 
 def class_of(recorded):
-    found = violation_class(recorded, judge(recorded))
+    found = violation_class(recorded, judge(recorded).violated)
     return None if found is None else found.id
 
 
@@ -34,7 +34,7 @@ def class_of(recorded):
 )
 def test_collisions_are_told_apart_by_what_a_person_would_say(recorded, expected, detail):
     assert class_of(recorded) == f"R1/going-straight/{expected}"
-    assert violation_class(recorded, judge(recorded)).detail == f"touched at its {detail}"
+    assert violation_class(recorded, judge(recorded).violated).detail == f"touched at its {detail}"
 
 
 def test_lane_changes_are_a_maneuver():
@@ -56,7 +56,7 @@ def test_the_decision_log_is_not_looked_at():
 
 
 def test_a_class_is_a_value_with_a_line_of_words():
-    first, again = (violation_class(t, judge(t)) for t in (trace(5.0, BEHIND, 9.0), trace(5.2, BEHIND, 9.0)))
+    first, again = (violation_class(t, judge(t).violated) for t in (trace(5.0, BEHIND, 9.0), trace(5.2, BEHIND, 9.0)))
     assert first == again
     assert first.words == (
         "Collision with a car sized vehicle from behind; the ego was going straight, touched at its rear, driving"
@@ -75,7 +75,7 @@ def braking(recorded):
 
 def test_who_brakes_is_told_from_who_drives():
     slower = braking(trace(5.0, (4.6, 0.2), 3.0))
-    assert violation_class(slower, judge(slower)).detail == "touched at its front, braking"
+    assert violation_class(slower, judge(slower).violated).detail == "touched at its front, braking"
 
 
 def test_a_touched_line_is_to_a_side():

@@ -1,10 +1,12 @@
 """Small runs to report on."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK, main
 
@@ -20,15 +22,21 @@ def run(tmp_path_factory):
     return folder
 
 
+def changed(record, change):
+    """The record with other JSON values; None if there are none."""
+    values = change(record.to_dict())
+    return None if values is None else Record.from_json(json.dumps(values))
+
+
 def copied(run, folder, config=None, change=lambda record: record):
     """Another run with the same executions, or changed ones, or some of them, numbered anew."""
     store = Store.read(run)
     executions = list(store.executions())
     store.close()
     copy = Store.create(folder, (config or CampaignConfig(ads="tests.drivers:cruiser", seed=5)).to_yaml())
-    kept = [(change(execution.record), execution) for execution in executions]
+    kept = [(changed(execution.record, change), execution) for execution in executions]
     for number, (record, execution) in enumerate((r, e) for r, e in kept if r is not None):
-        copy.add(Execution({**record, "id": number}, execution.trace, execution.elapsed))
+        copy.add(Execution(replace(record, id=number), execution.trace, execution.elapsed))
     copy.commit()
     copy.close()
     return folder

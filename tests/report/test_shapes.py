@@ -110,7 +110,7 @@ def test_each_class_has_a_replay_before_any_has_two(run):
 
 
 def test_a_collision_is_marked_where_both_vehicles_are(executions, found):
-    collisions = [execution for execution in executions if "collision" in execution.record["violated"]]
+    collisions = [execution for execution in executions if "collision" in execution.record.violated]
     assert collisions
     for execution in collisions:
         trace = execution.load_trace()

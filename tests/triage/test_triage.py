@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.commands.triage import report
@@ -53,7 +54,7 @@ def run(tmp_path_factory):
     for number, name in enumerate(["R1-1", "R1-3", "R1-1"]):
         scenario = Scenario.from_json((SCENARIOS / f"{name}.json").read_text())
         trace = simulation.run(scenario)
-        record = {"id": number, "violated": list(judge(trace).violated), "scenario": scenario.to_dict()}
+        record = Record(id=number, end=trace.end, violated=judge(trace).violated, scenario=scenario.to_dict())
         store.add(Execution(record, trace.to_bytes(), 0.0))
     store.commit()
     store.close()
@@ -63,7 +64,7 @@ def run(tmp_path_factory):
 
 def failed(folder):
     store = Store.read(folder)
-    executions = [execution for execution in store.executions() if execution.record["violated"]]
+    executions = [execution for execution in store.executions() if execution.record.failed]
     store.close()
     return executions
 

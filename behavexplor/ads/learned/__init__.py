@@ -1,1 +1,1 @@
-"""Driving policies that are learned here: what they see, what they command, and how they are trained."""
+"""Driving policies trained with this package: their observations, their actions and their training."""

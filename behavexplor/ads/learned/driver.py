@@ -1,4 +1,4 @@
-"""A learned policy as a system under test: its network's weights as plain arrays."""
+"""A learned policy as a driving system under test, with the weights of its network as plain arrays."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -33,20 +33,20 @@ POLICY_FREQUENCY: Final = round(1 / PERIOD)
 
 
 class LearnedDriver:
-    """Sees conflicts and gaps, decides by a network for an acceleration and a lane, and tracks these.
+    """A driver whose network sees conflicts and gaps and chooses an acceleration and a lane, which a tracker follows.
 
     Attributes:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: 5 Hz.
+        policy_frequency: decisions per second, 5 Hz.
 
     Args:
-        roadmap: the map that it drives by.
-        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer; tanh lies between them,
-            and the greatest output is the action.
+        roadmap: road map with the ego's route.
+        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer. Between two layers tanh
+            is applied, and the index of the greatest output is the action.
 
     Raises:
-        InputError: if the layers do not fit each other, or what a policy sees and commands.
+        InputError: if the layers do not fit each other, or the numbers of features and actions.
     """
 
     observation: Mapping[str, Any] = OBSERVATION
@@ -60,7 +60,7 @@ class LearnedDriver:
         shapes = [(weights.shape, bias.shape) for weights, bias in layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
         if shapes != expected or widths[-1] != N_ACTIONS:
-            raise InputError(f"A network of {N_FEATURES} inputs and {N_ACTIONS} outputs is needed, got {shapes}")
+            raise InputError(f"Expected a network of {N_FEATURES} inputs and {N_ACTIONS} outputs, got {shapes}")
         self._network = as_network(layers)
 
     def predict(
@@ -74,15 +74,15 @@ class LearnedDriver:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: what the last call returned, shape (B, 3); None at first.
-            episode_start: whether a row begins an episode, shape (B,); None for no row.
-            deterministic: it always is.
+            state: state returned by the last call, shape (B, 3); None at first.
+            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+            deterministic: ignored; the driver is always deterministic.
 
         Returns:
-            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state to hand in next time.
+            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
-            InputError: if an array has a wrong shape.
+            InputError: if an array has the wrong shape.
         """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
@@ -90,17 +90,17 @@ class LearnedDriver:
         return track_batch(self._course, scenes, actions, memory), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
-        """The lane that the ego wants, as its offset from the route [m], shape (B,)."""
+        """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
         return {"wanted_offset": state[:, WANTED]}
 
 
 def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
-    """What policies see, shape (B, N_FEATURES); rows of the memory that are zero begin an episode.
+    """Compute the features that policies see, shape (B, N_FEATURES).
 
     Args:
-        course: see `behavexplor.ads.learned.route_table`.
-        scenes: shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-        memory: shape (B, 3), changed where an episode begins.
+        course: route table, see `behavexplor.ads.learned.route_table`.
+        scenes: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+        memory: memory of each ego, shape (B, 3). A row of zeros begins an episode; it is changed in place.
     """
     seen = np.zeros((len(scenes), N_FEATURES))
     _see_all(course, scenes, memory, seen)
@@ -108,13 +108,13 @@ def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
 
 
 def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats) -> Floats:
-    """The commands for policies' actions, shape (B, 2), each in [-1, 1] over its range.
+    """Compute the commands for policies' actions, shape (B, 2), each in [-1, 1] over its range.
 
     Args:
-        course: see `behavexplor.ads.learned.route_table`.
-        scenes: shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-        actions: shape (B,).
-        memory: shape (B, 3), changed.
+        course: route table, see `behavexplor.ads.learned.route_table`.
+        scenes: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+        actions: indices of the actions, shape (B,).
+        memory: memory of each ego, shape (B, 3), changed in place.
     """
     commands = np.zeros((len(scenes), 2))
     _track_all(course, scenes, actions, memory, commands)
@@ -139,20 +139,20 @@ def _track_all(course: Course, scenes: Floats, actions: NDArray[np.int64], memor
 
 
 def read_layers(path: Path) -> list[tuple[Floats, Floats]]:
-    """The weights and biases in a file of `write_layers`.
+    """Read weights and biases from a file of `write_layers`.
 
     Raises:
-        InputError: if it cannot be read.
+        InputError: if the file cannot be read.
     """
     try:
         file = read_arrays(path.read_bytes())
         layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
     except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path} holds no network of this package: {error}") from None
+        raise InputError(f"{path} contains no network of this package: {error}") from None
     if any(array.dtype.kind != "f" for layer in layers for array in layer):
-        raise InputError(f"{path} holds no network of this package: weights and biases must be floating-point numbers")
+        raise InputError(f"{path} contains no network of this package: weights and biases must be floats")
     if any((weights.ndim, bias.ndim) != (2, 1) for weights, bias in layers):
-        raise InputError(f"{path} holds no network of this package: weights must be matrices, and biases vectors")
+        raise InputError(f"{path} contains no network of this package: weights must be matrices, and biases vectors")
     return [(weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in layers]
 
 

@@ -1,4 +1,4 @@
-"""The environment as a learning policy meets it: what it sees and what it decides, instead of scenes and commands."""
+"""The training environment of a policy, with features and actions in place of scenes and commands."""
 
 from typing import Any
 
@@ -16,11 +16,12 @@ from behavexplor.data.roadmap import RoadMap
 
 
 class LearningVecEnv(VecEnvWrapper):
-    """Observations of shape (N_FEATURES,), one of N_ACTIONS actions; see `behavexplor.ads.learned`.
+    """A vector environment with features as observations, shape (N_FEATURES,), and N_ACTIONS discrete actions.
 
     Args:
-        venv: observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at its policy frequency.
-        roadmap: the map that is driven on.
+        venv: vector environment that observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at
+            the policy frequency of that driver.
+        roadmap: road map of the environment.
     """
 
     def __init__(self, venv: VecEnv, roadmap: RoadMap) -> None:
@@ -37,12 +38,12 @@ class LearningVecEnv(VecEnvWrapper):
         return self._see()
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the commands for the actions, shape (num_envs,)."""
+        """Pass on the commands for the actions, shape (num_envs,)."""
         chosen = np.asarray(actions, dtype=np.int64)
         self.venv.step_async(track_batch(self._course, self._scenes, chosen, self._memory))
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Drive on to the next decision."""
+        """Advance all sub-environments to the next decision."""
         scenes, rewards, dones, infos = self.venv.step_wait()
         self._scenes = np.asarray(scenes, dtype=np.float64)
         for i in np.flatnonzero(dones):

@@ -1,4 +1,4 @@
-"""A network of dense layers with tanh between them, compiled: the greatest output is the decision."""
+"""A compiled network of dense layers with tanh between them; the index of the greatest output is the decision."""
 
 import math
 from collections.abc import Sequence
@@ -14,12 +14,13 @@ Ints = NDArray[np.int64]
 
 
 class Network(NamedTuple):
-    """The numbers of all layers, one after the other, whatever their count.
+    """The numbers of all layers in flat arrays, for any number of layers.
 
     Attributes:
-        weights: of a layer those of its first input to each output, then those of the second, shape (weights,).
-        biases: shape (outputs of all layers,).
-        widths: of the input, and of the output of each layer, shape (layers + 1,).
+        weights: weights of all layers, shape (weights,). In a layer, the weights from the first input to each output
+            come first, then those from the second input.
+        biases: biases of all layers, shape (outputs of all layers,).
+        widths: number of inputs, and number of outputs of each layer, shape (layers + 1,).
     """
 
     weights: Floats
@@ -28,7 +29,7 @@ class Network(NamedTuple):
 
 
 def as_network(layers: Sequence[tuple[Floats, Floats]]) -> Network:
-    """The network of weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer."""
+    """Make a network from the weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer."""
     widths = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
     return Network(
         weights=np.concatenate([weights.T.ravel() for weights, _ in layers], dtype=np.float64),
@@ -38,13 +39,13 @@ def as_network(layers: Sequence[tuple[Floats, Floats]]) -> Network:
 
 
 def decide_batch(network: Network, seen: Floats) -> Ints:
-    """The number of the greatest output, the first of equal ones, for each row of inputs.
+    """Return the index of the greatest output for each row of inputs, the first index if several are equal.
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
     Args:
-        network: the layers.
-        seen: shape (B, inputs).
+        network: network to evaluate.
+        seen: inputs, shape (B, inputs).
     """
     decisions = np.zeros(len(seen), dtype=np.int64)
     room = np.empty((2, int(network.widths.max())))
@@ -82,7 +83,7 @@ def _squash(values: Floats, count: int) -> None:
 
 @kernel_in_place
 def _add_up(network: Network, weight: int, bias: int, values: Floats, before: int, sums: Floats, width: int) -> None:
-    """Fill in the sums of a layer whose numbers begin at `weight` and `bias`; the inner loop runs over its outputs."""
+    """Compute the sums of a layer whose numbers begin at `weight` and `bias`; the inner loop runs over its outputs."""
     sums, biases = sums[:width], network.biases[bias : bias + width]
     for j in range(len(sums)):
         sums[j] = biases[j]

@@ -1,4 +1,4 @@
-"""What a learned policy sees: numbers of a scene that tell who will be where on its way, and when."""
+"""Features that a learned policy sees: which vehicles will be where on the ego's path, and when."""
 
 import math
 from typing import Final
@@ -23,14 +23,14 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-HORIZON: Final = 8.0  # of conflicts [s]
-RANGE: Final = 50.0  # of distances [m]
+HORIZON: Final = 8.0  # longest time to a conflict [s]
+RANGE: Final = 50.0  # distance that is scaled to 1 [m]
 N_CONFLICTS: Final = 6
-ON_LANE: Final = 1.8  # greatest offset of a vehicle from the center line of a lane that it is on [m]
-ALONG: Final = 0.6  # and greatest angle between the two [rad]
-SLOWEST: Final = 0.5  # speed below which a vehicle is taken to stand [m/s]
-STRONG: Final = 4.0  # acceleration [m/s2]
-AHEAD: Final = (5.0, 15.0)  # where the curvature ahead is told [m]
+ON_LANE: Final = 1.8  # greatest offset of a vehicle from the center line of its lane [m]
+ALONG: Final = 0.6  # greatest angle between a vehicle and its lane [rad]
+SLOWEST: Final = 0.5  # speed below which a vehicle counts as standing [m/s]
+STRONG: Final = 4.0  # acceleration that is scaled to 1 [m/s2]
+AHEAD: Final = (5.0, 15.0)  # distances ahead at which the curvature is given [m]
 
 N_EGO: Final = 14
 N_LANE: Final = 6  # numbers for each of three lanes
@@ -40,21 +40,24 @@ N_FEATURES: Final = N_EGO + 3 * N_LANE + N_CONFLICTS * N_CONFLICT
 
 @kernel_in_place
 def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
-    """Fill in what a policy sees of one scene, each number about 1 in size.
+    """Fill in the features of one scene, each scaled to a size of about 1.
 
-    The ego: speed, offset from its route in lanes, offset from the lane that it wants, heading from the route's, lanes
-    free to the left and to the right of it, distance to the destination (near and far), to the junction's start and
-    end, to where lanes beside its own end, whether it is inside, curvature at `AHEAD`.
-    The lane to the left, its own, and the one to the right: whether there is one, gap and speed of the vehicle ahead
-    and of the one behind, acceleration of the one ahead.
-    The next conflicts, by the time when they begin: begin and end of another's stay on the ego's path as times and as
-    distances, its speed and acceleration, and the ego's own time to there.
+    Ego: speed; offset from the route, in lanes; offset from the wanted lane, in lanes; heading relative to the route;
+    existence of a lane to the left and to the right; distance to the destination (near and far), to the junction's
+    start, to its end, and to the end of the lanes beside; presence inside the junction; curvature at `AHEAD`.
+
+    Left lane, own lane and right lane: existence; gap and speed of the vehicle ahead; gap and speed of the vehicle
+    behind; acceleration of the vehicle ahead.
+
+    Next conflicts, ordered by the time at which they begin: begin and end of the other vehicle's stay on the ego's path
+    as times, and as distances; speed of the other vehicle; time of the ego to the conflict; acceleration of the other
+    vehicle.
 
     Args:
-        course: see `behavexplor.ads.learned.route_table`.
-        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
-        wanted: offset from the route of the lane that the ego wants [m], positive to the right.
-        out: filled, shape (N_FEATURES,).
+        course: route table, see `behavexplor.ads.learned.route_table`.
+        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
+        wanted: offset of the ego's wanted lane from the route [m], positive to the right.
+        out: array to fill, shape (N_FEATURES,).
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     out[:] = 0.0
@@ -65,7 +68,7 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
 
 @kernel_in_place
 def lanes_beside(course: Course, row: int, offset: float) -> tuple[int, int]:
-    """How many lanes lie to the left and right of the one at an offset from the route; inside a junction none."""
+    """Count the lanes to the left and right of the lane at an offset from the route; there are none in a junction."""
     path = course.path
     lane = round(offset / path.lane_width)
     inside = path.junction_start <= row * SPACING < path.junction_end
@@ -100,7 +103,11 @@ def _see_ego(course: Course, scene: Floats, station: float, offset: float, wante
 
 @kernel_in_place
 def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out: Floats) -> None:
-    """The vehicles ahead and behind on three lanes; without one, at the end of the range and at the speed limit."""
+    """Fill in the vehicles ahead and behind on three lanes.
+
+    Without a vehicle ahead, the gap is `RANGE` and the speed is the limit; without one behind, the gap is `RANGE` and
+    the speed 0.
+    """
     row = row_at(course.path, station)
     left, right = lanes_beside(course, row, offset)
     center = course.path.lane_width * round(offset / course.path.lane_width)
@@ -130,9 +137,9 @@ def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out
 
 @kernel_in_place
 def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -> None:
-    """The next stays of others on the ego's path, sorted by when they begin."""
+    """Fill in the next stays of other vehicles on the ego's path, sorted by the time at which they begin."""
     for i in range(N_CONFLICTS):
-        out[N_CONFLICT * i : N_CONFLICT * i + 4] = 1.0  # as far away as can be
+        out[N_CONFLICT * i : N_CONFLICT * i + 4] = 1.0  # far away, if there is no conflict
     count = 0
     for other in range(EGO + 1, len(scene)):
         if scene[other, PRESENT] == 0.0:
@@ -153,7 +160,11 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
 def _add_conflict(
     course: Course, scene: Floats, station: float, other: int, there: float, zone: int, out: Floats, count: int
 ) -> int:
-    """Insert one stay among those found so far, unless it lies behind the ego or too far in the future."""
+    """Insert one stay among those found so far, unless it lies behind the ego or too far in the future.
+
+    Returns:
+        The number of stays found so far.
+    """
     speed, half = scene[other, SPEED], scene[other, LENGTH] / 2
     enters, leaves = course.zones[zone, IN] - there, course.zones[zone, OUT] - there
     if math.isinf(enters) or leaves < 0.0 or course.zones[zone, END] < station - scene[EGO, LENGTH] / 2:

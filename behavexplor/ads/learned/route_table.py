@@ -1,4 +1,4 @@
-"""The ego's course as tables: what can be known of it before anyone drives."""
+"""Route table: facts about the ego's route and the lanes that meet it, computed before the drive."""
 
 import math
 from functools import cache
@@ -16,24 +16,25 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SIDE_GAP: Final = 0.3  # between two vehicles side by side that are in conflict nevertheless [m]
-CAR: Final = (4.6, 2.1)  # length and width of a vehicle whose conflicts are worked out beforehand [m]
+SIDE_GAP: Final = 0.3  # greatest gap between two vehicles side by side that are still in conflict [m]
+CAR: Final = (4.6, 2.1)  # length and width of the vehicle whose conflicts are computed [m]
 
 IN, OUT, START, END = 0, 1, 2, 3  # columns of `Course.zones`
 
 
 class Course(NamedTuple):
-    """What is known of a map for one ego route, beside its path; tables have a row every `SPACING` meters.
+    """The route table of one ego route. Its columns along the path have a row every `SPACING` meters.
 
     Attributes:
-        path: the ego's route, see `behavexplor.ads.road.path`.
-        curvature: [1/m], positive to the right, shape (S,).
-        side_by_side: distance to where the lanes beside end [m], shape (S,).
-        lanes: all lanes on which others drive, shape (L, 7), see `behavexplor.ads.road.lane_arrays`.
-        tails: for each lane where its ways on begin in `zones`, shape (L + 1,).
-        zones: for each way on, measured from the start of its first lane, where a vehicle enters the ego's path and
-            where it leaves it, and the stretch of the ego's path between, shape (Z, 4) [m]; infinite if it never does.
-        own: whether a lane is one of the ego's route, shape (L,).
+        path: path of the ego, see `behavexplor.ads.road.path`.
+        curvature: curvature of the route [1/m], positive to the right, shape (S,).
+        side_by_side: distance to the end of the lanes beside the route's [m], shape (S,).
+        lanes: all lanes of NPC routes, shape (L, 7), see `behavexplor.ads.road.lane_arrays`.
+        tails: row of `zones` at which the ways on from each lane begin, shape (L + 1,).
+        zones: one row for each way on from a lane, shape (Z, 4) [m]: the distances from the start of the lane at which
+            a vehicle enters and leaves the ego's path, and the stations of that path between which it is then.
+            Infinite if the vehicle never enters the ego's path.
+        own: True for each lane of the ego's route, shape (L,).
     """
 
     path: Path
@@ -47,7 +48,7 @@ class Course(NamedTuple):
 
 @cache
 def make_course(roadmap: RoadMap) -> Course:
-    """What is known of a map."""
+    """Make the route table of a map."""
     route, path = roadmap.ego_route, ego_path(roadmap)
     stations = SPACING * np.arange(len(path.limits))
     index = np.searchsorted(route.bounds[1:-1], stations, side="right")
@@ -65,7 +66,7 @@ def make_course(roadmap: RoadMap) -> Course:
 
 
 def _ends(roadmap: RoadMap) -> Floats:
-    """For each lane of the ego's route the station where the lanes beside it end [m]: at the next junction."""
+    """Return, for each lane of the ego's route, the station where the lanes beside it end [m]: the next junction."""
     route = roadmap.ego_route
     ends = route.bounds[1:].copy()
     for i in range(len(ends) - 2, -1, -1):
@@ -75,7 +76,7 @@ def _ends(roadmap: RoadMap) -> Floats:
 
 
 def _zones(roadmap: RoadMap, lanes: tuple[Lane, ...], path: Path) -> tuple[Ints, Floats]:
-    """The ways on from each lane, and where they meet the ego's path."""
+    """Find the ways on from each lane, and where they meet the ego's path."""
     index = {lane.name: i for i, lane in enumerate(lanes)}
     sequences = {tuple(index[lane.name] for lane in route.lanes) for route in roadmap.npc_routes}
     tails = sorted({sequence[i:] for sequence in sequences for i in range(len(sequence))})
@@ -87,7 +88,7 @@ def _zones(roadmap: RoadMap, lanes: tuple[Lane, ...], path: Path) -> tuple[Ints,
 
 @kernel_in_place
 def _zone(lanes: Floats, tail: Ints, path: Path) -> tuple[float, float, float, float]:
-    """Where a vehicle on a sequence of lanes enters and leaves the ego's path, and the stretch of it between."""
+    """Return where a vehicle on a sequence of lanes enters and leaves the ego's path, and the stretch of it between."""
     length, width = CAR
     reach = EGO_SIZE[1] / 2 + SIDE_GAP
     enters, leaves, start, end = math.inf, math.inf, math.inf, -math.inf

@@ -1,4 +1,4 @@
-"""The trained policies that come with this package, one file and one card each."""
+"""Trained policies that come with this package, with one file of weights and one card each."""
 
 from pathlib import Path
 
@@ -10,14 +10,14 @@ FOLDER = Path(__file__).parent / "policies"
 
 
 def learned_driver(roadmap: RoadMap, variant: str = "") -> LearnedDriver:
-    """A shipped policy.
+    """Load a policy that comes with this package.
 
     Args:
-        roadmap: the map that it drives by.
-        variant: its name, such as "lane-change" or "lane-change-undertrained".
+        roadmap: road map with the ego's route.
+        variant: name of the policy, such as "lane-change" or "lane-change-undertrained".
 
     Raises:
-        InputError: if there is none of that name.
+        InputError: if no policy has that name.
     """
     names = [path.stem for path in sorted(FOLDER.glob("*.npz"))]
     if variant not in names:

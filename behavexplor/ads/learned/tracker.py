@@ -1,4 +1,4 @@
-"""From what a policy decides, an acceleration and a lane, to the commands of the vehicle."""
+"""Tracking of a policy's action, an acceleration and a lane, by the commands of the vehicle."""
 
 import math
 from typing import Final
@@ -16,24 +16,24 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-PERIOD: Final = 0.2  # between decisions [s]
+PERIOD: Final = 0.2  # time between decisions [s]
 ACCELERATIONS: Final = (-6.0, -3.0, -1.0, 0.0, 2.0)  # [m/s2]
-KEEP, LEFT, RIGHT, HOME = 0, 1, 2, 3  # the lane: as it is, one to the left, one to the right, that of the route
+KEEP, LEFT, RIGHT, HOME = 0, 1, 2, 3  # lane choices: as before, one to the left, one to the right, the route's
 N_LANE_CHOICES: Final = 4
 N_ACTIONS: Final = len(ACCELERATIONS) * N_LANE_CHOICES  # action a is acceleration a % 5 and lane choice a // 5
 
-SIDEWAYS: Final = 1.5  # speed at which the path moves from one lane to another [m/s]
-LAST_CHANGE: Final = 20.0  # least distance to the end of lanes side by side at which a change begins [m]
+SIDEWAYS: Final = 1.5  # lateral speed of the driven path in a lane change [m/s]
+LAST_CHANGE: Final = 20.0  # least distance to the end of the lanes beside at which a change may begin [m]
 
 WANTED: Final = 0  # offset of the wanted lane from the route [m]
-DRIVEN: Final = 1  # offset of the path that is driven, which moves towards it [m]
+DRIVEN: Final = 1  # offset of the driven path from the route, which moves towards the wanted offset [m]
 STARTED: Final = 2  # 1 after the first decision of an episode
 N_MEMORIES: Final = 3
 
 
 @kernel_in_place
 def begin(course: Course, scene: Floats, memory: Floats) -> None:
-    """At the start of an episode the ego wants the lane of its route, and drives from where it stands."""
+    """Begin an episode: the ego wants its route's lane, and drives from where it stands."""
     memory[WANTED] = 0.0
     memory[DRIVEN] = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])[1]
     memory[STARTED] = 1.0
@@ -41,13 +41,13 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
 
 @kernel_in_place
 def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[float, float]:
-    """Acceleration [m/s2] and steering [rad] for an action.
+    """Return acceleration [m/s2] and steering angle [rad] for an action.
 
     Args:
-        course: see `behavexplor.ads.learned.route_table`.
-        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
-        action: 0 to `N_ACTIONS` - 1.
-        memory: shape (N_MEMORIES,), changed.
+        course: route table, see `behavexplor.ads.learned.route_table`.
+        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
+        action: index of the action, 0 to `N_ACTIONS` - 1.
+        memory: memory of the ego, shape (N_MEMORIES,), changed in place.
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     row = row_at(course.path, station)
@@ -60,7 +60,7 @@ def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[f
 
 @kernel_in_place
 def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: Floats) -> None:
-    """Take the lane beside if there is one; near a junction, only that of the route."""
+    """Choose the lane beside if it exists; near a junction, only the lane of the route."""
     if course.side_by_side[row] < LAST_CHANGE:
         if course.path.junction_start < math.inf:
             memory[WANTED] = 0.0
@@ -77,7 +77,7 @@ def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: F
 
 @kernel_in_place
 def _accelerate(course: Course, scene: Floats, station: float, wanted: float) -> float:
-    """Within the speed limit, that of curves too, and never into reverse."""
+    """Limit the acceleration so that the ego keeps the speed limit, in curves too, and never reverses."""
     speed: float = scene[EGO, SPEED]
     limit: float = limit_at(course.path, station + speed * PERIOD)
     wanted = min(wanted, max((limit - speed) / PERIOD, -3.0))

@@ -1,1 +1,1 @@
-"""The road as compiled arrays that drivers use: lanes, the ego's path, and steering along it."""
+"""The road as arrays for compiled drivers: lanes, the ego's path, and steering along it."""

@@ -1,4 +1,4 @@
-"""Lanes as plain arrays: where a station lies, and where on a lane a point lies."""
+"""Lanes as plain arrays, with the conversion of stations to points and of points to stations."""
 
 import math
 from collections.abc import Iterable
@@ -12,25 +12,25 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-X: Final = 0  # start of the center line [m]
+X: Final = 0  # start of the center line, x and y [m]
 Y: Final = 1
-HEADING: Final = 2  # direction there [rad]
-LENGTH: Final = 3  # [m]
+HEADING: Final = 2  # heading at the start [rad]
+LENGTH: Final = 3  # along the center line [m]
 CURVATURE: Final = 4  # [1/m], positive to the right
-COS: Final = 5  # of the heading
-SIN: Final = 6
+COS: Final = 5  # cosine of the heading
+SIN: Final = 6  # sine of the heading
 N_COLUMNS: Final = 7
 
 
 def lane_array(lanes: Iterable[Lane]) -> Floats:
-    """Shape (lanes, 7), columns as above."""
+    """Return lanes as an array of shape (lanes, 7), with the columns above."""
     rows = [(lane.x, lane.y, lane.heading, lane.length, lane.curvature) for lane in lanes]
     return np.array([(*row, math.cos(row[HEADING]), math.sin(row[HEADING])) for row in rows])
 
 
 @kernel_in_place
 def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float]:
-    """Position and heading at a station of a lane, also beyond its ends."""
+    """Return position and heading at a station of a lane, which may lie beyond its ends."""
     x, y, start, curvature = lanes[lane, X], lanes[lane, Y], lanes[lane, HEADING], lanes[lane, CURVATURE]
     if curvature == 0.0:
         return x + station * lanes[lane, COS], y + station * lanes[lane, SIN], start
@@ -42,7 +42,7 @@ def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float
 
 @kernel_in_place
 def direction_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float, float]:
-    """Position, and cosine and sine of the heading, at a station of a lane, also beyond its ends."""
+    """Return position, and cosine and sine of the heading, at a station of a lane, which may lie beyond its ends."""
     x, y, start_cos, start_sin = lanes[lane, X], lanes[lane, Y], lanes[lane, COS], lanes[lane, SIN]
     curvature = lanes[lane, CURVATURE]
     if curvature == 0.0:
@@ -54,7 +54,7 @@ def direction_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, 
 
 @kernel_in_place
 def offset_on_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
-    """Offset (positive to the right) of a point [m], as `project_on_lane` has it, which takes longer on curves."""
+    """Return the offset of a point [m], positive to the right. On curves this is faster than `project_on_lane`."""
     cos, sin = lanes[lane, COS], lanes[lane, SIN]
     dx, dy = x - lanes[lane, X], y - lanes[lane, Y]
     aside: float = dy * cos - dx * sin
@@ -66,14 +66,14 @@ def offset_on_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
 
 @kernel_in_place
 def project_on_lane(lanes: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
-    """Station and offset (positive to the right) of a point [m]."""
+    """Return station and offset (positive to the right) of a point [m]."""
     cos, sin = lanes[lane, COS], lanes[lane, SIN]
     dx, dy = x - lanes[lane, X], y - lanes[lane, Y]
     ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
     if lanes[lane, CURVATURE] == 0.0:
         return ahead, aside
     radius = 1 / lanes[lane, CURVATURE]
-    right = radius - aside  # of the point is the center of the arc
+    right = radius - aside  # lateral distance from the point to the center of the arc [m]
     side = math.copysign(1.0, radius)
     station = math.atan2(side * ahead, side * right) * radius
     return station, radius - side * math.hypot(right, ahead)

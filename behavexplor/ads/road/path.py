@@ -1,4 +1,4 @@
-"""Path: the ego's route as a reference line with its lanes to the left and right, and places beside it."""
+"""The ego's path: its route as a reference line, with the lanes to the left and right of it."""
 
 import math
 from collections.abc import Iterable
@@ -21,8 +21,8 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-SPACING: Final = 1.0  # of the stations at which speed limit and neighboring lanes are kept [m]
-LATERAL_ACCELERATION: Final = 2.5  # limit in curves [m/s2]
+SPACING: Final = 1.0  # distance between the stations of the tables of limits and neighboring lanes [m]
+LATERAL_ACCELERATION: Final = 2.5  # greatest lateral acceleration in curves [m/s2]
 APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
 
 
@@ -30,17 +30,18 @@ class Path(NamedTuple):
     """The ego's route as plain arrays.
 
     Attributes:
-        lanes: its lanes, those of equal curvature joined, shape (lanes, 7), see `behavexplor.ads.road.lane_arrays`.
-        bounds: stations where they begin, and where the last one ends [m], shape (lanes + 1,).
-        limits: greatest speed every `SPACING` meters [m/s], shape (stations,).
-        left: number of lanes of the same direction to the left of the route's there, shape (stations,).
-        right: and to the right, shape (stations,).
-        oncoming: 1 where a lane of the other direction lies left of them, else 0, shape (stations,).
-        junction_start: station of the stop line [m], infinite without a junction.
-        junction_end: station where the junction ends [m], minus infinity without one.
+        lanes: lanes of the route, with successive lanes of equal curvature joined, shape (lanes, 7), see
+            `behavexplor.ads.road.lane_arrays`.
+        bounds: stations where the lanes begin, and the station where the last one ends [m], shape (lanes + 1,).
+        limits: greatest allowed speed every `SPACING` meters [m/s], shape (stations,).
+        left: number of lanes in the ego's direction to the left of the route, shape (stations,).
+        right: number of lanes in the ego's direction to the right of the route, shape (stations,).
+        oncoming: 1 where a lane of the opposite direction lies left of all these lanes, else 0, shape (stations,).
+        junction_start: station of the stop line [m]; infinity without a junction.
+        junction_end: station at which the junction ends [m]; minus infinity without a junction.
         destination: station of the destination [m].
-        lane_width: [m].
-        speed_limit: of the map [m/s].
+        lane_width: width of a lane [m].
+        speed_limit: speed limit of the map [m/s].
     """
 
     lanes: Floats
@@ -61,12 +62,12 @@ def ego_path(
     lateral_acceleration: float = LATERAL_ACCELERATION,
     approach_braking: float = APPROACH_BRAKING,
 ) -> Path:
-    """The ego's route and the lanes beside it.
+    """Make the ego's path from its route and the lanes beside it.
 
     Args:
-        roadmap: the map with the ego's route.
-        lateral_acceleration: limit that sets the speed in curves [m/s2].
-        approach_braking: deceleration that sets the speed before curves [m/s2].
+        roadmap: road map with the ego's route.
+        lateral_acceleration: greatest lateral acceleration, which limits the speed in curves [m/s2].
+        approach_braking: greatest deceleration before curves, which limits the speed there [m/s2].
     """
     route = roadmap.ego_route
     inside = [i for i, lane in enumerate(route.lanes) if lane.junction]
@@ -90,7 +91,7 @@ def ego_path(
 
 
 def _beside(roadmap: RoadMap, lane: Lane) -> tuple[int, int, bool]:
-    """Number of lanes to the left and right of a lane that run its way, and whether one runs against them."""
+    """Count the lanes left and right of a lane in its direction, and tell whether an oncoming lane is next to them."""
     group = [other for other in roadmap.lanes if (other.origin, other.target) == (lane.origin, lane.target)]
     left = group.index(lane)
     x, y, heading = lane.pose(lane.length / 2)
@@ -101,14 +102,14 @@ def _beside(roadmap: RoadMap, lane: Lane) -> tuple[int, int, bool]:
 
 
 def _runs_against(lane: Lane, x: float, y: float, heading: float) -> bool:
-    """Whether a lane's center line runs through a point in the opposite direction."""
+    """Return whether a lane's center line runs through a point in the opposite direction."""
     station, offset = lane.project(x, y)
     turned = math.remainder(lane.heading - heading, 2 * math.pi)
     return abs(offset) < 0.1 and 0 <= station <= lane.length and abs(turned) > math.pi / 2
 
 
 def _joined(lanes: Iterable[Lane]) -> list[Lane]:
-    """The lanes with those of equal curvature joined, which makes them quicker to search."""
+    """Join successive lanes of equal curvature, which makes the path quicker to search."""
     joined: list[Lane] = []
     for lane in lanes:
         if joined and joined[-1].curvature == lane.curvature:
@@ -119,7 +120,7 @@ def _joined(lanes: Iterable[Lane]) -> list[Lane]:
 
 
 def _speed_limits(roadmap: RoadMap, stations: Floats, lateral_acceleration: float, approach_braking: float) -> Floats:
-    """The map's limit, lower in curves, and before them as far as braking takes."""
+    """Compute the greatest allowed speeds: the map's limit, lower in curves and on the braking distance before them."""
     route = roadmap.ego_route
     lane = np.searchsorted(route.bounds[1:-1], stations, side="right")
     curvature = np.abs([route.lanes[i].curvature for i in lane])
@@ -133,34 +134,34 @@ def _speed_limits(roadmap: RoadMap, stations: Floats, lateral_acceleration: floa
 
 @kernel_in_place
 def row_at(path: Path, station: float) -> int:
-    """The row of the tables of the path, such as `limits`, for a station [m]."""
+    """Return the row of the path's tables, such as `limits`, for a station [m]."""
     return min(max(int(station / SPACING), 0), len(path.limits) - 1)
 
 
 @kernel_in_place
 def limit_at(path: Path, station: float) -> float:
-    """Greatest speed [m/s] at a station [m]."""
+    """Return the greatest allowed speed [m/s] at a station [m]."""
     limit: float = path.limits[row_at(path, station)]
     return limit
 
 
 @kernel_in_place
 def has_lane(path: Path, lane: int, station: float) -> bool:
-    """Whether a lane (0 is the route's, 1 the next to the right) runs the ego's way at a station."""
+    """Return whether a lane (0 is the route's, 1 the next to the right) runs in the ego's direction at a station."""
     i = row_at(path, station)
     return bool(-path.left[i] <= lane <= path.right[i])
 
 
 @kernel_in_place
 def oncoming_lane(path: Path, station: float) -> int:
-    """The lane of the other direction that is next to the ego's, 0 where there is none."""
+    """Return the oncoming lane next to the lanes in the ego's direction, 0 if there is none."""
     i = row_at(path, station)
     return -int(path.left[i]) - 1 if path.oncoming[i] else 0
 
 
 @kernel_in_place
 def lane_end(path: Path, lane: int, station: float) -> float:
-    """The station where a lane other than the route's is to be left: its own end, or the destination [m]."""
+    """Return the station by which a lane other than the route's must be left: its end, or the destination [m]."""
     end = station
     while end < path.destination and (has_lane(path, lane, end) or oncoming_lane(path, end) == lane):
         end += SPACING
@@ -169,10 +170,10 @@ def lane_end(path: Path, lane: int, station: float) -> float:
 
 @kernel_in_place
 def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
-    """The lane of the route that is nearest to a point; the point's station on the route, and its offset [m]."""
+    """Return the lane of the route nearest to a point, and the point's station and offset on the route [m]."""
     last = len(path.lanes) - 1
     nearest, best, best_station, best_offset = math.inf, 0, 0.0, 0.0
-    for curved in (False, True):  # curved lanes last: they take longer, and mostly another one is nearer
+    for curved in (False, True):  # straight lanes first: they are cheaper, and usually nearer
         for i in range(last + 1):
             if (path.lanes[i, CURVATURE] != 0.0) != curved:
                 continue
@@ -187,7 +188,7 @@ def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
 
 @kernel_in_place
 def _outside(path: Path, lane: int, station: float) -> float:
-    """How far a station of one of the route's lanes lies beyond the lane's ends [m]; the outer ones are continued."""
+    """Return how far a station lies beyond a lane's ends [m]; the first and last lane continue beyond the route."""
     if station < 0.0:
         return -station if lane > 0 else 0.0
     return max(station - path.lanes[lane, LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
@@ -195,14 +196,14 @@ def _outside(path: Path, lane: int, station: float) -> float:
 
 @kernel_in_place
 def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
-    """Station and offset (positive to the right) of a point [m]; the outer lanes are continued."""
+    """Return station and offset (positive to the right) of a point [m]; the route continues beyond its ends."""
     _, station, offset = locate_on_path(path, x, y)
     return station, offset
 
 
 @kernel_in_place
 def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
-    """Whether the route is straight between two stations about one of its lanes; its ends are continued."""
+    """Return whether the route is straight between two stations around a lane; the route continues beyond its ends."""
     if path.lanes[lane, CURVATURE] != 0.0:
         return False
     starts = lane == 0 or low >= path.bounds[lane]
@@ -211,7 +212,7 @@ def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
 
 @kernel_in_place
 def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
-    """Position and heading at a station; the outer lanes are continued."""
+    """Return position and heading at a station; the route continues beyond its ends."""
     i = 0
     while i < len(path.lanes) - 1 and station > path.bounds[i + 1]:
         i += 1
@@ -220,6 +221,6 @@ def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
 
 @kernel_in_place
 def point_beside(path: Path, station: float, offset: float) -> tuple[float, float]:
-    """The point at a station and offset."""
+    """Return the point at a station and an offset."""
     x, y, heading = pose_on_path(path, station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading)

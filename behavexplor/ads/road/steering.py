@@ -14,12 +14,15 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 
 LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
-LOOK_AHEAD_TIME: Final = 0.3  # its growth with the speed [s]
+LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
 
 
 @kernel_in_place
 def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
-    """Pure pursuit of a point on the path; the circle through it is exact for highway-env's bicycle model."""
+    """Return the steering angle [rad] by pure pursuit of a point ahead, at an offset from the path.
+
+    The circle through that point is exact for highway-env's bicycle model.
+    """
     x, y, along = pose_on_path(path, station + LOOK_AHEAD + LOOK_AHEAD_TIME * scene[EGO, SPEED])
     dx = x - math.sin(along) * offset - scene[EGO, X]
     dy = y + math.cos(along) * offset - scene[EGO, Y]

@@ -1,4 +1,4 @@
-"""A planner of rules and search, built in modules like those of a full driving system."""
+"""A planner of rules and search, with modules like those of a full driving system."""
 
 from behavexplor.ads.rule.parameters import Parameters
 from behavexplor.ads.rule.planner import RulePlanner

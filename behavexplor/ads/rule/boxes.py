@@ -1,4 +1,4 @@
-"""Boxes on the path: the stretch of the ego's path that a vehicle takes up."""
+"""Boxes on the path: the stretch of the ego's path that a vehicle occupies."""
 
 import math
 from typing import Final, NamedTuple
@@ -8,20 +8,20 @@ from behavexplor.ads.road.path import Path, is_straight, locate_on_path, project
 from behavexplor.ads.rule.lateral import Profile, offset_at
 from behavexplor.jit import kernel_in_place
 
-PARALLEL: Final = 1e-6  # sine of an angle to the route below which a box is along it
-SLACK: Final = 1.0  # by which a profile may overshoot its ends [m]
+PARALLEL: Final = 1e-6  # sine of the angle to the route below which a box is parallel to it
+SLACK: Final = 1.0  # lateral distance by which a profile may overshoot its offsets [m]
 
 
 class Box(NamedTuple):
     """An oriented box.
 
     Attributes:
-        x: of the center [m].
-        y: of the center [m].
-        cos: of the heading.
-        sin: of the heading.
-        length: [m].
-        width: [m].
+        x: position of the center [m].
+        y: position of the center [m].
+        cos: cosine of the heading.
+        sin: sine of the heading.
+        length: length along the heading [m].
+        width: width across the heading [m].
     """
 
     x: float
@@ -34,18 +34,18 @@ class Box(NamedTuple):
 
 @kernel_in_place
 def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[float, float]:
-    """The stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
+    """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
 
     Args:
-        path: the ego's route.
-        profile: its offset from that.
-        box: a vehicle's.
-        strip: half the strip's width [m].
+        path: path of the ego.
+        profile: offset of the planned path from the route.
+        box: box of a vehicle.
+        strip: half the width of the strip [m].
     """
     x, y, cos, sin, length, width = box
     lane, station, aside = locate_on_path(path, x, y)
     beyond = max(aside - max(profile.first, profile.last), min(profile.first, profile.last) - aside)
-    diagonal = (length + width) / 2  # at least half of it
+    diagonal = (length + width) / 2  # an upper bound of half the diagonal
     if beyond > strip + diagonal + SLACK:
         return math.inf, -math.inf
     straight = is_straight(path, lane, station - diagonal, station + diagonal)
@@ -76,6 +76,9 @@ def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[f
 
 @kernel_in_place
 def _on_path(path: Path, profile: Profile, x: float, y: float, straight: bool) -> tuple[float, float]:
-    """Station, and offset from the profile, of a point [m], which is given in the route's coordinates if straight."""
+    """Return the station of a point [m] and its offset from the profile [m].
+
+    If `straight`, x and y are the point's coordinates along and across the route.
+    """
     station, aside = (x, y) if straight else project_on_path(path, x, y)
     return station, aside - offset_at(profile, station)

@@ -1,4 +1,4 @@
-"""Control: steering and acceleration for highway-env's bicycle model, within limits of their change."""
+"""Control: steering and acceleration for highway-env's bicycle model, with limited rates of change."""
 
 import math
 from typing import Final
@@ -18,24 +18,24 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-PERIOD: Final = 0.1  # between two decisions [s]
+PERIOD: Final = 0.1  # time between two decisions [s]
 
 TWO_PI: Final = 2 * math.pi
-RECOVERY_SPEED: Final = 4.0  # slower than this steering back is not reduced (R2-1) [m/s]
-HOLD_SPEED: Final = 4.0  # in turns driven faster than this steering is not held (R2-4) [m/s]
-HELD_STEERING: Final = 0.2  # nor are smaller angles [rad]
-TURN_WAY, TURN = 15.0, 0.1  # the route has turned left on the last meters [m] by more than this [rad]
+RECOVERY_SPEED: Final = 4.0  # speed above which steering back is reduced (R2-1) [m/s]
+HOLD_SPEED: Final = 4.0  # speed below which steering is held in turns (R2-4) [m/s]
+HELD_STEERING: Final = 0.2  # angle beyond which steering is held (R2-4) [rad]
+TURN_WAY, TURN = 15.0, 0.1  # a left turn: the route has turned by more than TURN [rad] on the last TURN_WAY [m]
 
 
 @kernel_in_place
 def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers) -> float:
-    """Steering angle [rad] by pure pursuit: the circle that leads through a point ahead on the path.
+    """Return the steering angle [rad] by pure pursuit: the circle through a point ahead on the path.
 
     The bicycle model turns about its center with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
     and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
     away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
-    if memory[SHARP] == 1.0:  # as short-sighted as its path is short (R2-2)
+    if memory[SHARP] == 1.0:  # a short lane change is steered with a short look-ahead (R2-2)
         away *= 1.0 - p.short_change
     there = station + away
     x, y = point_beside(path, there, offset_at(profile, there))
@@ -58,7 +58,7 @@ def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: F
 def _worsened(
     profile: Profile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
 ) -> float:
-    """The steering angle of a planner that recovers slowly (R2-1) or holds a large one (R2-4)."""
+    """Return the steering angle of a planner that steers back too little (R2-1) or holds a large angle (R2-4)."""
     across = profile.last - profile.first
     overtakes = memory[OVERTAKING] == 1.0 and profile.length > 0.0
     if p.slow_recovery > 0.0 and overtakes and speed > RECOVERY_SPEED and wanted * across < 0.0:
@@ -81,7 +81,7 @@ def _worsened(
 
 @kernel_in_place
 def accelerate(wanted: float, last: float, speed: float, at_once: bool, p: Numbers) -> float:
-    """Acceleration [m/s2] within the limits of its change and of the vehicle; never into reverse."""
+    """Return the acceleration [m/s2] within the limits of its change and of the vehicle, never into reverse."""
     change = (p.emergency_jerk if at_once else p.jerk) * PERIOD
     wanted = min(max(wanted, last - change), last + change)
     wanted = min(max(wanted, ACCELERATION_RANGE[0]), ACCELERATION_RANGE[1])

@@ -1,4 +1,4 @@
-"""One decision: locate, choose a lane, plan the speed along it, wait before the junction or go, command."""
+"""One decision: locate, choose a lane, plan the speed along it, wait before the junction or go, and command."""
 
 import math
 from typing import Final
@@ -69,16 +69,16 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
-SUDDEN_TIME: Final = 3.0  # for which another's sudden change weakens the braking (R1-4) [s]
-STRONGER: Final = 2.0  # and how much more they are accelerated for all of the severity [m/s2]
-SHARP_WAY: Final = 20.0  # from their beginning until steering and acceleration are as usual again [m]
-STUCK: Final = 1.0  # who stands so long during a lane change decides anew [s]
-CREEP_ACCELERATION: Final = 1.2  # [m/s2]
+SUDDEN_TIME: Final = 3.0  # time of weak braking after another vehicle's sudden change of speed (R1-4) [s]
+STRONGER: Final = 2.0  # additional acceleration of short lane changes at severity 1 (R2-2) [m/s2]
+SHARP_WAY: Final = 20.0  # distance from the start of a short lane change to usual steering and acceleration (R2-2) [m]
+STUCK: Final = 1.0  # time of standing in a lane change after which the ego decides anew [s]
+CREEP_ACCELERATION: Final = 1.2  # acceleration while creeping [m/s2]
 
 
 @kernel_in_place
 def plan_once(world: World, memory: Floats) -> None:
-    """One decision; the commands are left in the memory."""
+    """Make one decision, and leave its commands in the memory."""
     path, scene, bits = world.path, world.scene, world.room.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
@@ -96,13 +96,13 @@ def plan_once(world: World, memory: Floats) -> None:
 
 @kernel_in_place
 def _remember(path: Path, ego: Ego, memory: Floats) -> None:
-    """Bring the memory up to date with what the ego has done since."""
+    """Update the memory with the ego's motion since the last decision."""
     if memory[STARTED] == 0.0:
         memory[STARTED] = 1.0
         memory[LANE] = memory[ORIGIN] = round(ego.offset / path.lane_width)
     memory[SINCE] += PERIOD
     ended = ego.station >= memory[START] + memory[LENGTH]
-    if memory[STOOD] > STUCK:  # in the lane changed to, but before the end of the change
+    if memory[STOOD] > STUCK:  # it may stand in the target lane before the end of the change
         ended = ended or abs(ego.offset - memory[LANE] * path.lane_width) < path.lane_width / 2
     if memory[LENGTH] > 0.0 and ended:
         memory[LENGTH] = memory[SINCE] = memory[IGNORES] = 0.0
@@ -131,7 +131,7 @@ def _is_safe(option: Option) -> bool:
 
 @kernel_in_place
 def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -> Option:
-    """Begin a lane change if another lane is better and its gap is accepted."""
+    """Begin a lane change if another lane is better and its gaps are accepted."""
     path, others, p, bits = world.path, world.others, world.p, world.room.bits
     lane = int(memory[LANE])
     option, begun = present, False
@@ -148,7 +148,7 @@ def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -
 
 @kernel_in_place
 def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Floats) -> tuple[Option, bool]:
-    """The change to a lane if it is safe, else what is done at present; and whether the change is begun."""
+    """Return the change to a lane if it is safe, else the present option; and whether the change is begun."""
     path, p, bits = world.path, world.p, world.room.bits
     lane = int(memory[LANE])
     if not accepts_gap(path, world.others, ego, wanted, bits, p):
@@ -176,7 +176,10 @@ def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Fl
 
 @kernel_in_place
 def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) -> Option:
-    """Return to the lane left if somebody comes close in the other, that helps, and the ego is hardly out of it."""
+    """Return to the original lane if a vehicle comes close in the target lane, and returning is possible and helps.
+
+    It is possible while the ego's center is still in the original lane.
+    """
     path, p, bits = world.path, world.p, world.room.bits
     lane, origin = int(memory[LANE]), int(memory[ORIGIN])
     inside = abs(ego.offset - origin * path.lane_width) < path.lane_width / 2
@@ -202,7 +205,7 @@ def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) ->
 
 @kernel_in_place
 def _slope(world: World, ego: Ego) -> float:
-    """Slope of the ego's own motion across its route."""
+    """Return the slope of the ego's motion relative to its route."""
     _, _, along = pose_on_path(world.path, ego.station)
     return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
 
@@ -216,7 +219,7 @@ def _adopt(profile: Profile, lane: int, memory: Floats) -> None:
 
 @kernel_in_place
 def _settle(world: World, ego: Ego, option: Option, memory: Floats) -> None:
-    """Leave the decision and its commands in the memory."""
+    """Store the decision and its commands in the memory."""
     path, p, bits, plan = world.path, world.p, world.room.bits, option.plan
     memory[CLEAR] = memory[CLEAR] + PERIOD if option.crosses else 0.0
     memory[DECISION] = decision_code(path, plan, ego.station, ego.half_length, option.yields)

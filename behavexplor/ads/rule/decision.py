@@ -1,4 +1,4 @@
-"""Decision: whether to wait before the junction or to go, with memory."""
+"""Decision: wait before the junction, or go; with memory."""
 
 from typing import Final
 
@@ -26,49 +26,49 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CRUISE: Final = 0  # drives as on a free road
-FOLLOW: Final = 1  # adapts its speed to others
-YIELD: Final = 2  # stops before the junction, or waits there
-GO: Final = 3  # crosses the junction
-STOP: Final = 4  # stops before an obstacle
-EMERGENCY: Final = 5  # avoids or delays a contact that may be close
-CREEP: Final = 6  # moves on a little after a long wait
+CRUISE: Final = 0  # drive as on a free road
+FOLLOW: Final = 1  # adapt the speed to other vehicles
+YIELD: Final = 2  # stop before the junction, or wait there
+GO: Final = 3  # cross the junction
+STOP: Final = 4  # stop before an obstacle
+EMERGENCY: Final = 5  # avoid or delay a contact that may be close
+CREEP: Final = 6  # move on a little after a long wait
 
-ALARM: Final = 3.0  # a plan without contact for a shorter time is an emergency [s]
-STANDING: Final = 0.3  # [m/s]
+ALARM: Final = 3.0  # time without contact below which a plan is an emergency [s]
+STANDING: Final = 0.3  # speed below which the ego stands [m/s]
 
-CREEP_TIME: Final = 0.5  # of accelerating while creeping [s]
-CREEP_ROOM: Final = 1.0  # that must stay free ahead of a creeping ego [m]
-CREEP_INTERVALS: Final = 12  # and for how long
-RESTART_OUTLOOK: Final = 1.0  # of a hasty planner (R1-3) [s]
-RESTART_WAIT: Final = 0.5  # after which a hasty planner decides anew (R1-3) [s]
+CREEP_TIME: Final = 0.5  # duration of the acceleration while creeping [s]
+CREEP_ROOM: Final = 1.0  # distance that must stay free ahead of a creeping ego [m]
+CREEP_INTERVALS: Final = 12  # number of intervals for which it must stay free
+RESTART_OUTLOOK: Final = 1.0  # time over which a hasty planner looks ahead (R1-3) [s]
+RESTART_WAIT: Final = 0.5  # time after which a hasty planner decides anew (R1-3) [s]
 
 
 @kernel_in_place
 def can_wait(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> bool:
-    """Whether firm braking stops the ego before the junction, or little enough behind the stop line."""
+    """Return whether firm braking stops the ego before the junction, or within `line_overrun` beyond the stop line."""
     line = path.junction_start - half_length
     return station + speed * speed / (2 * p.firm_braking) <= line + p.line_overrun
 
 
 @kernel_in_place
 def passed(path: Path, station: float, half_length: float) -> bool:
-    """Whether the ego has left the junction behind, or there is none."""
+    """Return whether the ego has left the junction, or there is no junction."""
     return station >= path.junction_end + half_length
 
 
 @kernel_in_place
 def waiting_station(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> float:
-    """Where to wait: with a gap to the stop line if firm braking still does, else closer [m]."""
+    """Return the station for waiting [m]: with a gap to the stop line if firm braking suffices, else closer."""
     line = path.junction_start - half_length
     return min(line + p.line_overrun, max(line - p.stop_line_gap, station + speed * speed / (2 * p.firm_braking)))
 
 
 @kernel_in_place
 def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length: float) -> bool:
-    """Whether a plan stays before the junction, or crosses it without stopping or coming too close to others.
+    """Return whether a plan stays before the junction, or crosses it without stopping or coming too close to a vehicle.
 
-    Behind the junction there must be room: nobody ahead may end up where the ego would have to stop inside.
+    There must be room beyond the junction: no vehicle ahead may end up where the ego would have to stop inside.
     """
     if plan.station <= path.junction_start - half_length:
         return True
@@ -81,7 +81,7 @@ def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length:
 
 @kernel_in_place
 def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: float, yields: bool) -> int:
-    """What the plan amounts to, for the log."""
+    """Return the code of a plan's decision for the decision log."""
     if plan.survived * INTERVAL < ALARM:
         return EMERGENCY
     if yields:
@@ -95,7 +95,7 @@ def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: floa
 
 @kernel_in_place
 def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> bool:
-    """Whether the ego, having stood and yielded, hardly looks ahead now (weakness R1-3)."""
+    """Return whether the ego, which has stood and yielded, hardly looks ahead now (weakness R1-3)."""
     if p.restart == 0.0 or memory[WAITED] < RESTART_WAIT:
         return False
     note(bits, R1_3, not crosses)
@@ -106,7 +106,7 @@ def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> b
 
 @kernel_in_place
 def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -> bool:
-    """Whether a standing ego waits for somebody who hardly moves across its way (weakness R3-4)."""
+    """Return whether a standing ego waits for a vehicle that hardly moves across its way (weakness R3-4)."""
     if memory[WAITED] == 0.0 or not _deadlocked(graph, memory, p):
         return False
     note(bits, R3_4, True)
@@ -115,13 +115,13 @@ def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -
 
 @kernel_in_place
 def _deadlocked(graph: StationTime, memory: Floats, p: Numbers) -> bool:
-    """Whether the gate of weakness R3-4 is open."""
+    """Return whether the gate of weakness R3-4 is open."""
     return bool(p.deadlock > 0.0 and memory[STOOD] >= p.deadlock_after and _slowest(graph) < p.deadlock)
 
 
 @kernel_in_place
 def _slowest(graph: StationTime) -> float:
-    """Least speed of those who cross or lead, infinite for nobody [m/s]."""
+    """Return the least speed of the vehicles that cross or lead [m/s], infinity without any."""
     slowest = np.inf
     for k in range(N_INTERVALS):
         for i in range(graph.counts[k]):
@@ -131,7 +131,7 @@ def _slowest(graph: StationTime) -> float:
 
 @kernel_in_place
 def shorten(graph: StationTime, outlook: float) -> None:
-    """Forget what crosses or merges later than an outlook [s]."""
+    """Remove the vehicles that cross or merge later than an outlook [s]."""
     for k in range(N_INTERVALS):
         if k * INTERVAL < outlook:
             continue
@@ -146,7 +146,7 @@ def shorten(graph: StationTime, outlook: float) -> None:
 
 @kernel_in_place
 def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, bits: Ints, p: Numbers) -> bool:
-    """Whether an ego that has stood for long may move on a little: nobody is or comes close ahead of it."""
+    """Return whether an ego that has stood for long may move on a little: no vehicle is or comes close ahead of it."""
     if memory[STOOD] < p.creep_after or station + CREEP_ROOM / 2 > limit:
         return False
     for k in range(CREEP_INTERVALS):
@@ -162,7 +162,7 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, 
 
 @kernel_in_place
 def creep(graph: StationTime, station: float, limit: float, memory: Floats, bits: Ints, p: Numbers) -> bool:
-    """Whether the ego creeps now; it goes on for `CREEP_TIME` once it has begun."""
+    """Return whether the ego creeps now. Once begun, creeping goes on for `CREEP_TIME`."""
     if memory[CREEPS] <= 0.0 and may_creep(graph, station, limit, memory, bits, p):
         memory[CREEPS] = CREEP_TIME
     return bool(memory[CREEPS] > 0.0)

@@ -1,4 +1,4 @@
-"""Lane choice: keep the lane, change it for the route, overtake, return or abort, and which gaps are accepted."""
+"""Lane choice: keep the lane, change it for the route, overtake, return or abort; and acceptance of gaps."""
 
 import math
 from typing import Final, NamedTuple
@@ -16,29 +16,29 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-KEEP: Final = 0  # keeps its lane
-CHANGE: Final = 1  # changes towards its route's lane
-OVERTAKE: Final = 2  # leaves its route's lane for a better one
-ABORT: Final = 3  # returns to the lane that it was about to leave
+KEEP: Final = 0  # keep the lane
+CHANGE: Final = 1  # change towards the route's lane
+OVERTAKE: Final = 2  # leave the route's lane for a better one
+ABORT: Final = 3  # return to the lane that the ego was about to leave
 
-CLOSE_UP: Final = 40.0  # leaders farther away do not make a lane change late (R3-3) [m]
-SLOW: Final = 6.0  # nor do those faster than this [m/s]
-PREPARATION: Final = 160.0  # in which needed lane changes are begun [m]
-BORROW_SPEED: Final = 5.0  # up to which the ego takes to the other direction's lane (R2-3) [m/s]
-BORROW_GAP: Final = 15.0  # and up to which gap to its leader [m]
-MOVES: Final = 0.05  # slower leaders stand (R3-1) [m/s]
-ALONGSIDE: Final = 1.0  # speed that those overtaken must be slower by [m/s]
+CLOSE_UP: Final = 40.0  # gap up to which a leader makes a lane change late (R3-3) [m]
+SLOW: Final = 6.0  # speed up to which a leader makes a lane change late (R3-3) [m/s]
+PREPARATION: Final = 160.0  # distance on which needed lane changes are begun [m]
+BORROW_SPEED: Final = 5.0  # speed up to which the ego overtakes in the oncoming lane (R2-3) [m/s]
+BORROW_GAP: Final = 15.0  # gap to the leader up to which the ego does so (R2-3) [m]
+MOVES: Final = 0.05  # speed up to which leaders stand (R3-1) [m/s]
+ALONGSIDE: Final = 1.0  # least difference of speed to an overtaken vehicle [m/s]
 
 
 class Ego(NamedTuple):
     """The ego on its route.
 
     Attributes:
-        station: [m].
-        offset: [m].
-        speed: [m/s].
-        half_length: [m].
-        half_width: [m].
+        station: station of the center [m].
+        offset: offset of the center from the route [m].
+        speed: speed, at least 0 [m/s].
+        half_length: half the length [m].
+        half_width: half the width [m].
     """
 
     station: float
@@ -50,13 +50,13 @@ class Ego(NamedTuple):
 
 @kernel_in_place
 def change_length(speed: float, p: Numbers) -> float:
-    """Length of a change to the next lane, along the route [m]."""
+    """Return the length of a change to the next lane, along the route [m]."""
     return max(p.change_length, p.change_time * speed)
 
 
 @kernel_in_place
 def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbors:
-    """Who is next to the ego in a lane; those who stand beyond the destination are in nobody's way."""
+    """Find the nearest vehicles in a lane; a vehicle ahead that is beyond the destination does not count."""
     found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
     if found.ahead >= 0:
         rear = others[found.ahead, STATION] - others[found.ahead, HALF_ALONG]
@@ -67,7 +67,7 @@ def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbors:
 
 @kernel_in_place
 def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
-    """The lane that the ego should be in: its own, or one that is next to it."""
+    """Return the lane that the ego should be in: its own, or a lane next to it."""
     lane = int(memory[LANE])
     leader = beside_lane(path, others, ego, lane)
     homewards = lane - int(math.copysign(1.0, lane)) if lane != 0 else 0
@@ -93,7 +93,7 @@ def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints
 
 @kernel_in_place
 def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
-    """Whether a lane runs beside the ego for as long as a change to it takes, and no junction is in between."""
+    """Return whether a lane runs beside the ego for the length of a change to it, without a junction in between."""
     until = ego.station + change_length(ego.speed, p) + ego.half_length
     if ego.station - ego.half_length < path.junction_end and until > path.junction_start:
         return False
@@ -102,7 +102,7 @@ def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
 
 @kernel_in_place
 def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
-    """How far the ego gets in a lane within the outlook, less what it costs to be beside the route [m]."""
+    """Return how far the ego gets in a lane within the outlook, less the cost of being beside the route [m]."""
     found = beside_lane(path, others, ego, lane)
     free = path.speed_limit * p.outlook
     if found.ahead >= 0:
@@ -112,14 +112,14 @@ def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float
 
 @kernel_in_place
 def _must_return(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
-    """Whether the room left is needed to come back to the route."""
+    """Return whether the remaining room is needed to return to the route."""
     room = lane_end(path, lane, ego.station) - ego.station
     return room < abs(lane) * (change_length(ego.speed, p) + 2 * ego.speed + p.change_length)
 
 
 @kernel_in_place
 def _delays(path: Path, ego: Ego, lane: int, leader: Neighbors, bits: Ints, p: Numbers) -> bool:
-    """Whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
+    """Return whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
     if p.late_change == 0.0 or leader.ahead < 0 or leader.gap_ahead > CLOSE_UP or leader.speed_ahead > SLOW:
         return False
     left = lane_end(path, lane, ego.station) - ego.station
@@ -132,7 +132,7 @@ def _delays(path: Path, ego: Ego, lane: int, leader: Neighbors, bits: Ints, p: N
 def _may_overtake(
     path: Path, others: Floats, ego: Ego, other: int, leader: Neighbors, memory: Floats, bits: Ints, p: Numbers
 ) -> bool:
-    """Whether the ego overtakes its leader: it has rested, and can come back in time."""
+    """Return whether the ego overtakes its leader: its last change is long enough ago, and it can return in time."""
     if leader.ahead < 0 or memory[SINCE] < p.lane_rest:
         return False
     if p.no_overtaking > 0.0 and leader.speed_ahead > MOVES:
@@ -151,7 +151,7 @@ def _may_overtake(
 
 @kernel_in_place
 def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbors, p: Numbers) -> float:
-    """How far the ego drives until it is back before its leader, at the speed that needs least room [m]."""
+    """Return the distance until the ego is back in front of its leader, at the speed that needs the least room [m]."""
     least = math.inf
     passed = leader.gap_ahead + 2 * others[leader.ahead, HALF_ALONG] + 2 * ego.half_length + p.pass_gap
     for share in (1.0, 0.6, 0.35):
@@ -165,7 +165,7 @@ def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbors, p:
 
 @kernel_in_place
 def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
-    """The lane of the other direction, if a slow leader is to be overtaken there (weakness R2-3), or else the own."""
+    """Return the oncoming lane if a slow leader is to be overtaken there (weakness R2-3), or else the ego's lane."""
     lane = int(memory[LANE])
     other = oncoming_lane(path, ego.station)
     if p.wrong_side == 0.0 or other == 0 or other != lane - 1 or ego.speed > BORROW_SPEED:
@@ -185,7 +185,10 @@ def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints,
 
 @kernel_in_place
 def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
-    """The gaps in a lane as a share of what is needed by distance and closing speed, the scarcer one."""
+    """Return the gap in a lane as a share of the gap needed by distance and closing speed.
+
+    It is the smaller of the shares ahead and behind.
+    """
     found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
     ahead = p.gap + p.gap_ahead_time * max(ego.speed - found.speed_ahead, 0.0)
     behind = p.gap + p.gap_behind_time * max(found.speed_behind - ego.speed, 0.0)
@@ -194,13 +197,13 @@ def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> fl
 
 @kernel_in_place
 def cuts_in(ego: Ego, p: Numbers) -> bool:
-    """Whether the ego would take a gap that is too small (weakness R1-5)."""
+    """Return whether the ego would take a gap that is too small (weakness R1-5)."""
     return p.cut_in > 0.0 and ego.speed < p.cut_in_below
 
 
 @kernel_in_place
 def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: Numbers) -> bool:
-    """Whether the gaps in a lane are wide enough to begin a change to it."""
+    """Return whether the gaps in a lane are wide enough to begin a change to it."""
     share = gap_share(path, others, ego, lane, p)
     if share < 1.0 and cuts_in(ego, p):
         note(bits, R1_5, share >= 1.0 - p.cut_in)
@@ -210,7 +213,7 @@ def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: 
 
 @kernel_in_place
 def lane_wall(path: Path, ego: Ego, lane: int, p: Numbers) -> float:
-    """The station that the ego must not pass beside its route's lane, so that it can still come back [m]."""
+    """Return the station that the ego must not pass beside its route's lane, so that it can still return [m]."""
     if lane == 0:
         return math.inf
     wall = lane_end(path, lane, ego.station) - abs(lane) * p.change_length - 2.0

@@ -1,4 +1,4 @@
-"""Lateral motion in Frenet coordinates of the route: a lane is kept, or changed on a quintic polynomial."""
+"""Lateral motion in Frenet coordinates of the route: keep a lane, or change it along a quintic polynomial."""
 
 import math
 from typing import NamedTuple
@@ -10,11 +10,11 @@ class Profile(NamedTuple):
     """Offset from the route (positive to the right) as a function of the station.
 
     Attributes:
-        start: station where it begins [m].
-        length: along the route until the last offset is reached [m], 0 where that is kept from the beginning.
-        first: offset at the start [m].
-        slope: of the offset there; before the start it is 0.
-        last: offset at the end and behind it [m].
+        start: station where the change begins [m].
+        length: length of the change along the route [m], 0 if the last offset is kept from the beginning.
+        first: offset at the start and before it [m].
+        slope: slope of the offset at the start; before the start it is 0.
+        last: offset at the end and after it [m].
     """
 
     start: float
@@ -26,7 +26,7 @@ class Profile(NamedTuple):
 
 @kernel_in_place
 def offset_at(profile: Profile, station: float) -> float:
-    """Offset at a station [m]: between start and end a quintic without curvature at its ends."""
+    """Return the offset at a station [m]: between start and end, a quintic without curvature at its ends."""
     if station >= profile.start + profile.length:
         return profile.last
     if station <= profile.start:
@@ -39,11 +39,11 @@ def offset_at(profile: Profile, station: float) -> float:
 
 @kernel_in_place
 def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> Profile:
-    """The change from where the ego is to another offset."""
+    """Return the profile of a change from the ego's position to another offset."""
     return Profile(station, length, offset, min(max(slope, -0.5), 0.5), target)
 
 
 @kernel_in_place
 def keep_profile(offset: float) -> Profile:
-    """An offset that is kept."""
+    """Return the profile of an offset that is kept."""
     return Profile(-math.inf, 0.0, offset, 0.0, offset)

@@ -1,4 +1,4 @@
-"""Motion: what an NPC is predicted to do along its ways, and what a planner with weaknesses makes of it."""
+"""Motion: the predicted motion of an NPC along its ways, as a careful planner and one with weaknesses predict it."""
 
 import math
 from typing import Final, NamedTuple
@@ -15,24 +15,24 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-MOVES: Final = 0.05  # faster than this a vehicle does not stand [m/s]
-SUDDEN: Final = 2.0  # a change of speed beyond this is a sudden one [m/s2]
-LARGE: Final = 7.0  # vehicles longer than this are large [m]
-CAR_LENGTH, CAR_WIDTH = 4.6, 1.9  # what they are taken for [m]
+MOVES: Final = 0.05  # speed above which a vehicle moves [m/s]
+SUDDEN: Final = 2.0  # acceleration or braking beyond which a change of speed is sudden [m/s2]
+LARGE: Final = 7.0  # length above which a vehicle is large [m]
+CAR_LENGTH, CAR_WIDTH = 4.6, 1.9  # size of a large vehicle as seen at severity 1 (R1-7) [m]
 
 
 class Motion(NamedTuple):
-    """What an NPC is predicted to do along its ways, and with which size.
+    """Predicted motion and size of an NPC along its ways.
 
     Attributes:
-        speed: [m/s].
-        acceleration: [m/s2].
-        memory: how long the acceleration may go on [s].
-        limit: of the speed [m/s].
-        length: of its box [m].
-        width: [m].
-        turning_length: of its box on curves [m].
-        turning_width: [m].
+        speed: present speed [m/s].
+        acceleration: present acceleration [m/s2].
+        memory: time for which the acceleration may go on [s].
+        limit: greatest speed [m/s].
+        length: length of the box [m].
+        width: width of the box [m].
+        turning_length: length of the box on curves [m].
+        turning_width: width of the box on curves [m].
     """
 
     speed: float
@@ -47,7 +47,7 @@ class Motion(NamedTuple):
 
 @kernel_in_place
 def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
-    """An NPC's motion as a careful planner predicts it."""
+    """Return an NPC's motion as a careful planner predicts it."""
     speed = max(scene[row, SPEED], 0.0)
     length, width = scene[row, LENGTH], scene[row, WIDTH]
     limit = max(path.speed_limit, speed)
@@ -56,7 +56,7 @@ def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
 
 @kernel_in_place
 def _is_hidden(scene: Floats, row: int, p: Numbers) -> bool:
-    """Whether a vehicle counts as hidden (weakness R1-1)."""
+    """Return whether a vehicle counts as hidden (weakness R1-1)."""
     if math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]) < p.occlusion_beyond:
         return False
     return bool(hidden_share(scene, row) > 1.0 - p.occlusion)
@@ -64,7 +64,7 @@ def _is_hidden(scene: Floats, row: int, p: Numbers) -> bool:
 
 @kernel_in_place
 def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> int:
-    """Bits of the weaknesses of prediction whose gates an NPC opens: R1-1, R1-2, R1-4 and R1-7."""
+    """Return the bits of the weaknesses of prediction whose gates an NPC opens: R1-1, R1-2, R1-4 and R1-7."""
     bits = 0
     if true.speed > MOVES:
         if p.occlusion > 0.0 and _is_hidden(scene, row, p):
@@ -80,7 +80,13 @@ def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> i
 
 @kernel_in_place
 def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
-    """An NPC's motion as a planner with weaknesses predicts it, given the bits of those whose gates it opens."""
+    """Return an NPC's motion as a planner with weaknesses predicts it.
+
+    Args:
+        true: motion as a careful planner predicts it.
+        weak: bits of the weaknesses whose gates the NPC opens.
+        p: parameters of the planner.
+    """
     if weak == 0:
         return true
     speed, acceleration, memory = true.speed, true.acceleration, true.memory

@@ -1,4 +1,4 @@
-"""Occlusion: which share of a vehicle the others hide from the ego (weakness R1-1)."""
+"""Occlusion: the share of a vehicle that other vehicles hide from the ego (weakness R1-1)."""
 
 import math
 
@@ -15,7 +15,10 @@ TWO_PI = 2 * math.pi
 
 @kernel_in_place
 def hidden_share(scene: Floats, row: int) -> float:
-    """Share of a vehicle's angular width, seen from the ego's center, that the nearer vehicle before it covers most."""
+    """Return the hidden share of a vehicle's angular width, as seen from the ego's center.
+
+    It is the largest share that a single nearer vehicle covers.
+    """
     bearing, low, high = bearings(scene, row)
     distance = math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
     most = 0.0
@@ -33,11 +36,13 @@ def hidden_share(scene: Floats, row: int) -> float:
 
 @kernel_in_place
 def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
-    """Bearing of a vehicle's center from the ego's, and the least and greatest of its corners relative to that [rad].
+    """Return the bearing of a vehicle's center from the ego's center [rad], and the range of its corners' bearings.
+
+    The range is the least and the greatest bearing of a corner relative to that of the center [rad].
 
     Args:
-        scene: see `behavexplor.data.scene`.
-        row: the vehicle's.
+        scene: scene, see `behavexplor.data.scene`.
+        row: row of the vehicle.
     """
     dx, dy = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
     bearing = math.atan2(dy, dx)

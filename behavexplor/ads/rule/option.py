@@ -1,4 +1,4 @@
-"""Options: a path with the best speed along it, and a wait before the junction where that cannot be crossed."""
+"""Options: a path with the best speed along it, and a wait before a junction that cannot be crossed."""
 
 import math
 from typing import NamedTuple
@@ -44,16 +44,16 @@ Floats = NDArray[np.float64]
 
 
 class World(NamedTuple):
-    """What one decision is made from, but for the memory, and room for it.
+    """Input of one decision apart from the memory, and working space.
 
     Attributes:
-        path: the ego's route.
-        graph: the map.
-        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
-        others: room for the table of others, see `behavexplor.ads.rule.traffic`.
-        room: for the station-time graph.
-        nodes: room for the search of the speed.
-        p: the parameters.
+        path: path of the ego.
+        graph: lanes of the map.
+        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
+        others: working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`.
+        room: working space for the station-time graph.
+        nodes: working space for the search of the speed.
+        p: parameters of the planner.
     """
 
     path: Path
@@ -66,14 +66,14 @@ class World(NamedTuple):
 
 
 class Option(NamedTuple):
-    """A way to go on.
+    """A path and a speed that the ego may choose.
 
     Attributes:
-        profile: offset from the route.
-        plan: of the speed along it.
-        yields: whether the ego waits before the junction.
-        crosses: whether it could cross.
-        limit: the station up to which it may creep [m].
+        profile: offset of the path from the route.
+        plan: speed plan along the path.
+        yields: True if the ego waits before the junction.
+        crosses: True if the ego could cross the junction.
+        limit: station up to which the ego may creep [m].
     """
 
     profile: Profile
@@ -85,7 +85,7 @@ class Option(NamedTuple):
 
 @kernel_in_place
 def plan_option(world: World, ego: Ego, profile: Profile, lane: int, memory: Floats) -> Option:
-    """The speed along a profile, with a wait before the junction where that cannot be crossed."""
+    """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
     path, room, p = world.path, world.room, world.p
     blind = -math.inf
     if cuts_in(ego, p) and profile.length > 0.0:

@@ -1,4 +1,4 @@
-"""Every number of the rule planner that a person may want to change."""
+"""Parameters of the rule planner: every number that a user may want to change."""
 
 import math
 from collections import namedtuple
@@ -13,77 +13,79 @@ from behavexplor.errors import InputError
 class Parameters:
     """The planner's numbers, all >= 0.
 
-    The first sixteen are the severities of the weaknesses, see `behavexplor.ads.rule.weaknesses`; 0 is without. The
-    six after them make the gate of one narrower.
+    The first sixteen are the severities of the weaknesses, see `behavexplor.ads.rule.weaknesses`; 0 turns a weakness
+    off. Each of the next six narrows the gate of one weakness.
 
     Attributes:
-        occlusion: R1-1, share of a vehicle that may be in sight although it counts as hidden.
-        static_speed: R1-2, NPCs slower than this are predicted to stand [m/s].
-        restart: R1-3, for how long conflicts are not looked at after a stop before one [s].
-        weak_braking: R1-4, what is missing of full braking [m/s2].
-        cut_in: R1-5, share of the gaps in the target lane that is not asked for.
+        occlusion: R1-1, share of a vehicle that may be visible although the vehicle counts as hidden.
+        static_speed: R1-2, speed below which NPCs are predicted to stand [m/s].
+        restart: R1-3, time for which conflicts are ignored after a stop before one [s].
+        weak_braking: R1-4, deceleration missing from full braking [m/s2].
+        cut_in: R1-5, share of the needed gaps in the target lane that is not demanded.
         no_abort: R1-6, share of the least gap that may be lost before a lane change is aborted.
         narrow_bus: R1-7, share of a large vehicle's excess over a car that is not seen while it turns.
-        branch_turn: R1-8, how far an NPC must have turned before another branch is predicted than straight on [rad].
+        branch_turn: R1-8, angle that an NPC must have turned before a branch other than straight on is predicted [rad].
         slow_recovery: R2-1, share of the steering back that is missing at the end of a lane change.
         short_change: R2-2, share of a lane change's length that is missing at low speed.
-        wrong_side: R2-3, leaders slower than this are overtaken in the lane of the other direction [m/s].
-        held_steering: R2-4, how long the steering of a slow left turn is held [s].
-        no_overtaking: R3-1, moving leaders slower than this are followed for ever [m/s].
-        no_room: R3-2, share of the room for coming back from an overtaking that is not asked for.
+        wrong_side: R2-3, speed below which leaders are overtaken in the oncoming lane [m/s].
+        held_steering: R2-4, time for which the steering of a slow left turn is held [s].
+        no_overtaking: R3-1, speed below which moving leaders are never overtaken [m/s].
+        no_room: R3-2, share of the room to return from overtaking that is not demanded.
         late_change: R3-3, share of the way to the destination on which a needed lane change is not begun.
-        deadlock: R3-4, for NPCs in its way slower than this the ego waits for ever [m/s].
-        occlusion_beyond: R1-1, only vehicles farther away than this count as hidden [m].
-        branch_speed: R1-8, only vehicles faster than this are expected to go straight on [m/s].
-        cut_in_below: R1-5, only an ego slower than this takes gaps that are too small [m/s].
-        short_change_below: R2-2, only lane changes begun below this speed are too short [m/s].
-        no_room_below: R3-2, only an ego slower than this overtakes without room to come back [m/s].
-        deadlock_after: R3-4, only an ego that has stood for so long waits for ever [s].
-        match_offset: an NPC may be on a lane if its center is this close to the center line [m]
-        match_heading: and its heading this close to the lane's [rad].
-        acceleration_memory: how long an NPC's present acceleration may go on [s].
-        side_gap: distance kept from others to the side [m].
-        bumper_gap: distance from others ahead and behind that is never planned to be undercut [m].
-        stop_gap: distance kept from others ahead and behind where possible [m],
-        crossing_time: and the time kept to those who cross or merge [s],
-        crossing_time_growth: growing with how far ahead their motion is predicted [s/s],
-        following_time: and the time kept to those ahead on the own path [s].
-        standoff: distance kept from slow vehicles ahead where there is a lane to pass them [m].
-        outlook: how far ahead lanes are compared [s].
-        lane_cost: of every lane that lies between the ego and its route, when lanes are compared [m].
-        lane_gain: by which another lane must be better than the present one [m].
-        lane_rest: between two lane changes that are not needed [s].
-        pass_gap: distance to those overtaken that allows to come back [m].
-        change_time: that a change to the next lane takes [s],
-        change_length: and its least length [m].
-        gap: least distance from others in the target lane, ahead and behind [m],
-        gap_ahead_time: more for how fast the ego closes up to those ahead [s],
-        gap_behind_time: and for how fast those behind close up to the ego [s].
-        abort_share: a lane change is aborted while the gaps are less than this share of those,
-        abort_time: or if contact would come sooner than this [s].
-        creep_after: an ego that stood for so long creeps forward a little [s].
+        deadlock: R3-4, speed below which NPCs in the ego's way make it wait without end [m/s].
+        occlusion_beyond: R1-1, distance beyond which vehicles can count as hidden [m].
+        branch_speed: R1-8, speed above which vehicles are expected to go straight on [m/s].
+        cut_in_below: R1-5, speed below which the ego takes gaps that are too small [m/s].
+        short_change_below: R2-2, speed below which a lane change that begins is too short [m/s].
+        no_room_below: R3-2, speed below which the ego overtakes without room to return [m/s].
+        deadlock_after: R3-4, time that the ego must have stood before it waits without end [s].
+        match_offset: greatest distance of an NPC's center from the center line of a lane that it may be on [m].
+        match_heading: greatest angle between an NPC and a lane that it may be on [rad].
+        acceleration_memory: time for which an NPC's present acceleration may go on [s].
+        side_gap: lateral distance kept from other vehicles [m].
+        bumper_gap: distance from vehicles ahead and behind that is never planned to be undercut [m].
+        stop_gap: distance kept from vehicles ahead and behind where possible [m].
+        crossing_time: time gap kept from vehicles that cross or merge [s].
+        crossing_time_growth: growth of `crossing_time` with the time of the prediction [s/s].
+        following_time: time gap kept from vehicles ahead on the ego's path [s].
+        standoff: distance kept from slow vehicles ahead where a lane allows passing them [m].
+        outlook: time over which lanes are compared [s].
+        lane_cost: cost of each lane between the ego and its route when lanes are compared [m].
+        lane_gain: least advantage of another lane over the present one for a change [m].
+        lane_rest: least time between two lane changes that are not needed [s].
+        pass_gap: least distance to an overtaken vehicle for the return [m].
+        change_time: duration of a change to the next lane [s].
+        change_length: least length of a change to the next lane [m].
+        gap: least distance from vehicles ahead and behind in the target lane [m].
+        gap_ahead_time: growth of that distance with the closing speed of the ego to the vehicle ahead [s].
+        gap_behind_time: growth of that distance with the closing speed of the vehicle behind to the ego [s].
+        abort_share: share of these needed gaps below which a lane change is aborted.
+        abort_time: time to contact below which a lane change is aborted [s].
+        creep_after: time of standing after which the ego creeps forward a little [s].
         stop_line_gap: distance between the stop line and the front bumper of the waiting ego [m].
-        line_overrun: how far behind the stop line the ego may still wait, out of the way of crossing traffic [m].
-        firm_braking: a junction is still refused if this deceleration stops the ego before it [m/s2].
-        clear_time: how long a junction must be free before the ego ends its yielding [s].
-        comfortable_acceleration: on a free road [m/s2].
-        lateral_acceleration: limit in curves [m/s2].
+        line_overrun: greatest distance beyond the stop line at which the ego may still wait, out of the way of crossing
+            traffic [m].
+        firm_braking: deceleration up to which the ego still stops before a junction instead of entering it [m/s2].
+        clear_time: time for which a junction must be free before the ego stops yielding [s].
+        comfortable_acceleration: acceleration on a free road [m/s2].
+        lateral_acceleration: greatest lateral acceleration in curves [m/s2].
         approach_braking: deceleration before curves [m/s2].
-        slow_speed: below it the ego counts as stopping inside a junction [m/s].
-        delay_cost: per meter that the ego is behind one driving at the limit.
-        acceleration_cost: per (m/s2)^2 s.
-        braking_cost: per (m/s2)^2 s.
-        jerk_cost: per (m/s2)^2 of change between the stages of a plan.
-        overspeed_cost: per (m/s) s above the limit.
-        crossing_cost: per s in the gap kept to those who cross or merge.
-        following_cost: per s in the gap kept to those ahead.
-        committed_caution: share of these two that counts when it is too late to wait before the junction.
-        keep_clear_cost: per s of stopping inside a junction.
-        look_ahead: least look-ahead distance of the steering [m],
-        look_ahead_time: and what it grows by with the speed [s].
-        jerk: limit of the change of acceleration [m/s3],
-        emergency_jerk: and in an emergency or for more than firm braking [m/s3].
-        steering_rate: limit of the change of the steering angle [rad/s].
+        slow_speed: speed below which the ego counts as stopping inside a junction [m/s].
+        delay_cost: cost per meter that the ego is behind one that drives at the speed limit.
+        acceleration_cost: cost of acceleration per (m/s2)^2 s.
+        braking_cost: cost of braking per (m/s2)^2 s.
+        jerk_cost: cost per (m/s2)^2 of change between the stages of a plan.
+        overspeed_cost: cost per (m/s) s above the speed limit.
+        crossing_cost: cost per s within the gap kept from vehicles that cross or merge.
+        following_cost: cost per s within the gap kept from vehicles ahead.
+        committed_caution: share of `crossing_cost` and `following_cost` that counts when it is too late to wait before
+            the junction.
+        keep_clear_cost: cost per s of stopping inside a junction.
+        look_ahead: least look-ahead distance of the steering [m].
+        look_ahead_time: growth of the look-ahead distance with speed [s].
+        jerk: greatest rate of change of the acceleration [m/s3].
+        emergency_jerk: greatest rate of change of the acceleration in an emergency or beyond firm braking [m/s3].
+        steering_rate: greatest rate of change of the steering angle [rad/s].
 
     Raises:
         InputError: if a value is not a finite number >= 0.
@@ -171,5 +173,5 @@ else:
 
 
 def numbers(parameters: Parameters) -> Numbers:
-    """The parameters as the named tuple of floats that kernels take."""
+    """Convert the parameters to the named tuple of floats that kernels take."""
     return Numbers(**{field.name: float(getattr(parameters, field.name)) for field in fields(parameters)})

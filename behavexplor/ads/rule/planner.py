@@ -1,4 +1,4 @@
-"""The rule planner: prediction, decision, path, speed and control, asked for a batch of egos."""
+"""The rule planner: prediction, decision, path, speed and control for a batch of egos."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 _LOG: Final = MappingProxyType(
     {
         "decision": DECISION,
-        "manoeuvre": MANEUVER,  # spelled as in traces that are stored already
+        "manoeuvre": MANEUVER,  # the key in stored traces
         "lane": LANE,
         "survived": SURVIVED,
         "reached": REACHED,
@@ -47,12 +47,16 @@ _LOG: Final = MappingProxyType(
 
 
 class RulePlanner:
-    """A planner of rules and search that drives the ego's route of a map among others.
+    """A planner of rules and search that drives the ego's route among other vehicles.
 
     Attributes:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: 10 Hz.
+        policy_frequency: decisions per second, 10 Hz.
+
+    Args:
+        roadmap: road map with the ego's route.
+        parameters: numbers of the planner, weaknesses included.
     """
 
     observation: Mapping[str, Any] = OBSERVATION
@@ -78,15 +82,15 @@ class RulePlanner:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: what the last call returned, shape (B, 27); None at first.
-            episode_start: whether a row begins an episode, shape (B,); None for no row.
-            deterministic: it always is.
+            state: state returned by the last call, shape (B, 27); None at first.
+            episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+            deterministic: ignored; the planner is always deterministic.
 
         Returns:
-            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state to hand in next time.
+            Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
 
         Raises:
-            InputError: if an array has a wrong shape.
+            InputError: if an array has the wrong shape.
         """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
@@ -95,20 +99,20 @@ class RulePlanner:
         return as_actions(commands), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
-        """The last decisions, from the state that `predict` returned.
+        """Return the last decisions, from the state that `predict` returned.
 
         Returns:
-            `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, that of
-            `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's and 1 the next to the right; `survived`,
-            how long the plan was free of contact [s]; `reached` and `triggered`, bits of the weaknesses, see
-            `behavexplor.data.decision_log.weakness_names`. Each of shape (B,).
+            Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
+            `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right;
+            `survived`, the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the
+            weaknesses, see `behavexplor.data.decision_log.weakness_names`.
         """
         return {name: state[:, column] for name, column in _LOG.items()}
 
 
 @kernel
 def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memory: Floats, p: Numbers) -> None:
-    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.near)  # the spare lane is written to
+    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.near)  # the spare lane is overwritten
     n_npcs = scenes.shape[1] - 1
     room, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))

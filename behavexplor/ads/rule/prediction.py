@@ -1,4 +1,4 @@
-"""Prediction: which ways an NPC may go, and how far it may be along them at a later time."""
+"""Prediction: the ways that an NPC may go, and its possible positions along them at a later time."""
 
 import math
 from collections.abc import Iterable
@@ -29,18 +29,18 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 TWO_PI = 2 * math.pi
-NEAR: Final = 7.0  # half the diagonal of the longest vehicle and half the ego's width, with some room [m]
+NEAR: Final = 7.0  # half the longest vehicle's diagonal plus half the ego's width, with some margin [m]
 
 
 class LaneGraph(NamedTuple):
-    """All that a vehicle on the map may do next.
+    """All ways on for vehicles on the map.
 
-    The last lane and the last tail are spare: straight on, for a vehicle that is on no lane.
+    The last lane and the last tail are spare: they lead straight on, for a vehicle that is on no lane.
 
     Attributes:
-        lanes: shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`.
-        tails: the different sequences of lanes that routes end with, shape (tails + 1, depth), -1 behind the last.
-        near: whether a vehicle on the lane can be in the ego's way, shape (lanes + 1,).
+        lanes: lanes of the map, shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`.
+        tails: distinct sequences of lanes that routes end with, shape (tails + 1, depth), -1 after the last lane.
+        near: True for each lane on which a vehicle can be in the ego's way, shape (lanes + 1,).
     """
 
     lanes: Floats
@@ -49,7 +49,7 @@ class LaneGraph(NamedTuple):
 
 
 def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
-    """The lanes of the routes, the ego's among them, and every different rest of a route."""
+    """Make the lane graph of routes, the ego's included: their lanes, and every distinct rest of a route."""
     routes = (*routes, ego_route)
     lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
     index = {lane.name: i for i, lane in enumerate(lanes)}
@@ -58,7 +58,7 @@ def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
     depth = max(map(len, tails))
     padded = [tail + (-1,) * (depth - len(tail)) for tail in tails]
     way = ego_route.polyline(0.0, ego_route.length)
-    reach = NEAR + ego_route.lanes[0].width  # it may overtake in the next lane; a straight road has no others
+    reach = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
     return LaneGraph(
         lanes=np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)]),
         tails=np.array(padded, dtype=np.int64),
@@ -67,7 +67,7 @@ def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
 
 
 def _distance(lane: Lane, way: Floats) -> float:
-    """Least distance of a lane's center line from a polyline [m]."""
+    """Return the least distance of a lane's center line from a polyline [m]."""
     points = lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2]
     gaps = points[:, None] - way
     return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
@@ -77,20 +77,21 @@ def _distance(lane: Lane, way: Floats) -> float:
 def find_tails(
     graph: LaneGraph, x: float, y: float, heading: float, speed: float, p: Numbers, tails: Ints, stations: Floats
 ) -> tuple[int, int]:
-    """Every way on that a vehicle has, at a junction all branches; on no lane, straight on.
+    """Find every way on of a vehicle: all branches at a junction, straight on for a vehicle that is on no lane.
 
     Args:
-        graph: the map; its spare lane is overwritten.
-        x: the vehicle's center [m].
-        y: the vehicle's center [m].
-        heading: [rad].
-        speed: [m/s].
-        p: the parameters.
+        graph: lanes of the map; the spare lane is overwritten.
+        x: position of the vehicle's center [m].
+        y: position of the vehicle's center [m].
+        heading: heading of the vehicle [rad].
+        speed: speed of the vehicle [m/s].
+        p: parameters of the planner.
         tails: filled with indices of tails, shape (most,).
-        stations: filled with the vehicle's stations along them [m], shape (most,).
+        stations: filled with the vehicle's stations along the tails [m], shape (most,).
 
     Returns:
-        How many were found, at least 1, and how many of them, the last ones, are overlooked (weakness R1-8).
+        The number of ways found, at least 1, and the number of overlooked ones among them (weakness R1-8). The
+        overlooked ways come last.
     """
     lanes, spare = graph.lanes, len(graph.tails) - 1
     count, overlooked = 0, 0
@@ -118,7 +119,7 @@ def find_tails(
 
 @kernel_in_place
 def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
-    """Whether a vehicle may be driving on a lane, and its station there if it is not far aside [m]."""
+    """Return whether a vehicle may be driving on a lane, and its station there [m], 0 if it is far from the lane."""
     if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
         return False, 0.0
     station, _ = project_on_lane(lanes, lane, x, y)
@@ -130,7 +131,7 @@ def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbe
 
 @kernel_in_place
 def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
-    """Whether a way on turns off, but the vehicle has not yet clearly done so (weakness R1-8)."""
+    """Return whether a way on turns off, but the vehicle has not clearly turned yet (weakness R1-8)."""
     lanes, lane, following = graph.lanes, graph.tails[tail, 0], graph.tails[tail, 1]
     if lanes[lane, CURVATURE] == 0.0:
         return bool(following >= 0 and lanes[following, CURVATURE] != 0.0)
@@ -140,7 +141,10 @@ def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool
 
 @kernel_in_place
 def traveled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
-    """Distance [m] driven in a time if the acceleration goes on for a duration, between standstill and the limit."""
+    """Return the distance [m] driven in a time, if an acceleration goes on for a duration.
+
+    The speed stays between standstill and the limit.
+    """
     if acceleration > 0.0:
         duration = min(duration, max(limit - speed, 0.0) / acceleration)
     elif acceleration < 0.0:
@@ -154,7 +158,10 @@ def traveled(speed: float, acceleration: float, duration: float, limit: float, t
 def reach(
     speed: float, acceleration: float, duration: float, limit: float, since: float, until: float
 ) -> tuple[float, float]:
-    """Least and greatest distance driven [m] between two times, whether the NPC keeps speed or acceleration."""
+    """Return the least and greatest distance driven [m] between two times.
+
+    The two distances cover an NPC that keeps its speed and an NPC that keeps its acceleration for the duration.
+    """
     near = min(speed * since, traveled(speed, acceleration, duration, limit, since))
     far = max(speed * until, traveled(speed, acceleration, duration, limit, until))
     return near, far

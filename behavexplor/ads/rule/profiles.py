@@ -1,10 +1,10 @@
 """Profiles: named sets of weaknesses with their severities.
 
-`hardened` has none. `apollo-like` has all sixteen, so mildly that failures are about as rare as in the paper's
-experiments, all of them together (docs/planner.md), and is frozen: its numbers do not change any more, so that results
-stay comparable. `apollo-held-back` is the same with every severity
-30 % up or down, for checking that a conclusion does not hang on the exact numbers. `apollo-easy` has all sixteen so
-severely that failures are met at once; it is the default.
+`hardened` has no weakness. `apollo-like` has all sixteen, so mild that all failures together are about as rare as in
+the paper's experiments (docs/planner.md). It is frozen: its numbers do not change any more, so that results stay
+comparable. `apollo-held-back` is the same profile with every severity 30 % up or down, to check that a conclusion does
+not depend on the exact numbers. `apollo-easy` has all sixteen, so severe that failures occur at once. It is the
+default.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ APOLLO_LIKE = MappingProxyType(
     }
 )
 _NONE: Final[Mapping[str, float]] = MappingProxyType({})
-# Severities alone do not make these six rare: their gates are narrower here.
+# Severity alone does not make these six rare enough, so their gates are narrower here.
 _RARE_GATES = MappingProxyType(
     {
         "occlusion_beyond": 40.0,
@@ -70,7 +70,7 @@ APOLLO_EASY = MappingProxyType(
         "R3-4": 1.5,
     }
 )
-_MOST: Final = MappingProxyType(  # of severities that are shares
+_MOST: Final = MappingProxyType(  # greatest severities of the weaknesses whose severity is a share
     {
         "R1-1": 1.0,
         "R1-5": 1.0,
@@ -95,8 +95,8 @@ class Profile:
     """A set of weaknesses.
 
     Attributes:
-        severities: of those that it has, by their names.
-        gates: the parameters, beside the severities, in which it differs from the careful planner.
+        severities: severities by the names of the weaknesses.
+        gates: other parameters that differ from those of the careful planner.
     """
 
     severities: Mapping[str, float]
@@ -115,24 +115,26 @@ DEFAULT: Final = "apollo-easy"
 
 
 def rule_planner(roadmap: RoadMap, variant: str = "") -> RulePlanner:
-    """The planner with the weaknesses of a variant.
+    """Make the planner with the weaknesses of a variant.
 
     Args:
-        roadmap: the map that it drives by.
-        variant: a profile, the default one if empty, then weaknesses to add to it or to take from it, such as
-            "hardened+R1-2" or "apollo-like~R2-1". One that is added is as severe as in `apollo-easy`.
+        roadmap: road map with the ego's route.
+        variant: name of a profile, the default one if empty, followed by weaknesses to add or to remove, such as
+            "hardened+R1-2" or "apollo-like~R2-1". An added weakness is as severe as in `apollo-easy`.
 
     Raises:
-        InputError: if there is no such profile or weakness.
+        InputError: if the profile or a weakness does not exist, or a weakness is already on or not on.
     """
     return RulePlanner(roadmap, Parameters(**variant_parameters(variant)))
 
 
 def variant_parameters(variant: str) -> dict[str, float]:
-    """The numbers of a variant that are not the careful planner's, by the fields of `Parameters`; see `rule_planner`.
+    """Return the numbers of a variant that differ from the careful planner's, by field of `Parameters`.
+
+    See `rule_planner` for the form of a variant.
 
     Raises:
-        InputError: if there is no such profile or weakness.
+        InputError: if the profile or a weakness does not exist, or a weakness is already on or not on.
     """
     profile, *changes = variant.replace("+", "\0+").replace("~", "\0~").split("\0")
     if (profile or DEFAULT) not in PROFILES:

@@ -1,4 +1,4 @@
-"""Speed: dynamic programming over the station-time graph, and what to do when nothing is free of contact."""
+"""Speed: dynamic programming over the station-time graph, and an escape if no motion is free of contact."""
 
 import math
 from typing import Final, NamedTuple
@@ -25,13 +25,13 @@ from behavexplor.jit import kernel, kernel_in_place
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-STAGES: Final = (2, 2, 4, 4, 4, 4, 6, 6)  # intervals in each stage of constant acceleration
-ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # that are tried [m/s2]
+STAGES: Final = (2, 2, 4, 4, 4, 4, 6, 6)  # number of intervals in each stage of constant acceleration
+ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # candidate accelerations [m/s2]
 HARDEST: Final = (0, 0, 1, 1, 2, 2, 2, 2)  # index of the hardest braking in each stage
 STRONGEST: Final = (8, 8, 8, 8, 7, 7, 7, 7)  # index of the strongest acceleration in each stage
 
-RESPONSE: Final = 0.3  # in which the free speed is reached [s]
-FINENESS: Final = 2.5  # nodes of a stage are merged if bins of the roots of distance and speed agree: fine near 0
+RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
+FINENESS: Final = 2.5  # bins per root of distance or speed, fine near 0; a stage keeps one node a bin
 N_STATION_BINS: Final = 42
 N_SPEED_BINS: Final = 16
 
@@ -42,13 +42,13 @@ class SpeedPlan(NamedTuple):
     """The best motion along the path.
 
     Attributes:
-        acceleration: at once [m/s2].
+        acceleration: acceleration to command now [m/s2].
         survived: number of intervals without contact.
-        station: at the end [m].
-        speed: at the end [m/s].
-        risk: cost of coming too close to others.
+        station: station at the end [m].
+        speed: speed at the end [m/s].
+        risk: cost of coming too close to other vehicles.
         inside: time of stopping inside the junction [s].
-        free: whether it is the motion on a free road.
+        free: True if the motion is that on a free road.
     """
 
     acceleration: float
@@ -61,15 +61,15 @@ class SpeedPlan(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """What the speed depends on, but for the ego's own motion.
+    """Input of the speed search apart from the ego's motion.
 
     Attributes:
-        path: the ego's.
-        graph: what others take up.
-        half_length: of the ego [m].
-        wall: station that is not to be passed [m], infinite for none.
-        caution: share of the cost of coming too close to others that counts.
-        p: the parameters.
+        path: path of the ego.
+        graph: stretches of the path that other vehicles occupy.
+        half_length: half the length of the ego [m].
+        wall: station that must not be passed [m], infinite for none.
+        caution: share of the cost of coming too close to other vehicles that counts.
+        p: parameters of the planner.
     """
 
     path: Path
@@ -81,10 +81,10 @@ class Situation(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """Room for the search.
+    """Working space for the search.
 
     Attributes:
-        stages: nodes of the present and of the next stage, shape (2, most, 7).
+        stages: nodes of the present and the next stage, shape (2, most, 7).
         places: index of the node in each bin, shape (station bins, speed bins), -1 for none.
     """
 
@@ -94,21 +94,21 @@ class Nodes(NamedTuple):
 
 @kernel
 def empty_nodes() -> Nodes:
-    """Room for one search at a time."""
+    """Allocate working space for one search at a time."""
     most = N_STATION_BINS * N_SPEED_BINS
     return Nodes(np.empty((2, most, 7)), np.empty((N_STATION_BINS, N_SPEED_BINS), np.int64))
 
 
 @kernel_in_place
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
-    """The best speed along the path, from the free one to an emergency.
+    """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape.
 
     Args:
-        situation: the ego's.
-        station: the ego's [m].
-        speed: the ego's [m/s].
-        acceleration: the last one commanded [m/s2].
-        nodes: room for the search.
+        situation: situation of the ego.
+        station: station of the ego [m].
+        speed: speed of the ego [m/s].
+        acceleration: last commanded acceleration [m/s2].
+        nodes: working space for the search.
     """
     plan = _drive_freely(situation, station, speed)
     if plan.survived == N_INTERVALS and plan.risk == 0.0 and plan.inside == 0.0:
@@ -121,7 +121,7 @@ def plan_speed(situation: Situation, station: float, speed: float, acceleration:
 
 @kernel_in_place
 def free_acceleration(path: Path, station: float, speed: float, p: Numbers) -> float:
-    """Towards the limit, here and after the time of response, comfortably."""
+    """Return a comfortable acceleration towards the limit, here and after the response time."""
     limit = min(limit_at(path, station), limit_at(path, station + RESPONSE * speed))
     return min(max((limit - speed) / RESPONSE, -p.firm_braking), p.comfortable_acceleration)
 
@@ -143,7 +143,7 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
 
 @kernel_in_place
 def _search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
-    """Stage by stage the cheapest way to each (station, speed); at the end the cheapest of the latest stage."""
+    """Find the cheapest way to each (station, speed) stage by stage, and return the cheapest of the last stage."""
     now, following, count = nodes.stages[0], nodes.stages[1], 1
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
     now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
@@ -174,7 +174,7 @@ def _expand(
     stage: int,
     places: Ints,
 ) -> int:
-    """Try every acceleration from every node of a stage; returns how many nodes the next stage has."""
+    """Try every acceleration from every node of a stage, and return the number of nodes of the next stage."""
     places[:] = -1
     found = 0
     ok, s, v, cost, risk, inside = True, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -184,7 +184,7 @@ def _expand(
             a = ACCELERATIONS[option]
             if now[i, V] == 0.0 and a < 0.0:
                 continue
-            if not capped:  # or else it is the same motion again
+            if not capped:  # once capped, a stronger acceleration gives the same motion
                 ok, s, v, cost, risk, inside, capped = _advance(
                     situation, now[i, S], now[i, V], a, interval, STAGES[stage]
                 )
@@ -210,7 +210,7 @@ def _expand(
 
 @kernel_in_place
 def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
-    """Cost of the braking that a plan leaves for later; without it every plan would brake too late."""
+    """Return the cost of the braking that a plan leaves for later; without it every plan would brake too late."""
     if survived < N_INTERVALS:
         return 0.0
     debt = _braking_cost(situation, v, situation.wall - s)
@@ -224,7 +224,7 @@ def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
 
 @kernel_in_place
 def _braking_cost(situation: Situation, closing: float, room: float) -> float:
-    """Cost of losing a closing speed [m/s] within a room [m] with constant braking."""
+    """Return the cost of losing a closing speed [m/s] within a distance [m] by constant braking."""
     if closing <= 0.0:
         return 0.0
     needed = closing * closing / (2 * max(room, situation.p.bumper_gap))
@@ -235,9 +235,11 @@ def _braking_cost(situation: Situation, closing: float, room: float) -> float:
 def _advance(
     situation: Situation, s: float, v: float, a: float, interval: int, count: int
 ) -> tuple[bool, float, float, float, float, float, bool]:
-    """Drive on with one acceleration: whether without contact, then station, speed, cost, risk and time inside.
+    """Drive on with one acceleration.
 
-    And whether the speed is at its limit all the time, so that no stronger acceleration makes a difference.
+    Returns:
+        True if there is no contact and the wall is not passed; station, speed, cost, risk and time inside the junction;
+        and True if the speed is at its limit all the time, so that a stronger acceleration makes no difference.
     """
     path, graph, p = situation.path, situation.graph, situation.p
     spans = graph.spans
@@ -261,7 +263,7 @@ def _advance(
                 risk += spans[k, i, COST] * INTERVAL
         achieved = (after - v) / INTERVAL
         effort = p.acceleration_cost if 0.0 < achieved <= p.comfortable_acceleration else p.braking_cost
-        hurry = 1.5 - k / N_INTERVALS  # meters now count more than later, or it would always rather start later
+        hurry = 1.5 - k / N_INTERVALS  # meters count more now than later, or the ego would always start later
         cost += (p.delay_cost * hurry * (limit - after) + effort * achieved * achieved) * INTERVAL
         if after > limit:
             cost += p.overspeed_cost * (after - limit) * INTERVAL
@@ -275,7 +277,10 @@ def _advance(
 
 @kernel_in_place
 def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
-    """Contact cannot be ruled out: the acceleration with the latest contact, of equal ones the hardest braking."""
+    """Return the acceleration with the latest contact, for when no motion is free of contact.
+
+    Among accelerations with equally late contact, the hardest braking is chosen.
+    """
     best, latest = ACCELERATIONS[0], -1
     for a in ACCELERATIONS:
         contact = _first_contact(situation, station, speed, a)
@@ -286,7 +291,7 @@ def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
 
 @kernel_in_place
 def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
-    """The first interval in which boxes touch on the path."""
+    """Return the first interval in which boxes touch on the path."""
     graph, gap = situation.graph, situation.p.bumper_gap
     for k in range(N_INTERVALS):
         after = min(max(v + a * INTERVAL, 0.0), max(v, situation.path.speed_limit))

@@ -1,4 +1,4 @@
-"""Station-time graph: which stretch of the ego's path the others take up, and when."""
+"""Station-time graph: the stretches of the ego's path that other vehicles occupy, over time."""
 
 import math
 from typing import Final, NamedTuple
@@ -21,33 +21,33 @@ from behavexplor.jit import kernel, kernel_in_place
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-INTERVAL: Final = 0.25  # of time [s]
-N_INTERVALS: Final = 32  # up to 8 s
-TAILS_PER_NPC: Final = 8  # the most ways on that are followed up
+INTERVAL: Final = 0.25  # duration of one interval [s]
+N_INTERVALS: Final = 32  # number of intervals, up to 8 s
+TAILS_PER_NPC: Final = 8  # most ways on that are considered for one NPC
 
-HARD_LOW, HARD_HIGH = 0, 1  # where the ego's center would touch, or nearly so [m]
-SOFT_LOW, SOFT_HIGH = 2, 3  # where it would be too close for comfort, in time or space [m]
-COST = 4  # of being there [1/s]
-LEADS = 5  # 1 for those ahead on the ego's path, 0 for those who cross or merge
-LEAD_SPEED = 6  # and their speed, at least [m/s]
+HARD_LOW, HARD_HIGH = 0, 1  # stations of the ego's center with contact, or nearly so [m]
+SOFT_LOW, SOFT_HIGH = 2, 3  # stations of the ego's center too close for comfort, in time or space [m]
+COST = 4  # cost of being too close [1/s]
+LEADS = 5  # 1 for a vehicle ahead on the ego's path, 0 for one that crosses or merges
+LEAD_SPEED = 6  # least speed of that vehicle [m/s]
 N_COLUMNS = 7
 
 
-STEP = 1.0  # of the stations at which an NPC's box is placed on its way [m]
+STEP = 1.0  # distance between the stations at which an NPC's box is placed on its way [m]
 N_STEPS = 128
 
 
 class StationTime(NamedTuple):
-    """Spans of the ego's stations taken up in each interval of time.
+    """Spans of the ego's stations that other vehicles occupy in each interval of time.
 
     Attributes:
-        spans: shape (N_INTERVALS, most, 7), columns as above.
-        counts: how many spans there are in each interval, shape (N_INTERVALS,).
-        reaches: stations before and behind which none of them is, shape (N_INTERVALS, 2) [m].
-        occupied: room for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
-        tails: room for one NPC's ways, shape (TAILS_PER_NPC,).
-        stations: room for its stations along them, shape (TAILS_PER_NPC,) [m].
-        bits: of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`.
+        spans: occupied spans with the columns above, shape (N_INTERVALS, most, 7).
+        counts: number of spans in each interval, shape (N_INTERVALS,).
+        reaches: least and greatest station of the spans in each interval, shape (N_INTERVALS, 2) [m].
+        occupied: working space for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
+        tails: working space for one NPC's ways, shape (TAILS_PER_NPC,).
+        stations: working space for the NPC's stations along its ways, shape (TAILS_PER_NPC,) [m].
+        bits: bits of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`.
     """
 
     spans: Floats
@@ -61,7 +61,7 @@ class StationTime(NamedTuple):
 
 @kernel
 def empty_station_time(n_npcs: int) -> StationTime:
-    """Room for the graphs of scenes with so many NPCs."""
+    """Allocate a station-time graph for scenes with a number of NPCs."""
     return StationTime(
         np.empty((N_INTERVALS, max(n_npcs, 1) * TAILS_PER_NPC, N_COLUMNS)),
         np.zeros(N_INTERVALS, np.int64),
@@ -74,7 +74,7 @@ def empty_station_time(n_npcs: int) -> StationTime:
 
 
 class View(NamedTuple):
-    """What the projection of obstacles needs beside the obstacle."""
+    """Input of the projection of an obstacle, apart from the obstacle; see `project_obstacles`."""
 
     path: Path
     profile: Profile
@@ -99,14 +99,14 @@ def project_obstacles(
     """Fill the station-time graph with every NPC's predicted motion along every way it has.
 
     Args:
-        path: the ego's route.
-        profile: its offset from that.
-        graph: the map.
-        scene: shape (1 + n, 8), see `behavexplor.data.scene`.
-        station: the ego's [m].
-        blind: vehicles in the lane changed to whose centers are less far ahead than this are ignored [m].
-        p: the parameters.
-        room: filled; bits are added to.
+        path: path of the ego.
+        profile: offset of the planned path from the route.
+        graph: lanes of the map.
+        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
+        station: station of the ego [m].
+        blind: distance ahead of the ego below which the centers of vehicles in the target lane are ignored [m].
+        p: parameters of the planner.
+        room: station-time graph to fill; its bits are added to.
     """
     room.counts[:] = 0
     room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
@@ -130,7 +130,7 @@ def project_obstacles(
 
 @kernel_in_place
 def _ignored(view: View, row: int, blind: float) -> bool:
-    """Whether an NPC in the lane changed to is too far behind to be looked at (weaknesses R1-5 and R1-6)."""
+    """Return whether an NPC in the target lane is too far behind to be considered (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
         return False
     at, aside = project_on_path(view.path, view.scene[row, X], view.scene[row, Y])
@@ -139,7 +139,7 @@ def _ignored(view: View, row: int, blind: float) -> bool:
 
 @kernel_in_place
 def _steps(motion: Motion, p: Numbers) -> int:
-    """How many steps along its way an NPC can come within the horizon."""
+    """Return the number of steps that an NPC can drive along its way within the horizon."""
     horizon = N_INTERVALS * INTERVAL
     longest = max(p.following_time, p.crossing_time + p.crossing_time_growth * horizon)
     _, farthest = reach(motion.speed, motion.acceleration, motion.memory, motion.limit, 0.0, horizon + longest)
@@ -148,10 +148,10 @@ def _steps(motion: Motion, p: Numbers) -> int:
 
 @kernel_in_place
 def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
-    """Add one NPC's motion along one way, if it is seen; one that follows the ego on its own path is left out.
+    """Add one NPC's motion along one way, if it is seen. An NPC that follows the ego on its path is left out.
 
     Returns:
-        Whether it meets the ego's path.
+        True if the motion meets the ego's path.
     """
     p, room = view.p, view.room
     occupied, spans = room.occupied, room.spans
@@ -193,7 +193,11 @@ def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
 
 @kernel_in_place
 def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
-    """The stretch of the ego's path that an NPC's box takes up at each step of its way; the first and last that do."""
+    """Compute the stretch of the ego's path that an NPC's box occupies at each step of its way.
+
+    Returns:
+        The first and the last step at which the box is on the path, -1 for none.
+    """
     graph, room = view.graph, view.room
     tail, start, occupied = room.tails[way], room.stations[way], room.occupied
     strip, steps = view.scene[EGO, WIDTH] / 2 + view.p.side_gap, _steps(motion, view.p)
@@ -224,7 +228,7 @@ def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
 
 @kernel_in_place
 def _stretch(occupied: Floats, first: int, last: int, near: float, far: float) -> tuple[float, float]:
-    """The stretch of the ego's path taken up while an NPC is between two distances along its way."""
+    """Return the stretch of the ego's path that is occupied while an NPC is between two distances along its way."""
     low, high = math.inf, -math.inf
     for i in range(max(int(near / STEP), first), min(int(far / STEP) + 1, last) + 1):
         low = min(low, occupied[i, 0])

@@ -1,4 +1,4 @@
-"""Traffic: where the others are relative to the ego's route, and who is next in a lane."""
+"""Traffic: positions of other vehicles relative to the ego's route, and the nearest vehicles in a lane."""
 
 import math
 from typing import Final, NamedTuple
@@ -12,25 +12,25 @@ from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 
-STATION, OFFSET, TURNED, HALF_ALONG, HALF_ACROSS, ALONG_SPEED = range(6)  # columns of a table of others
+STATION, OFFSET, TURNED, HALF_ALONG, HALF_ACROSS, ALONG_SPEED = range(6)  # columns of the table of other vehicles
 N_OTHER_COLUMNS: Final = 6
 
 TWO_PI: Final = 2 * math.pi
-SAME_WAY: Final = 0.5  # greatest difference of heading of those that drive along the route [rad]
-TOUCHING: Final = 0.2  # to the side, closer than this is in the same lane [m]
+SAME_WAY: Final = 0.5  # greatest angle to the route of a vehicle that drives along it [rad]
+TOUCHING: Final = 0.2  # lateral gap below which a vehicle is in the same lane [m]
 NOBODY: Final = -1
 
 
 class Neighbors(NamedTuple):
-    """Who is next to the ego's station in a lane.
+    """The nearest vehicles ahead of and behind the ego's station in a lane.
 
     Attributes:
-        ahead: row of the next one ahead in the table of others, `NOBODY` for none.
-        gap_ahead: between bumpers, negative beside the ego, infinite for none [m].
-        speed_ahead: [m/s].
-        behind: row of the next one behind.
-        gap_behind: between bumpers, infinite for none [m].
-        speed_behind: [m/s].
+        ahead: row of the nearest vehicle ahead in the table of other vehicles, `NOBODY` for none.
+        gap_ahead: gap to the vehicle ahead between bumpers [m], negative beside the ego, infinite for none.
+        speed_ahead: speed of the vehicle ahead [m/s], infinite for none.
+        behind: row of the nearest vehicle behind, `NOBODY` for none.
+        gap_behind: gap to the vehicle behind between bumpers [m], infinite for none.
+        speed_behind: speed of the vehicle behind [m/s], 0 for none.
     """
 
     ahead: int
@@ -43,9 +43,10 @@ class Neighbors(NamedTuple):
 
 @kernel_in_place
 def locate(path: Path, scene: Floats, others: Floats) -> None:
-    """Fill the table of others, shape (n, 6): station, offset [m], turned [rad], half extents [m] and speed [m/s].
+    """Fill the table of other vehicles, shape (n, 6).
 
-    The speed is that along the route. Rows of vehicles that are not present have an infinite station.
+    The columns are station [m], offset [m], angle to the route [rad], half extents along and across the route [m], and
+    speed along the route [m/s]. Rows of absent vehicles have an infinite station.
     """
     for row in range(EGO + 1, len(scene)):
         other = others[row - 1]
@@ -64,7 +65,7 @@ def locate(path: Path, scene: Floats, others: Floats) -> None:
 
 @kernel_in_place
 def in_lane(other: Floats, offset: float, half_width: float) -> bool:
-    """Whether a vehicle drives along the lane with a center at an offset, or reaches into an ego's way there."""
+    """Return whether a vehicle drives along the lane centered at an offset, or reaches into an ego's way there."""
     if other[STATION] == math.inf or abs(other[TURNED]) > SAME_WAY:
         return False
     return bool(abs(other[OFFSET] - offset) < other[HALF_ACROSS] + half_width + TOUCHING)
@@ -72,7 +73,7 @@ def in_lane(other: Floats, offset: float, half_width: float) -> bool:
 
 @kernel_in_place
 def neighbors(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbors:
-    """Who is next ahead and behind in the lane at an offset."""
+    """Find the nearest vehicles ahead and behind in the lane at an offset."""
     ahead, behind = NOBODY, NOBODY
     gap_ahead, gap_behind = math.inf, math.inf
     for i in range(len(others)):

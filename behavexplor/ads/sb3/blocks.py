@@ -1,8 +1,8 @@
-"""Asking a network for any number of observations, so that no answer depends on how many there are.
+"""Evaluation of a network for any number of observations, so that no answer depends on the size of the batch.
 
-A product of matrices on a CPU differs in the last bits with the number of rows, and with the place of a row among
-them. So a network is always asked for blocks of the same number of rows, filled up with zeros, and its linear layers
-multiply each row by itself. One with other layers is asked for one row at a time.
+On a CPU, the last bits of a matrix product depend on the number of rows and on the position of a row among them. So a
+network always receives blocks of the same number of rows, padded with zeros, and its linear layers multiply each row
+separately. A network with other layers receives one row at a time.
 """
 
 from collections.abc import Iterator
@@ -16,8 +16,8 @@ from stable_baselines3.common.policies import BasePolicy
 from torch.nn.functional import linear, pad
 from torch.overrides import TorchFunctionMode
 
-ROWS: Final = 64  # of a block
-ALIGNMENT: Final = 16  # numbers that a processor multiplies at a time, at most; rows begin at multiples of it
+ROWS: Final = 64  # rows in a block
+ALIGNMENT: Final = 16  # most numbers that a processor multiplies at a time; rows begin at multiples of it
 
 Memory = tuple[NDArray[Any], ...]
 
@@ -29,17 +29,17 @@ def ask_in_blocks(
     episode_start: NDArray[np.bool_] | None,
     deterministic: bool,
 ) -> tuple[NDArray[Any], Memory | None]:
-    """What `network.predict` answers, block by block.
+    """Call `network.predict` block by block.
 
     Args:
-        network: of Stable-Baselines3.
-        observation: shape (B, ...).
-        memory: what the last call returned, arrays of shape (layers, B, ...); None at first.
-        episode_start: shape (B,), None for no row.
-        deterministic: see Stable-Baselines3.
+        network: policy network of Stable-Baselines3.
+        observation: observations, shape (B, ...).
+        memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
+        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+        deterministic: see `predict` of Stable-Baselines3.
 
     Returns:
-        The actions, shape (B, ...), and the memory; None if the network has none.
+        The actions, shape (B, ...), and the memory. The memory is None if the network has none.
     """
     count = len(observation)
     rows = ROWS if _is_linear(network) else 1
@@ -60,20 +60,20 @@ def ask_in_blocks(
 
 
 def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
-    """An array with zeros behind it, `rows` long along an axis."""
+    """Pad an array with zeros at its end to a length of `rows` along an axis."""
     missing = [(0, 0)] * array.ndim
     missing[axis] = (0, rows - array.shape[axis])
     return np.pad(array, missing)
 
 
 def _is_linear(network: torch.nn.Module) -> bool:
-    """Whether nothing but linear layers has weights."""
+    """Return whether only linear layers have weights."""
     layers = [module for module in network.modules() if not list(module.children())]
     return all(isinstance(layer, torch.nn.Linear) or not list(layer.parameters()) for layer in layers)
 
 
 class _RowByRow(TorchFunctionMode):
-    """Lets linear layers multiply every row by itself."""
+    """A mode of torch in which linear layers multiply each row separately."""
 
     def __torch_function__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
@@ -91,7 +91,7 @@ def _linear(rows: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Let torch use one thread: how rows are shared out among several changes the last bits, too."""
+    """Restrict torch to one thread: the distribution of rows over several threads changes the last bits, too."""
     before = torch.get_num_threads()
     if before != 1:
         torch.set_num_threads(1)

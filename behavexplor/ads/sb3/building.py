@@ -1,4 +1,4 @@
-"""Policy networks of Stable-Baselines3 made from settings and weights."""
+"""Build policy networks of Stable-Baselines3 from settings and weights."""
 
 import inspect
 import io
@@ -17,20 +17,20 @@ from behavexplor.ads.sb3.archive import Archive
 from behavexplor.ads.sb3.inert import Inert, as_array
 from behavexplor.errors import InputError
 
-# Where the classes live that a policy may be built from; anything else is code that came with the file.
+# Modules whose classes a policy may be built from; any other class is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
 _SPACES = {"Box", "Discrete", "MultiDiscrete", "MultiBinary"}
 
 
 class UntrustedError(ValueError):
-    """The policy cannot be made without running code that its file contains; the message says for what."""
+    """The policy cannot be built without executing code from its file; the message says what needs this code."""
 
 
 def build_policy(archive: Archive) -> BasePolicy:
-    """The policy of a model's file, from its plain settings and its weights alone.
+    """Build the policy of a model's file from its plain settings and its weights alone.
 
     Raises:
-        UntrustedError: if its classes are none of Stable-Baselines3, sb3-contrib or torch.
+        UntrustedError: if a class is not from Stable-Baselines3, sb3-contrib or torch.
         InputError: if settings or weights are damaged or do not fit each other.
     """
     settings = archive.settings
@@ -46,10 +46,10 @@ def build_policy(archive: Archive) -> BasePolicy:
 
 
 def build_trusted(archive: Archive) -> BasePolicy:
-    """The same with everything that the file contains, which runs code from it.
+    """Build the policy from everything in a model's file, which executes code from it.
 
     Raises:
-        InputError: if it cannot be loaded.
+        InputError: if the file cannot be loaded.
     """
     from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - only where code may run
 
@@ -70,10 +70,10 @@ def assemble(
     action_space: gymnasium.Space[Any],
     keywords: Mapping[str, Any],
 ) -> BasePolicy:
-    """Make the policy and put the weights in.
+    """Build the policy and load its weights.
 
     Raises:
-        InputError: if the weights are damaged, or those of another policy.
+        InputError: if the weights are damaged or belong to another policy.
     """
     _check_size(archive, (observation_space, action_space), keywords.get("net_arch"))
     accepted = inspect.signature(policy_class).parameters
@@ -88,8 +88,10 @@ def assemble(
         policy.load_state_dict(weights)
     except pickle.UnpicklingError as error:
         first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(f"{archive.path}: its weights hold more than weights, which was not run: {first}") from None
-    except Exception as error:  # whatever torch and a policy class make of wrong values
+        raise InputError(
+            f"{archive.path}: its weights contain objects other than tensors, which were not loaded: {first}"
+        ) from None
+    except Exception as error:  # torch and policy classes can raise anything for wrong values
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
     policy.set_training_mode(False)
@@ -97,16 +99,16 @@ def assemble(
 
 
 def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], net_arch: Any) -> None:
-    """Refuse, before it is made, a network with more weights than there are bytes of them.
+    """Refuse a network with more weights than its file has bytes, before the network is built.
 
     Raises:
-        InputError: if it has, or its layers are not described by their widths.
+        InputError: if the network is too large, or its layers are not given by their widths.
     """
-    if isinstance(net_arch, list) and net_arch and isinstance(net_arch[0], Mapping):  # as earlier versions wrote it
+    if isinstance(net_arch, list) and net_arch and isinstance(net_arch[0], Mapping):  # format of earlier versions
         net_arch = net_arch[0]
     layers = list(net_arch.values()) if isinstance(net_arch, Mapping) else [net_arch or []]
     if not all(isinstance(widths, list | tuple) and all(type(width) is int for width in widths) for widths in layers):
-        raise InputError(f"{archive.path}: its net_arch must be widths of layers, or lists of them by name")
+        raise InputError(f"{archive.path}: its net_arch must be a list of layer widths, or a dictionary of such lists")
     count = sum(sum(widths) + sum(before * after for before, after in pairwise(widths)) for widths in layers)
     if max(count, *(gymnasium.spaces.flatdim(space) for space in spaces)) > len(archive.weights):
         raise InputError(f"{archive.path}: its weights are too few for the network that its settings describe")
@@ -116,13 +118,13 @@ def _class(reference: Any) -> type[BasePolicy]:
     found = _known(reference)
     if not (isinstance(found, type) and issubclass(found, BasePolicy)):
         raise UntrustedError(
-            f"its policy is {_name(reference)}, which is no policy of Stable-Baselines3 or sb3-contrib"
+            f"its policy is {_name(reference)}, which is not a policy of Stable-Baselines3 or sb3-contrib"
         )
     return found
 
 
 def _known(reference: Any) -> Any:
-    """What a name refers to, if it is one from which policies are ordinarily built."""
+    """Return the class that a name refers to, if policies are ordinarily built from it."""
     name = _name(reference)
     if not (isinstance(reference, type) and name.startswith(_KNOWN)):
         raise UntrustedError(f"it needs {name}")
@@ -142,20 +144,20 @@ def _is_name(value: Any) -> bool:
 
 
 def _value(value: Any) -> Any:
-    """Plain values, with names of known classes replaced by these."""
+    """Return plain values, with the names of known classes replaced by the classes."""
     if isinstance(value, dict):
         return {key: _value(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return type(value)(map(_value, value))
     if isinstance(value, Inert):
-        raise UntrustedError(f"it needs what {value.name} makes")
+        raise UntrustedError(f"it needs an object made by {value.name}")
     return _known(value) if _is_name(value) else value
 
 
 def _space(value: Any) -> gymnasium.Space[Any]:
     kind = value.name.rpartition(".")[2] if isinstance(value, Inert) else None
     if kind not in _SPACES:
-        raise UntrustedError(f"its spaces hold {_name(value)}")
+        raise UntrustedError(f"its spaces contain {_name(value)}")
     state = value.state if isinstance(value.state, dict) else dict(value.state[1] or {}) | dict(value.state[0] or {})
     if kind == "Box":
         low, high = as_array(state["low"]), as_array(state["high"])

@@ -1,4 +1,4 @@
-"""What stands beside a model's file: what the policy observes and commands, and how its observations were prepared."""
+"""Files beside a model: the policy's observation and action configuration, and the preparation of its observations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
 
-MAX_BYTES: Final = 1_000_000  # of a YAML file
+MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 STATISTICS = "vecnormalize.pkl"
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
 _ENVIRONMENT_KEYS = ("observation", "action", "policy_frequency", "simulation_frequency")
@@ -21,16 +21,16 @@ _ENVIRONMENT_KEYS = ("observation", "action", "policy_frequency", "simulation_fr
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """What a policy needs besides its network.
+    """Settings that a policy needs besides its network.
 
     Attributes:
         observation: highway-env's observation configuration; None for the environment's own.
         action: highway-env's action configuration; None for the environment's own.
-        policy_frequency: [Hz]; None for the environment's own.
-        simulation_frequency: [Hz]; None for the environment's own.
-        frame_stack: how many observations are stacked along the last axis.
-        statistics: file of `VecNormalize`, None if observations were not normalized.
-        about: whatever else the author wants to say; not read.
+        policy_frequency: decisions per second [Hz]; None for the environment's own.
+        simulation_frequency: simulation steps per second [Hz]; None for the environment's own.
+        frame_stack: number of observations stacked along the last axis.
+        statistics: file of `VecNormalize`; None if observations were not normalized.
+        about: free notes of the author; ignored.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -45,10 +45,10 @@ class Description:
 
 
 def find_model(path: Path) -> Path:
-    """The model's file: the path itself, or the one in a run folder of rl-zoo3.
+    """Return the path of the model's file: the path itself, or that of the model in a run folder of rl-zoo3.
 
     Raises:
-        InputError: if there is none, or it is not clear which.
+        InputError: if there is no model, or more than one that could be meant.
     """
     if path.is_file():
         return path
@@ -60,15 +60,15 @@ def find_model(path: Path) -> Path:
     chosen = named or best or models
     if len(chosen) != 1:
         listed = ", ".join(model.name for model in models) or "none"
-        raise InputError(f"{path} must hold one model's zip file, has {listed}: name the file")
+        raise InputError(f"{path} must contain one model (a .zip file), but has {listed}: name the file")
     return chosen[0]
 
 
 def describe(model: Path) -> Description:
-    """What stands beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and `vecnormalize.pkl`.
+    """Read the files beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and `vecnormalize.pkl`.
 
     Raises:
-        InputError: if a file cannot be read, or asks for something that cannot be done here.
+        InputError: if a file cannot be read, or asks for something that is not supported.
     """
     own = model.with_suffix(".yaml")
     folders = [arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))]
@@ -94,18 +94,18 @@ def _own(path: Path) -> Description:
         return description
     statistics = path.parent / description.statistics
     if not statistics.is_file():
-        raise InputError(f"{path} names {description.statistics}, which is not there")
+        raise InputError(f"{path} names {description.statistics}, which does not exist")
     return replace(description, statistics=statistics)
 
 
 def _of_zoo(folder: Path) -> Description:
-    """What rl-zoo3 writes into a run's folder; it normalizes observations first, then stacks them."""
+    """Read the files that rl-zoo3 writes into a run's folder; it normalizes observations first, then stacks them."""
     arguments = _read(folder / "args.yml")
     settings = _read(folder / "config.yml") if (folder / "config.yml").is_file() else {}
     if settings.get("env_wrapper"):
         raise InputError(
             f"{folder / 'config.yml'}: the policy was trained in the wrapper {settings['env_wrapper']!r:.80}, which is "
-            "not applied here: make an object of your own that applies it, and name it as module:attribute"
+            "not supported: write a driver that applies it, and name it as module:attribute"
         )
     statistics = folder / STATISTICS
     if settings.get("normalize") and not statistics.is_file():
@@ -120,10 +120,10 @@ def _of_zoo(folder: Path) -> Description:
 
 
 def _checked(path: Path, values: Mapping[str, Any]) -> Description:
-    """A description of values that were read from a file or folder.
+    """Make a description of values that were read from a file or folder.
 
     Raises:
-        InputError: naming the first one that is of a wrong type or out of range.
+        InputError: if a value has the wrong type or is out of range. The message names the first such value.
     """
     try:
         description = TypeAdapter(Description).validate_python(values)
@@ -137,14 +137,14 @@ def _checked(path: Path, values: Mapping[str, Any]) -> Description:
 
 
 def _environment(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The configuration of the environment that a policy was trained in: highway-env's default with the changes."""
+    """Return the configuration of a policy's training environment: highway-env's default with the policy's changes."""
     keywords = arguments.get("env_kwargs") or {}
     changed = keywords.get("config") if isinstance(keywords, Mapping) else None
     return {**HIGHWAY_ENVIRONMENTS.get(str(arguments.get("env")), {}), **(changed if isinstance(changed, dict) else {})}
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain values, and the ordered dictionaries in which rl-zoo3 wraps them."""
+    """A loader of plain values, and of the ordered dictionaries in which rl-zoo3 wraps them."""
 
 
 _Loader.add_constructor(
@@ -162,5 +162,5 @@ def _read(path: Path) -> dict[str, Any]:
     if values is None:
         return {}
     if not isinstance(values, dict):
-        raise InputError(f"{path} must hold keys and values, such as `policy_frequency: 5`")
+        raise InputError(f"{path} must contain keys and values, such as `policy_frequency: 5`")
     return values

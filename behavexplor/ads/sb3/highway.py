@@ -1,4 +1,4 @@
-"""highway-env's configurations, as far as a policy's spaces tell which of them it was trained with."""
+"""Configurations of highway-env, and which of them fits the spaces of a policy."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -7,7 +7,7 @@ from typing import Any, Final
 import gymnasium
 import yaml
 
-# highway-env 1.12, `default_config` of its environments.
+# Source: highway-env 1.12, `default_config` of its environments.
 _FEATURES = {axis: [-100, 100] for axis in ("x", "y")} | {axis: [-20, 20] for axis in ("vx", "vy")}
 _POSE = ["presence", "x", "y", "vx", "vy"]
 _CROSSING = {"type": "Kinematics", "features_range": _FEATURES, "absolute": True}
@@ -41,24 +41,25 @@ _KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}
 
 
 def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> str:
-    """What the user of a policy with these spaces can do so that an environment has them, as a sentence."""
+    """Return a sentence that tells the user how to give an environment the spaces of a policy."""
     name, config = fitting_config(observation_space, action_space)
-    where = "in a YAML file beside the policy's (model.yaml beside model.zip), or as attributes of an object of yours"
+    where = "in a YAML file beside the policy (model.yaml beside model.zip), or as attributes of your driver"
     if not config:
-        return f"Say what it observes and commands, by highway-env's `observation` and `action` configuration {where}"
-    hint = f" (those of highway-env's {name})" if name else ""
+        return f"Give highway-env's `observation` and `action` configuration {where}"
+    hint = f" (highway-env's {name})" if name else ""
     flow = yaml.safe_dump(config, default_flow_style=True, sort_keys=False, width=10_000).strip()
-    return f"What would fit{hint} can be said {where}: {flow}"
+    return f"A configuration that fits{hint} can be given {where}: {flow}"
 
 
 def fitting_config(
     observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]
 ) -> tuple[str, dict[str, Any]]:
-    """Which configuration would have a policy's spaces.
+    """Find the configuration of highway-env that has a policy's spaces.
 
     Returns:
-        The environment of highway-env that has these spaces by default, "" if none has; and the keys `observation`,
-        `action` and, for an environment, frequencies, as far as they can be told.
+        The environment of highway-env that has these spaces by default, "" if none has; and the configuration. The
+        configuration has the keys `observation` and `action`, as far as the spaces determine them, and, for an
+        environment, the frequencies.
     """
     commands = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else action_space.shape
     for name, spaces in _SPACES.items():

@@ -1,4 +1,4 @@
-"""Pickles read without running them: what they would call is kept as a name and its arguments."""
+"""Read pickles without executing them: a call is kept as a name and its arguments."""
 
 import io
 import pickle
@@ -14,19 +14,19 @@ _SCALAR = {"numpy._core.multiarray.scalar", "numpy.core.multiarray.scalar"}
 
 
 class Inert:
-    """What stands in for a global name of a pickle, as a class, and for what a call of it would make, as an instance.
+    """A placeholder: a subclass stands for a global name of a pickle, its instance for the result of calling that name.
 
     Attributes:
-        name: "module.attribute".
-        arguments: of the call.
-        state: that the made object would have been given, None without one.
-        items: that would have been put into it.
+        name: global name, "module.attribute".
+        arguments: arguments of the call.
+        state: state that the object would have been given; None without a state.
+        items: items that would have been put into the object.
     """
 
     name: ClassVar[str] = ""
 
     def __new__(cls, *arguments: Any, **_: Any) -> "Inert":
-        """Keep the arguments of what would have been a call."""
+        """Keep the arguments of the call that would have been made."""
         inert = super().__new__(cls)
         inert.arguments, inert.state, inert.items = arguments, None, []
         return inert
@@ -36,7 +36,7 @@ class Inert:
     items: list[Any]
 
     def __init__(self, *_: Any, **__: Any) -> None:
-        """Nothing is left to do."""
+        """Do nothing: `__new__` has kept the arguments."""
 
     def __setstate__(self, state: Any) -> None:
         self.state = state
@@ -54,7 +54,7 @@ class Inert:
 
 
 class _InertUnpickler(pickle.Unpickler):
-    """An unpickler that finds no name of this process, so that nothing can be called."""
+    """An unpickler that resolves every name to a placeholder, so that nothing can be called."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(io.BytesIO(data))
@@ -71,35 +71,35 @@ class _InertUnpickler(pickle.Unpickler):
 
 
 def read_pickle(data: bytes) -> tuple[Any, frozenset[str]]:
-    """What a pickle holds: plain values, and `Inert` where it holds anything else.
+    """Read a pickle: plain values, with `Inert` in place of anything else.
 
     Returns:
-        The value, and all the names ("module.attribute") that it refers to.
+        The value, and all global names ("module.attribute") that the pickle refers to.
 
     Raises:
-        ValueError: if it is no pickle, is cut short, or asks for more memory than it has bytes.
+        ValueError: if the data is not a pickle, is cut short, or asks for more memory than it has bytes.
     """
     try:
         _check_memory(data)
         unpickler = _InertUnpickler(data)
         value = unpickler.load()
-    except Exception as error:  # whatever a damaged pickle makes of the unpickler
-        raise ValueError(f"no pickle that can be read: {type(error).__name__}: {error}") from None
+    except Exception as error:  # a damaged pickle can make the unpickler raise anything
+        raise ValueError(f"not a readable pickle: {type(error).__name__}: {error}") from None
     return value, frozenset(unpickler.names)
 
 
 def _check_memory(data: bytes) -> None:
-    """Refuse a pickle that numbers more values than it has bytes: a table of that length would be made."""
+    """Refuse a pickle that numbers more values than it has bytes: the unpickler makes a table of that length."""
     for opcode, argument, _ in pickletools.genops(data):
         if opcode.name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(data):
-            raise ValueError("it is made to fill the memory")
+            raise ValueError("it would fill the memory")
 
 
 def as_array(value: Any) -> NDArray[Any]:
-    """The array or scalar of numbers that numpy would make.
+    """Return the array or scalar of numbers that numpy would make.
 
     Raises:
-        ValueError: if it is no such array.
+        ValueError: if the value is not an array or scalar of numbers.
     """
     if isinstance(value, (bool, int, float)):
         return np.asarray(value)
@@ -126,7 +126,7 @@ def _decoded(value: Inert) -> NDArray[Any]:
 
 
 def _bytes(data: Any) -> bytes:
-    if isinstance(data, Inert):  # as pickles of protocol 2 spell bytes, and none at all
+    if isinstance(data, Inert):  # bytes in protocol 2: a call of an encoder, without arguments if empty
         return str(data.arguments[0]).encode(data.arguments[1]) if data.arguments else b""
     return bytes(data)
 

@@ -1,4 +1,4 @@
-"""The statistics by which `VecNormalize` scaled observations while a policy was trained."""
+"""Statistics by which `VecNormalize` scaled the observations of a policy in training."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +16,14 @@ MAX_BYTES: Final = 50_000_000
 
 @dataclass(frozen=True)
 class Statistics:
-    """Scales observations as Stable-Baselines3's `VecNormalize` does.
+    """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does.
 
     Attributes:
-        mean: shape of an observation.
-        variance: shape of an observation.
-        clip: greatest absolute value afterwards.
-        epsilon: added to the variance.
-        suspicions: what loading the file with Stable-Baselines3 would call besides, each as a phrase.
+        mean: mean of the observations, shape of one observation.
+        variance: variance of the observations, shape of one observation.
+        clip: greatest absolute value after scaling.
+        epsilon: constant added to the variance.
+        suspicions: unusual calls that loading the file with Stable-Baselines3 would make, each as a phrase.
     """
 
     mean: NDArray[np.float64]
@@ -34,18 +34,18 @@ class Statistics:
 
     @classmethod
     def read(cls, path: Path) -> Self | None:
-        """Read the file that `VecNormalize.save` writes, without running it.
+        """Read a file written by `VecNormalize.save`, without executing it.
 
         Returns:
-            The statistics; None if it says that observations were not scaled.
+            The statistics; None if the file says that observations were not scaled.
 
         Raises:
-            InputError: if it cannot be read.
+            InputError: if the file cannot be read.
         """
         try:
             data = path.read_bytes()
             if len(data) > MAX_BYTES:
-                raise InputError(f"{path} has {len(data)} bytes, which no statistics need")
+                raise InputError(f"{path} has {len(data)} bytes, too many for statistics of VecNormalize")
             saved, names = read_pickle(data)
             state = _state(saved, "VecNormalize")
             if not state.get("norm_obs", True):
@@ -56,20 +56,23 @@ class Statistics:
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(f"{path} holds no statistics of VecNormalize for an array: {error}") from None
+            raise InputError(f"{path} contains no statistics of VecNormalize for an array: {error}") from None
         if mean.shape != variance.shape or not np.isfinite([mean, variance]).all() or (variance < 0).any():
-            raise InputError(f"{path} holds no usable statistics: mean and variance must be finite and of one shape")
+            raise InputError(
+                f"{path} contains no usable statistics: mean and variance must be finite and have the same shape, and "
+                "the variance must not be negative"
+            )
         calls = tuple(f"{path.name} calls {name}" for name in suspicious_names(names))
         return cls(mean.astype(np.float64), variance.astype(np.float64), clip, epsilon, calls)
 
     def scale(self, observations: NDArray[Any]) -> NDArray[np.float32]:
-        """Observations as the policy saw them when it was trained, shape (B, ...)."""
+        """Return observations as the policy saw them in training, shape (B, ...)."""
         scaled = (observations - self.mean) / np.sqrt(self.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
 
 def _state(value: Any, kind: str) -> dict[str, Any]:
-    """The attributes that an object of the kind would have been given."""
+    """Return the attributes that an object of a class would have been given."""
     if not isinstance(value, Inert) or not value.name.endswith(f".{kind}") or not isinstance(value.state, dict):
-        raise ValueError(f"no {kind}")
+        raise ValueError(f"it is not a {kind}")
     return value.state

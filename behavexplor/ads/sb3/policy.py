@@ -1,4 +1,4 @@
-"""A policy trained with Stable-Baselines3 as a system under test."""
+"""A policy trained with Stable-Baselines3 as a driving system under test."""
 
 import logging
 from collections.abc import Collection, Mapping
@@ -24,15 +24,15 @@ _LOG = logging.getLogger(__name__)
 
 
 class SB3Policy:
-    """A network of Stable-Baselines3, its observations prepared as they were when it was trained.
+    """A policy network of Stable-Baselines3, with observations prepared as in training.
 
     Attributes:
-        observation_space: of one observation from the environment, before it is scaled and stacked.
-        action_space: of one action.
-        last_trained_on: the observations at the end of its training, shape (n, ...); None if the file has none.
+        observation_space: space of one observation from the environment, before scaling and stacking.
+        action_space: space of one action.
+        last_trained_on: observations at the end of training, shape (n, ...); None if the file has none.
 
-    It drives in lock-step: what it answers to an observation does not depend on the others that it is asked for.
-    The observation and action configuration and the frequencies are attributes only where they are known.
+    The policy drives in lock-step: its answer to an observation does not depend on the rest of the batch. The
+    observation and action configuration and the frequencies are attributes only where they are known.
     """
 
     def __init__(
@@ -51,12 +51,12 @@ class SB3Policy:
                 setattr(self, name, value)
         if statistics is not None and statistics.mean.shape != self.observation_space.shape:
             raise InputError(
-                f"{description.statistics} is of observations of shape {statistics.mean.shape}, "
+                f"{description.statistics} has statistics for observations of shape {statistics.mean.shape}, "
                 f"the policy's have {self.observation_space.shape}"
             )
 
     def prepare(self, observation: NDArray[Any]) -> NDArray[Any]:
-        """Observations scaled as they were in training, shape (B, ...)."""
+        """Return observations scaled as in training, shape (B, ...)."""
         return observation if self._statistics is None else self._statistics.scale(observation)
 
     def predict(
@@ -81,14 +81,14 @@ class SB3Policy:
 def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     """Read a policy from a model's zip file, or from a run folder of rl-zoo3.
 
-    Nothing that the files contain is run, unless they are trusted.
+    No code from the files is executed, unless they are trusted.
 
     Args:
-        path: of the file or folder; see `behavexplor.ads.sb3.description` for what may stand beside the file.
-        trust: digests ("sha256:...") of files whose code may be run.
+        path: path of the file or folder; see `behavexplor.ads.sb3.description` for the files beside it.
+        trust: digests ("sha256:...") of files whose code may be executed.
 
     Raises:
-        InputError: if it cannot be read, or only by running what it contains and it is not trusted.
+        InputError: if the policy cannot be read, or only by executing code from a file that is not trusted.
     """
     model = find_model(path)
     archive = read_archive(model)
@@ -107,24 +107,24 @@ def _network(archive: Archive, trust: Collection[str]) -> BasePolicy:
     except UntrustedError as error:
         raise InputError(
             f"{archive.path} cannot be loaded without running code from it: {error}. "
-            f"If you know where it comes from, add --trust {archive.digest}"
+            f"If you trust its origin, add --trust {archive.digest}"
         ) from None
 
 
 def _last_observations(settings: Mapping[str, Any]) -> NDArray[Any] | None:
     try:
         return as_array(settings["_last_obs"])
-    except (KeyError, ValueError):  # a model that never trained, or one with other observations
+    except (KeyError, ValueError):  # a model without training, or with other observations
         return None
 
 
 def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
-    """The space of one frame of those that are stacked along the last axis."""
+    """Return the space of one of the frames that are stacked along the last axis."""
     if stack == 1 or not isinstance(space, gymnasium.spaces.Box):
         return space
     width = space.shape[-1]
     if width % stack:
-        raise InputError(f"The policy's observations have {width} columns, which are not {stack} stacked frames")
+        raise InputError(f"The policy's observations have {width} columns, which cannot be {stack} stacked frames")
     return gymnasium.spaces.Box(
         space.low[..., -width // stack :], space.high[..., -width // stack :], dtype=space.dtype.type
     )
@@ -133,7 +133,7 @@ def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
 def _stacked(
     newest: NDArray[Any], frames: NDArray[Any] | None, episode_start: NDArray[np.bool_] | None, stack: int
 ) -> NDArray[Any]:
-    """The last frames along the last axis, the newest at its end; zeros before the episode."""
+    """Stack the last frames along the last axis, with the newest at its end and zeros before the episode."""
     width = newest.shape[-1]
     if frames is None:
         frames = np.zeros((*newest.shape[:-1], stack * width), dtype=newest.dtype)

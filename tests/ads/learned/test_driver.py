@@ -86,7 +86,7 @@ def test_a_network_of_other_sizes_is_refused(widths):
 @pytest.mark.parametrize("content", [b"", b"rubbish", b"PK\x03\x04"])
 def test_a_file_that_is_no_network_is_refused(content, tmp_path):
     (tmp_path / "policy.npz").write_bytes(content)
-    with pytest.raises(InputError, match="holds no network"):
+    with pytest.raises(InputError, match="contains no network"):
         read_layers(tmp_path / "policy.npz")
 
 
@@ -99,7 +99,7 @@ def test_layers_that_are_no_matrices_are_refused(weights, bias, tmp_path):
 
 def test_a_file_without_all_layers_is_refused(tmp_path):
     np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2))
-    with pytest.raises(InputError, match="holds no network"):
+    with pytest.raises(InputError, match="contains no network"):
         read_layers(tmp_path / "policy.npz")
-    with pytest.raises(InputError, match="holds no network"):
+    with pytest.raises(InputError, match="contains no network"):
         read_layers(tmp_path / "gone.npz")

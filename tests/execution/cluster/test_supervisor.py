@@ -239,11 +239,6 @@ def test_leaving_waits_for_what_was_submitted_or_does_not(make):
         running.result(PATIENCE)
 
 
-def test_only_bytes_are_taken(make):
-    with pytest.raises(TypeError, match="takes bytes"):
-        make(Nodes()).submit("execute", "text")
-
-
 def test_lost_nodes_are_no_finding(make, tmp_path):
     config = CampaignConfig(env="lane-follow", ads="constant", method="uniform", budget="3")
     logical = logical_scenario(config.env)
