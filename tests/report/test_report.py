@@ -19,7 +19,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 from behavexplor.triage.findings import TRIAGE, Triage
-from tests.report.conftest import EVIL, copied
+from tests.report.conftest import EVIL, changed, copied
 
 
 class Outline(HTMLParser):
