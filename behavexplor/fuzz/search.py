@@ -12,6 +12,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
+MAX_POPULATION = 1000  # members are compared with one another
 MAX_FAILED_INITIAL = 1000  # after so many initial scenarios that all failed, there is nothing to mutate
 
 
