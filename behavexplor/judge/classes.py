@@ -88,10 +88,12 @@ class ViolationClass:
         """The class and its detail as a sentence, such as "Collision with an oncoming car-sized vehicle; ..."."""
         if self.spec == R2:
             return f"Touched a line on its {self.conflict} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
-        sentence = {
-            R1: f"Collision with {_vehicle(self.conflict, self.mark)}",
-            R3: f"Missed the destination: {_phrase(self.conflict)} {_phrase(self.mark)}",
-        }.get(self.spec, f"Violated {self.spec} (end of the episode: {self.conflict.removeprefix('ended-by-')})")
+        if self.spec == R1:
+            sentence = f"Collision with {_vehicle(self.conflict, self.mark)}"
+        elif self.spec == R3:
+            sentence = f"Missed the destination: {_phrase(self.conflict)} {_phrase(self.mark)}"
+        else:
+            sentence = f"Violated {self.spec} (end of the episode: {self.conflict.removeprefix('ended-by-')})"
         return f"{sentence}; the ego was {_phrase(self.maneuver)}" + (f", {self.detail}" if self.detail else "")
 
 

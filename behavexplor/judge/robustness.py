@@ -1,6 +1,6 @@
 """Specs of users: functions that return the signed robustness of a trace, loaded by name.
 
-A user's spec is any callable that takes a `behavexplor.data.trace.Trace` and returns its signed robustness as defined by
+A user's spec is any callable that takes a `behavexplor.data.trace.Trace` and returns its signed robustness, as in
 signal temporal logic. The robustness is negative if the trace violates the requirement. Otherwise, it is the distance
 from a violation, in any unit. `behavexplor.judge.stl` helps to write such a function.
 """

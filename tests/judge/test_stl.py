@@ -300,7 +300,7 @@ def test_a_bad_signal_is_refused(time, robustness, message):
     ("start", "end", "message"),
     [
         pytest.param(-1, 2, r"\[-1, 2\]: an interval must begin at 0 s or later", id="negative"),
-        pytest.param(2, 1, r"\[2, 1\]: .* does not end before it begins", id="reversed"),
+        pytest.param(2, 1, r"\[2, 1\]: .* must not end before it begins", id="reversed"),
         pytest.param(INF, INF, "an interval must begin", id="never"),
         pytest.param(math.nan, 1, "an interval must begin", id="NaN start"),
         pytest.param(0, math.nan, "an interval must begin", id="NaN end"),
