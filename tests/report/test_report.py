@@ -276,7 +276,7 @@ def _flip(folder):
     [
         (shutil.rmtree, "is not a run folder"),
         (lambda folder: (folder / DATABASE).unlink(), "is not a run folder: it has no campaign.db"),
-        (lambda folder: (folder / TRIAGE).write_text("{"), "cannot be read, delete it and make it again"),
+        (lambda folder: (folder / TRIAGE).write_text("{"), "cannot be read: .*; delete it and run `behavexplor triage` again"),
         (_flip, "Execution 5 in .* is damaged"),
     ],
 )
