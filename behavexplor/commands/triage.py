@@ -165,19 +165,19 @@ def report(found: Triage) -> str:
         "",
         _plain(_class_table(found)),
         "",
-        "A class groups failures that look alike and begins with the violated requirement: R1 collision, R2 illegal line",
-        "touched, R3 destination missed.",
+        "A class groups failures that look alike. It begins with the violated requirement:",
+        "R1 collision, R2 illegal line touched, R3 destination missed.",
     ]
     if found.weaknesses:
         lines += [
-            "Causes such as R2-2 are weaknesses built into the rule planner: R2-2 is the second that leads to violations "
-            "of R2.",
+            "Causes such as R2-2 are weaknesses of the rule planner, not requirements:",
+            "R2-2 is the second weakness that leads to violations of R2.",
             "",
             _plain(_weakness_table(found)),
             "",
-            "reached: executions in which the weakness could matter; triggered: executions in which it changed the "
-            "planner's output;",
-            "detected: failures that it caused; first: number of the first execution.",
+            "reached: executions in which the weakness could matter",
+            "triggered: executions in which it changed the planner's output",
+            "detected: failures that it caused; first: number of the first such execution",
             *_agreements(found.findings),
         ]
     return "\n".join(lines)
@@ -214,12 +214,12 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
     classes = agreement(causes, [finding.class_id for finding in caused])
     return [
         "",
-        f"The signature, a guess of the cause without replays, is right for {signatures.equal:.0%} of {signatures.n} "
-        "failures with a known cause",
-        f"(precision {signatures.precision:.2f}, recall {signatures.recall:.2f}). The adjusted Rand index says how well "
-        "a grouping of the failures matches",
-        f"their grouping by cause: 1 is the same grouping, 0 is chance. It is {signatures.adjusted_rand:.2f} for "
-        f"signatures and {classes.adjusted_rand:.2f} for classes.",
+        "The signature, a guess of the cause without replays,",
+        f"is right for {signatures.equal:.0%} of {signatures.n} failures with a known cause "
+        f"(precision {signatures.precision:.2f}, recall {signatures.recall:.2f}).",
+        "The adjusted Rand index says how well a grouping matches the grouping by cause",
+        f"(1: equal, 0: chance): {signatures.adjusted_rand:.2f} for signatures "
+        f"and {classes.adjusted_rand:.2f} for classes.",
     ]
 
 
