@@ -32,7 +32,7 @@ CURVE_EDGE: Final = 0.05  # the curve begins and ends where the heading has chan
 BEHIND_CURVE: Final = 10.0  # distance after the curve over which the ego still counts as turning [m]
 DRIFT: Final = 0.9  # an ego that has moved across its route by more than this is changing lanes [m]
 CLOSE: Final = 15.0  # the ego follows a leader within this distance [m]
-ASIDE: Final = 1.75  # beyond this lateral distance from its route, the ego is in another lane [m]
+ASIDE: Final = 1.75  # lateral distance from the route or the ego beyond which a vehicle is in another lane [m]
 
 _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it drove straight and if it had turned
     "leading": ("{} ahead", "{} ahead that had turned"),
@@ -85,7 +85,7 @@ class ViolationClass:
 
     @property
     def words(self) -> str:
-        """The class and its detail as a sentence, such as "Collision with an oncoming car-sized vehicle; ..."."""
+        """Class and detail as a sentence, such as "Collision with an oncoming car-sized vehicle; the ego was ..."."""
         if self.spec == R2:
             return f"Touched a line on its {self.conflict} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
         if self.spec == R1:

@@ -30,7 +30,7 @@ class RobustnessSpec:
     Attributes:
         name: name in records, classes and reports.
         robustness: the function. A negative value means that the trace violates the requirement.
-        source: where the function comes from, for error messages.
+        source: origin of the function, for error messages.
 
     Raises:
         InputError: if the name cannot be used.
@@ -88,7 +88,7 @@ def as_spec(found: Any, source: str = "") -> Spec:
 
     Args:
         found: a function of a trace. The spec is named after its attribute `name`, else after its `__name__`.
-        source: where the callable comes from, for error messages.
+        source: origin of the callable, for error messages.
 
     Raises:
         InputError: if `found` is not callable, or its name cannot be used.

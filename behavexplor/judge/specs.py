@@ -130,7 +130,7 @@ class Verdict:
 
     @property
     def failed(self) -> bool:
-        """Whether any spec is violated."""
+        """True if any spec is violated."""
         return bool(self.violated)
 
 

@@ -37,7 +37,7 @@ class Blame:
 
     @property
     def at_fault(self) -> bool:
-        """Whether the ego was at fault."""
+        """True if the ego was at fault."""
         return self.kind in AT_FAULT
 
 
