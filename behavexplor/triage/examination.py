@@ -1,4 +1,4 @@
-"""Examination of a failure: is it reproducible, whose fault was it, and what caused it?"""
+"""Examination of a failure: whether it is reproducible, whose fault it was, and what caused it."""
 
 import json
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from behavexplor.triage.findings import Finding, Witness, trace_finding, witness
 from behavexplor.triage.flakiness import repeat
 from behavexplor.triage.signatures import signature
 
-STREAM: Final = 0x7472_6961  # sets the draws of triage apart from those of campaigns
+STREAM: Final = 0x7472_6961  # separates the random numbers of triage from those of campaigns
 
 EXAMINE: Final = "examine"  # function of the service
 
 
 class Examiner(Evaluator):
-    """The evaluator that also examines failures.
+    """An evaluator that also examines failures.
 
     Args:
         specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
@@ -38,7 +38,7 @@ class Examiner(Evaluator):
         self._specs = tuple(specs)
 
     def begin(self) -> None:
-        """Load the ADS and make its environment. Failures are examined one by one, so nothing runs in batches."""
+        """Load the ADS and make its environment. Nothing runs in batches, since failures are examined one by one."""
         super().begin()
         self.batch = None
 
@@ -46,7 +46,7 @@ class Examiner(Evaluator):
         """Examine a failure.
 
         Args:
-            request: the failure as `examination` gives it.
+            request: the failure, as encoded by `examination`.
 
         Returns:
             The finding, and the witness if there is one, as JSON.
@@ -85,16 +85,16 @@ def examination(record: Record, trace: bytes, seed: int) -> bytes:
 def examined(
     simulation: Simulation, failure: Failure, seed: int, specs: Sequence[Spec] = SPECS
 ) -> tuple[Finding, Witness | None]:
-    """Examine a failure: execute it again, find out whose fault it was and what caused it.
+    """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
     Args:
-        simulation: a simulation with the ADS that drove, in the environment in which it drove.
+        simulation: simulation with the same ADS and environment as in the recorded execution.
         failure: the failed execution.
         seed: the seed of the campaign.
-        specs: the specs that judged it.
+        specs: the specs of the campaign.
 
     Returns:
-        The finding, and a witness if the collision could have been avoided.
+        The finding, and a witness if the failure is a collision that the ego could have avoided.
     """
     record, trace = failure.record, failure.trace
     scenario = record.load_scenario()
@@ -120,7 +120,7 @@ def examined(
 
 
 def _collision(verdict: Blame | None) -> dict[str, Any]:
-    """What the verdict on a collision says, as fields of a `Finding`."""
+    """Return the verdict on a collision as fields of a `Finding`."""
     if verdict is None:
         return {}
     avoidance = verdict.witness.name if verdict.witness else None
