@@ -12,6 +12,7 @@ from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
 from behavexplor.data.logical import VEHICLE_SIZES
 from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart
 from behavexplor.report.gallery import PASSED, Card, cards, replay_values
@@ -160,7 +161,7 @@ def section(number: int, run: Run, limit: int) -> Section:
         has_road=roadmap is not None,
         values={
             "road": road_values(roadmap, next(iter(traces.values()))),
-            "replays": _replays(traces, records, found),
+            "replays": _replays(run, traces, records, found),
         },
     )
 
@@ -179,8 +180,15 @@ def _looked_at(
     return traces, records
 
 
-def _replays(traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
-    return {str(name): replay_values(traces[name], record, found) for name, record in records.items()}
+def _replays(run: Run, traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
+    """Return the replays by the numbers of their executions."""
+    replays = {}
+    for number, record in records.items():
+        try:
+            replays[str(number)] = replay_values(traces[number], record, found)
+        except InputError as error:
+            raise InputError(f"{run.folder}: execution {number} has no valid scenario: {error}") from None
+    return replays
 
 
 def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:

@@ -15,7 +15,7 @@ from behavexplor.execution.simulation import logical_scenario
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.specs import Verdict, judge
-from behavexplor.testing.contract import promise
+from behavexplor.testing.contract import ContractError, promise
 from behavexplor.testing.synthetic import synthetic_trace
 
 IN_FLIGHT: Final = (1, 8)  # numbers of candidates in flight that are tried
@@ -65,7 +65,6 @@ def check_search_method(
 
     for in_flight in IN_FLIGHT:
         first, again = (_campaign(build(SEEDS[0]), logical, executions, in_flight) for _ in range(2))
-        _check_candidates(first, logical)
         promise(
             [_asked(told) for told in first] == [_asked(told) for told in again],
             f"Two searches with the seed {SEEDS[0]} and {in_flight} candidates in flight asked for different "
@@ -104,6 +103,7 @@ def _campaign(
         while len(waiting) < min(in_flight, executions - len(told)):
             waiting.append(search.ask())
         candidate = waiting.popleft()
+        _check_candidate(candidate, len(told), logical)
         trace = synthetic_trace(candidate.scenario, logical)
         verdict = judged(trace)
         told.append(_Told(candidate, trace, verdict, search.tell(candidate, trace, verdict)))
@@ -111,25 +111,24 @@ def _campaign(
     return told
 
 
-def _check_candidates(told: list[_Told], logical: LogicalScenario) -> None:
-    for number, candidate in enumerate(step.candidate for step in told):
-        promise(candidate.number == number, f"Candidate {number} has the number {candidate.number}: count from 0")
-        promise(candidate.origin, f"Candidate {number} has no origin: say how it was made")
-        promise(
-            candidate.parent is None or 0 <= candidate.parent < number,
-            f"Candidate {number} has the parent {candidate.parent}, which was not asked for before it",
-        )
-        try:
-            logical.check(candidate.scenario)
-        except InputError as error:
-            promise(False, f"The scenario of candidate {number} cannot be run: {error}")
+def _check_candidate(candidate: Candidate, number: int, logical: LogicalScenario) -> None:
+    promise(candidate.number == number, f"Candidate {number} has the number {candidate.number}: count from 0")
+    promise(candidate.origin, f"Candidate {number} has no origin: say how it was made")
+    promise(
+        candidate.parent is None or 0 <= candidate.parent < number,
+        f"Candidate {number} has the parent {candidate.parent}, which was not asked for before it",
+    )
+    try:
+        logical.check(candidate.scenario)
+    except InputError as error:
+        raise ContractError(f"The scenario of candidate {number} cannot be run: {error}") from error
 
 
 def _check_learned(told: _Told, search: SearchMethod) -> None:
     try:
         json.dumps(dict(told.learned), allow_nan=False)
     except (TypeError, ValueError) as error:
-        promise(False, f"tell returned what is not JSON, {told.learned!r:.80}: {error}")
+        raise ContractError(f"tell returned what is not JSON, {told.learned!r:.80}: {error}") from error
     status = search.status()
     promise(
         all(isinstance(value, (int, float)) and math.isfinite(value) for value in status.values()),

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,6 +13,8 @@ from urllib.parse import unquote
 import pytest
 
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.database import Row, connect, insert
 from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.commands.report import PAGE
@@ -301,10 +304,13 @@ def test_a_damaged_run_is_one_sentence(run, tmp_path, capsys, how, message):
     ],
 )
 def test_a_record_of_another_kind_is_one_sentence(run, tmp_path, capsys, change):
-    folder = copied(run, tmp_path / "run", change=change)
+    folder = copied(run, tmp_path / "run")
+    with closing(connect(folder / DATABASE, "rw")) as connection:
+        record, trace = connection.execute("SELECT record, trace FROM executions WHERE id = 3").fetchone()
+        insert(connection, [Row(3, json.dumps(change(json.loads(record))).encode(), trace, 1.0)])
     assert main(["report", str(folder)]) == BAD_INPUT
     error = capsys.readouterr().err
-    assert re.search("has a record that is not one of a campaign|is damaged", error)
+    assert re.search(f"{folder}.* is damaged|{folder}: execution 3 ", error)
     assert error.count("\n") == 1
 
 
