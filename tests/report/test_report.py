@@ -13,7 +13,6 @@ from urllib.parse import unquote
 import pytest
 
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.database import Row, connect, insert
 from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
