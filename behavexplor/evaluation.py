@@ -48,7 +48,9 @@ class Evaluation:
         return float(found.low), float(found.high)
 
 
-def evaluate(simulation: Simulation, n: int, seed: int, observe: Callable[[int], None] | None = None) -> Evaluation:
+def estimate_rates(
+    simulation: Simulation, n: int, seed: int, observe: Callable[[int], None] | None = None
+) -> Evaluation:
     """Evaluate an ADS in uniformly drawn scenarios.
 
     Args:

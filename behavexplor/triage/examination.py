@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, Final
 
 import numpy as np
@@ -52,23 +52,10 @@ class Examiner(Evaluator):
             The finding, and the witness if there is one, as JSON.
         """
         head, record, trace = request.split(b"\n", 2)
-        failure = Failure(Record.from_json(record), Trace.from_bytes(trace))
-        finding, witness = examined(self.simulation, failure, int(head), load_specs(self._specs))
+        found = Record.from_json(record), Trace.from_bytes(trace)
+        finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self._specs))
         shown = None if witness is None else witness_values(witness)
         return json.dumps({"finding": asdict(finding), "witness": shown}).encode()
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A failed execution.
-
-    Attributes:
-        record: its record.
-        trace: its trace.
-    """
-
-    record: Record
-    trace: Trace
 
 
 def examination(record: Record, trace: bytes, seed: int) -> bytes:
@@ -83,20 +70,20 @@ def examination(record: Record, trace: bytes, seed: int) -> bytes:
 
 
 def examined(
-    simulation: Simulation, failure: Failure, seed: int, specs: Sequence[Spec] = SPECS
+    simulation: Simulation, record: Record, trace: Trace, *, seed: int, specs: Sequence[Spec] = SPECS
 ) -> tuple[Finding, Witness | None]:
     """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
     Args:
         simulation: simulation with the same ADS and environment as in the recorded execution.
-        failure: the failed execution.
+        record: the record of the failed execution.
+        trace: its trace.
         seed: the seed of the campaign.
         specs: the specs of the campaign.
 
     Returns:
         The finding, and a witness if the failure is a collision that the ego could have avoided.
     """
-    record, trace = failure.record, failure.trace
     scenario = record.load_scenario()
     again = repeat(simulation, scenario, trace, specs)
     rng = np.random.default_rng([STREAM, seed, record.id])
