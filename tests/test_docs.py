@@ -1,7 +1,9 @@
 """The documentation says what the code says."""
 
 import inspect
+import re
 import runpy
+from collections import Counter
 from pathlib import Path
 
 import gymnasium
@@ -52,3 +54,49 @@ def test_no_environment_repeats_what_all_share():
     ]
     repeated = {line for line in lines if lines.count(line) > 1}
     assert repeated == {"", "## Version history", "- v0: first version."}
+
+
+def listed():
+    """The names in the picture of CONTRIBUTING.md."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    block = text.partition("```\nbehavexplor/\n")[2].partition("```")[0]
+    return [line.split()[0] for line in block.splitlines()]
+
+
+def test_the_picture_of_the_house_is_the_listing():
+    package = ROOT / "behavexplor"
+    modules = [path.name for path in package.glob("*.py")]
+    folders = [f"{path.name}/" for path in package.iterdir() if (path / "__init__.py").is_file()]
+    assert sorted(listed()) == sorted([*modules, *folders])
+    assert len(modules) <= 6
+
+
+def test_the_way_of_a_scenario_is_at_most_twelve_files():
+    way = re.findall(r"^\d+\. `([\w/]+\.py)`", (ROOT / "CONTRIBUTING.md").read_text(), re.MULTILINE)
+    assert 0 < len(way) <= 12
+    assert all((ROOT / "behavexplor" / path).is_file() for path in way)
+
+
+def test_no_two_modules_have_one_name_but_for_their_role():
+    paths = sorted((ROOT / "behavexplor").rglob("*.py"))
+    names = Counter(path.stem for path in paths)
+    folders = {path.parent.name for path in paths}
+    assert {name for name, count in names.items() if count > 1} == {"__init__", "__main__"}
+    same_role = {path.stem for path in paths if path.stem in folders and path.parent.name == "commands"}
+    assert {name for name in names if name in folders} == {*same_role, "campaign", "behavexplor"}
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("docs/*.md")), ids=lambda page: page.name)
+def test_links_between_the_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
+        assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+@pytest.mark.parametrize("page", [*sorted(ROOT.glob("docs/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
+def test_modules_that_a_page_names_exist(page):
+    for name in re.findall(r"`(behavexplor(?:\.\w+)+)", page.read_text()):
+        parts = name.split(".")
+        paths = [ROOT.joinpath(*parts[:i]) for i in range(2, len(parts) + 1)]
+        found = [path for path in paths if path.is_dir() or path.with_suffix(".py").is_file()]
+        assert found, f"{page.name} names {name}"
+        assert len(parts) - len(found[-1].relative_to(ROOT).parts) <= 2, f"{page.name} names {name}"
