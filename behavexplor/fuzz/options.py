@@ -1,24 +1,24 @@
-"""Checks of options, in the words of the user who set them."""
+"""Validation of search options."""
 
 from typing import Final
 
 from behavexplor.errors import InputError, brief
 
-LARGEST: Final = 100_000  # no count, share or distance makes sense beyond it, and many would never end
-MAX_POPULATION: Final = 1000  # whose members are compared with one another
+LARGEST: Final = 100_000  # greatest value of any option: larger counts would take forever
+MAX_POPULATION: Final = 1000  # greatest population of a method that compares all pairs of its members
 
 
 def check_range(name: str, value: float, low: float, high: float = LARGEST) -> None:
-    """Refuse an option that is out of range.
+    """Check that an option lies in its range.
 
     Args:
-        name: of the option.
-        value: what it was set to.
-        low: least value allowed.
-        high: greatest value allowed.
+        name: name of the option.
+        value: value of the option.
+        low: least allowed value.
+        high: greatest allowed value.
 
     Raises:
-        InputError: naming the option and the range.
+        InputError: if the value is out of range; the message names the option and the range.
     """
     if not low <= value <= high:
         raise InputError(f"{name}: must be a number from {low:g} to {high:g}, got {brief(value)}")
