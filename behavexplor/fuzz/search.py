@@ -15,7 +15,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
-MAX_FAILED_INITIAL = 1000  # number of failed initial scenarios after which a search without any other scenario ends
+MAX_FAILED_INITIAL = 1000  # number of initial scenarios after which a search ends if all of them failed
 
 
 class SearchExhausted(Exception):  # noqa: N818 - it ends a campaign, nothing went wrong
@@ -41,9 +41,7 @@ class Candidate:
 
 def nothing_to_mutate(failed: int) -> SearchExhausted:
     """Return the exception that ends a search whose initial scenarios all failed."""
-    return SearchExhausted(
-        f"All {failed} initial scenarios failed, so the search has no scenario to mutate."
-    )
+    return SearchExhausted(f"All {failed} initial scenarios failed, so the search has no scenario to mutate.")
 
 
 class SearchMethod(Protocol):
