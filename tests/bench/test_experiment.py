@@ -109,7 +109,7 @@ def test_a_missing_experiment_names_those_that_are_shipped():
     ("text", "message"),
     [
         ("methods: {A: {method: unifrom}}", "did you mean 'uniform'?"),
-        ("methods: {A: {method: uniform, options: {x: 1}}}", "'x' is not known"),
+        ("methods: {A: {method: uniform, options: {x: 1}}}", "'x' is unknown"),
         ("methods: {A: {method: uniform}}\nads: [rules]", "did you mean 'rule'?"),
         ("methods: {A: {method: uniform}}\nenvs: [lane-chnge]", "did you mean 'lane-change'?"),
         ("{{", "is not a YAML file"),
@@ -128,7 +128,7 @@ def test_what_no_campaign_could_do_is_refused_before_any_begins(text, message, t
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     (tmp_path / "mine").write_text("precious")
     assert main(["bench", "quick", "--out", str(tmp_path)]) == 2
-    assert "no experiment's folder" in capsys.readouterr().err
+    assert "neither empty nor an experiment folder" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 

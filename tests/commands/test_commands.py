@@ -50,7 +50,7 @@ def test_the_summary_says_what_failed_and_how_to_look_at_it(finished):
     failed = [record["id"] for record in records(folder) if record["violated"]]
     assert result.stdout.startswith("12 executions in ")
     assert f"{len(failed)} failed" in result.stdout
-    assert f"Everything is kept in {folder}" in result.stdout
+    assert f"All results are in {folder}" in result.stdout
     assert f"replay {folder} {failed[0]}" in result.stdout
 
 
@@ -159,7 +159,7 @@ def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_
         arguments = [*arguments, "--out", str(tmp_path / "run")]
     assert main(arguments) == 2
     output = capsys.readouterr()
-    lines = [line for line in output.err.splitlines() if not line.startswith(("Fuzzing ", "Waiting "))]
+    lines = [line for line in output.err.splitlines() if not line.startswith(("Fuzzing ", "Loading "))]
     assert len(lines) == 1
     assert message in lines[0]
     assert output.out == ""
@@ -324,7 +324,7 @@ def test_a_run_folder_belongs_to_one_campaign_at_a_time(tmp_path):
     process.kill()
     process.communicate()
     assert result.returncode == 2
-    assert "is being written by another campaign" in result.stderr
+    assert "is in use by another campaign" in result.stderr
 
 
 def test_a_smaller_budget_is_refused_on_resuming(finished):
@@ -348,7 +348,7 @@ def test_a_smaller_budget_ends_a_run_earlier_and_is_not_kept(tmp_path):
     assert "budget: '10'" in config.read_text()
     again = run("fuzz", "--resume", folder, "--workers", 0)
     assert again.returncode == 0
-    assert "nothing left to do: a larger --budget extends the run" in again.stderr
+    assert "The run was already complete: a larger --budget extends it" in again.stderr
 
 
 @pytest.mark.parametrize("text", ["{{{", "", "[1, 2]", "env: 3"])
@@ -367,7 +367,7 @@ def test_only_the_budget_changes_on_resuming(finished):
     folder, _ = finished
     result = run("fuzz", "--resume", folder, "--seed", 6)
     assert result.returncode == 2
-    assert "--seed cannot be changed on --resume: the run has 5" in result.stderr
+    assert "--seed cannot be changed with --resume: the run has 5" in result.stderr
 
 
 def test_help_is_quick_and_says_what_matters():
