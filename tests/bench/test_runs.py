@@ -215,7 +215,7 @@ def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
     folder, _ = whole
     (folder / "other.yaml").write_text((folder / "small.yaml").read_text() + "batch: 3\n")
     experiment = read_experiment(str(folder / "other.yaml"))
-    with pytest.raises(InputError, match="holds another campaign than the experiment's now"):
+    with pytest.raises(InputError, match="holds a campaign with a different configuration"):
         ExperimentRunner(experiment.runs(), folder / "out", 1, 0)
     smaller = read_experiment(str(write(folder / "out", 10)))
     with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):
