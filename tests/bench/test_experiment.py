@@ -69,7 +69,7 @@ def test_a_written_experiment_is_the_same_experiment():
         ({"methods": {"A": None}}, "method 'A' of the experiment must have the key `method: NAME`"),
         ({"methods": {"A": {"metod": "x"}}}, "Unknown key of the method 'A' of the experiment 'metod': did you mean"),
         ({"methods": {"A": {"config": "papr"}}}, "did you mean 'paper'?"),
-        ({"methods": {"A": {"config": "paper", "options": {}}}}, "has a config: give method and options there"),
+        ({"methods": {"A": {"config": "paper", "options": {}}}}, "has a config: give either the config alone"),
         ({"methods": {"A": {"method": 3}}}, "method of the method 'A' of the experiment"),
         ({"methods": {"A b": {"method": "uniform"}, "A/b": {"method": "random"}}}, "share a folder"),
         ({"seeds": 0}, "seeds of the experiment must lie between 1 and 1000, not be 0"),
