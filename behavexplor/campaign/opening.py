@@ -20,7 +20,7 @@ class Ready:
 
     Attributes:
         campaign: the campaign.
-        store: its run folder.
+        store: store of its run folder.
         warnings: warnings about the ADS, each of them a sentence.
     """
 

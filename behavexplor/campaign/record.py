@@ -20,9 +20,9 @@ class Record:
 
     Attributes:
         id: number of the execution, counted from 0 in the order in which the search asked for them.
-        origin: how the search made the scenario, such as "initial" or the kind of a mutation.
+        origin: origin of the scenario in the search, such as "initial" or the kind of a mutation.
         parent: number of the execution whose scenario was mutated; None without a parent.
-        end: how the episode ended, see `behavexplor.data.trace.ENDS`.
+        end: end of the episode, see `behavexplor.data.trace.ENDS`.
         error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.rollout.ADSError`; None if it
             drove.
         duration: simulated time [s].

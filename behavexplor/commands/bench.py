@@ -50,8 +50,7 @@ def bench(
         experiment: YAML file of the experiment, or name of a shipped one: "quick", "methods", "windows" or "paper".
         out: Folder of the experiment.
         jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
-        cluster: Run the campaigns on a Ray or Dask cluster (docs/robustness.md). Without an address, a cluster is
-            started on this machine.
+        cluster: Run the campaigns on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
         dry_run: Only show the number of campaigns and how long they will take.
         tables_only: Only write the tables of the finished campaigns.
         quiet: Print only the tables.

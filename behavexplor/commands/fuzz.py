@@ -81,16 +81,12 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         budget: Number of executions (750), or running time (90s, 30m, 1h30m).
         seed: Random seed. The same seed gives the same records.
         batch: Number of scenarios in flight. Each is chosen before the results of that many earlier ones are known.
-        workers: Number of worker processes. The records do not depend on it. With 0, scenarios run in this process,
-            where the ADS is neither limited nor confined.
-        cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md). Without an address, a cluster is started
-            on this machine.
+        workers: Number of worker processes (no effect on the records). 0: this process, with no limits for the ADS.
+        cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
-        spec: Requirement of your own in addition to R1, R2 and R3: a function that takes a trace and returns its signed
-            robustness (docs/specs.md). May be repeated; adds to the specs of --config.
+        spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
         out: Run folder, new or empty.
-        resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops earlier this
-            time.
+        resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
         unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the summary.
         fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.

@@ -50,8 +50,7 @@ def replay(
         run: The run folder.
         number: Number of the execution, as in `records`.
         out: Folder for the pictures.
-        avoided: Draw how the ego could have avoided a collision instead. Requires that `triage` was run before and
-            called the collision preventable.
+        avoided: Draw how the ego could have avoided the collision instead, if `triage` has called it preventable.
     """
     store = Store.read(run)
     execution = store.execution(number)

@@ -44,7 +44,7 @@ def _answer(answers: IO[bytes], lock: Lock, key: int, future: "Future[bytes]") -
 
 def _outcome(future: "Future[bytes]") -> bytes:
     """Return the answer for a finished call."""
-    error = RuntimeError("the call was cancelled") if future.cancelled() else future.exception()
+    error = RuntimeError("the call was canceled") if future.cancelled() else future.exception()
     return RESULT + future.result() if error is None else error_answer(error, f" (on the node {socket.gethostname()})")
 
 
