@@ -6,7 +6,7 @@ from the centers of the last one, uses a bounded sample of merged states, and ha
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Annotated, Literal
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from behavexplor.behavior.distance import MAX_CLUSTERS, AbstractTraces, Labels
 from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE, HeadingFrame, Tail, merged_states, state_matrix
 from behavexplor.data.trace import Trace
-from behavexplor.fuzz.options import check_range
+from behavexplor.data.validation import between, validated
+from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@validated
 class MinerOptions:
     """Options for abstracting behaviors. The defaults are the paper's values, where it states them.
 
@@ -42,20 +43,18 @@ class MinerOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    window: int = 10
+    window: Annotated[int, between(1)] = 10
     tail: Tail = "padded"
     heading_frame: HeadingFrame = "route"
-    clusters: int = 10
+    clusters: Annotated[int, between(1, MAX_CLUSTERS)] = 10
     scaling: Literal["zscore", "none"] = "zscore"
-    refit_growth: float = 0.25
+    refit_growth: Annotated[float, between(0)] = 0.25
     sample_size: int = 20_000
     random_state: int = 0
 
     def __post_init__(self) -> None:
-        check_range("window", self.window, 1)
-        check_range("clusters", self.clusters, 1, MAX_CLUSTERS)
-        check_range("refit_growth", self.refit_growth, 0)
-        check_range("sample_size", self.sample_size, self.clusters)
+        if self.sample_size < self.clusters:
+            raise InputError(f"sample_size: must be at least clusters, got {self.sample_size}")
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,16 @@
 """Novelty of each execution of a campaign, measured in the same way for every search method."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
+from typing import Annotated
 
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
 from behavexplor.data.trace import Trace
-from behavexplor.fuzz.options import check_range
+from behavexplor.data.validation import between, validated
 
 NOVELTY_THRESHOLD = 0.4  # the paper's theta_c
 
 
-@dataclass(frozen=True)
+@validated
 class NoveltyOptions:
     """Options that define distinct behaviors.
 
@@ -21,11 +22,8 @@ class NoveltyOptions:
         InputError: if the threshold is not in [0, 1].
     """
 
-    threshold: float = NOVELTY_THRESHOLD
+    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
     miner: MinerOptions = field(default_factory=MinerOptions)
-
-    def __post_init__(self) -> None:
-        check_range("threshold", self.threshold, 0, 1)
 
 
 class NoveltyArchive:

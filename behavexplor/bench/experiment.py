@@ -9,7 +9,8 @@ from typing import Any, ClassVar, Final
 import yaml
 from pydantic import ConfigDict
 
-from behavexplor.campaign.config import CampaignConfig, campaign_config, checked, preset_folder, read_config, read_yaml
+from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_folder, read_config, read_yaml
+from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, unknown_name
 
 EXPERIMENT: Final = "experiment.yaml"  # file in an experiment's folder

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from behavexplor.campaign.config import checked
 from behavexplor.campaign.progress import Progress
+from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
 TIMING: Final = "timing.json"  # file in the run folder of an experiment's run

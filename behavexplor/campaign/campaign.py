@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.behavior.novelty import NoveltyArchive
-from behavexplor.campaign.config import Budget, CampaignConfig, checked
+from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor

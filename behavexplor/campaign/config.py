@@ -2,16 +2,17 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar, get_type_hints
+from typing import Any, ClassVar, Self, TypeVar
 
 import yaml
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict
 
 from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
 from behavexplor.data.untrusted import parse_yaml
-from behavexplor.errors import InputError, brief, unknown_name
+from behavexplor.data.validation import checked
+from behavexplor.errors import InputError, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
@@ -123,46 +124,6 @@ def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
     if isinstance(budget, int) and not isinstance(budget, bool):  # YAML reads `budget: 750` as a number
         values = {**values, "budget": str(budget)}
     return checked(CampaignConfig, values, "configuration")
-
-
-def checked(kind: type[T], values: Mapping[str, Any], what: str) -> T:
-    """Return a validated instance of a dataclass from plain values.
-
-    Args:
-        kind: the dataclass.
-        values: the plain values by the names of the fields.
-        what: name of the whole in messages, such as "configuration".
-
-    Raises:
-        InputError: if a value is unknown, of a wrong type or out of range; the message names the first such value.
-    """
-    _refuse_unknown(kind, values, what)
-    try:
-        return TypeAdapter(kind).validate_python(dict(values))
-    except ValidationError as error:
-        first = error.errors()[0]
-        cause = first.get("ctx", {}).get("error")
-        if isinstance(cause, InputError):
-            raise cause from None
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{place} of the {what}: {first['msg']}, got {brief(first['input'])}") from None
-
-
-def _refuse_unknown(kind: type[Any], values: Mapping[str, Any], what: str) -> None:
-    """Check that each key is a field of the dataclass, also in nested dataclasses.
-
-    Raises:
-        InputError: if a key is unknown.
-    """
-    kinds = get_type_hints(kind)
-    known = [entry.name for entry in fields(kind)]
-    for key, value in values.items():
-        if key not in known and not known:
-            raise InputError(f"{key!r} is unknown: the {what} must be empty")
-        if key not in known:
-            raise unknown_name(f"key of the {what}", str(key), known)
-        if is_dataclass(kinds[key]) and isinstance(value, Mapping):
-            _refuse_unknown(kinds[key], value, f"{key} of the {what}")
 
 
 def read_config(name: str) -> dict[str, Any]:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 import yaml
 
-from behavexplor.campaign.config import checked, read_yaml
+from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.evaluate import table
 from behavexplor.commands.meter import Meter
+from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, missing_library
 from behavexplor.evaluation import Evaluation, evaluate
 from behavexplor.execution.simulation import Simulation

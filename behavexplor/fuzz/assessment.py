@@ -5,20 +5,20 @@ authors' released program is guided by figures that differ from the paper's form
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, RoadMap
 from behavexplor.data.trace import Trace
-from behavexplor.fuzz.options import check_range
+from behavexplor.data.validation import between, validated
 from behavexplor.judge.specs import Collision, Lines, Verdict
 
 _REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section III-B2
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
 
 
-@dataclass(frozen=True)
+@validated
 class AssessmentOptions:
     """Options of the assessment of an execution. With the defaults it equals the verdict.
 
@@ -36,15 +36,9 @@ class AssessmentOptions:
     """
 
     degree: Literal["sum", "clipped"] = "sum"
-    box_shrink: float = 0.0
-    destination_threshold: float | None = None
-    retreat: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("box_shrink", self.box_shrink, 0, MAX_SHRINK)
-        for name in ("destination_threshold", "retreat"):
-            if getattr(self, name) is not None:
-                check_range(name, getattr(self, name), 0)
+    box_shrink: Annotated[float, between(0, MAX_SHRINK)] = 0.0
+    destination_threshold: Annotated[float, between(0)] | None = None
+    retreat: Annotated[float, between(0)] | None = None
 
 
 @dataclass(frozen=True)

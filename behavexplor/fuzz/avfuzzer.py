@@ -8,7 +8,7 @@ with "AV-Fuzzer" name the step of the publication that the code follows.
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
+from behavexplor.errors import InputError
 from behavexplor.fuzz.encoding import ROUTE
-from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
@@ -29,7 +30,7 @@ _COLLISION = 100.0  # fitness of a collision, to which its relative speed is add
 _NEAR = 256  # pairs of frame and NPC whose exact distances are computed at once
 
 
-@dataclass(frozen=True)
+@validated
 class AVFuzzerOptions:
     """Options of `AVFuzzer`. The defaults are the published values.
 
@@ -47,24 +48,18 @@ class AVFuzzerOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    population: int = 4
-    crossover_probability: float = 0.4
-    mutation_probability: float = 0.4
-    patience: int = 5
+    population: Annotated[int, between(2)] = 4
+    crossover_probability: Annotated[float, between(0.01, 1)] = 0.4
+    mutation_probability: Annotated[float, between(0.01, 1)] = 0.4
+    patience: Annotated[int, between(1)] = 5
     restart_samples: int = 1000
-    local_after: int = 2
-    local_generations: int = 5
-    local_factor: float = 1.5
+    local_after: Annotated[int, between(0)] = 2
+    local_generations: Annotated[int, between(1)] = 5
+    local_factor: Annotated[float, between(0)] = 1.5
 
     def __post_init__(self) -> None:
-        check_range("population", self.population, 2)
-        for name in ("crossover_probability", "mutation_probability"):
-            check_range(name, getattr(self, name), 0.01, 1)
-        for name in ("patience", "local_generations"):
-            check_range(name, getattr(self, name), 1)
-        check_range("restart_samples", self.restart_samples, self.population)
-        check_range("local_after", self.local_after, 0)
-        check_range("local_factor", self.local_factor, 0)
+        if self.restart_samples < self.population:
+            raise InputError(f"restart_samples: must be at least population, got {self.restart_samples}")
 
 
 @dataclass(slots=True)

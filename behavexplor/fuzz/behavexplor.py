@@ -1,8 +1,8 @@
 """BehAVExplor: search guided by the novelty of behaviors and by their violation degrees (paper Algorithm 1)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from dataclasses import field
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
 from behavexplor.fuzz.corpus import Corpus, Testcase
 from behavexplor.fuzz.energy import SELECTION_CHANGE, degree_change, failure_change
@@ -22,7 +23,6 @@ from behavexplor.fuzz.mutation import (
     mutate_routes,
     mutate_waypoints,
 )
-from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
@@ -30,7 +30,7 @@ _NOT_MINED = -1  # index of a behavior that was not computed
 _NOVELTY_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
 
 
-@dataclass(frozen=True)
+@validated
 class BehAVExplorOptions:
     """Options of `BehAVExplor`. The defaults are the paper's configuration (section IV).
 
@@ -70,19 +70,19 @@ class BehAVExplorOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    initial_corpus: int = 4
+    initial_corpus: Annotated[int, between(1)] = 4
     initial_energy: float = 1.0
     novelty: Literal["measured", "random", "none"] = "measured"
-    novelty_threshold: float = NOVELTY_THRESHOLD
+    novelty_threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
     known: Literal["kept", "novel"] = "kept"
     selection: Literal["energy", "uniform"] = "energy"
     mutation: Literal["energy", "random"] = "energy"
     waypoint_energy: float = 0.5
-    waypoint_keep_probability: float = 0.5
-    route_keep_probability: float = 0.5
-    point_keep_probability: float = 0.0
-    sigma_position: float = 12.0
-    sigma_speed: float = 6.0
+    waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
+    route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
+    point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0
+    sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0
+    sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0
     failure_weight: float = 0.5
     degree_weight: float = 0.5
     selection_weight: float = 1.0
@@ -93,14 +93,6 @@ class BehAVExplorOptions:
     bounded: bool = True
     assessment: AssessmentOptions = field(default_factory=AssessmentOptions)
     miner: MinerOptions = field(default_factory=MinerOptions)
-
-    def __post_init__(self) -> None:
-        check_range("initial_corpus", self.initial_corpus, 1)
-        check_range("novelty_threshold", self.novelty_threshold, 0, 1)
-        for name in ("waypoint_keep_probability", "route_keep_probability", "point_keep_probability"):
-            check_range(name, getattr(self, name), 0, MAX_KEEP_PROBABILITY)
-        for name in ("sigma_position", "sigma_speed"):
-            check_range(name, getattr(self, name), MIN_SIGMA)
 
 
 class BehAVExplor:

@@ -6,16 +6,16 @@ pyribs (Tjanaka et al., GECCO 2023).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from dataclasses import field
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.errors import missing_library
+from behavexplor.data.validation import between, validated
+from behavexplor.errors import InputError, missing_library
 from behavexplor.fuzz.descriptors import Measure, check_measures, describe
-from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import Candidate
 from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_elites
 from behavexplor.fuzz.vector_search import Asker
@@ -24,7 +24,7 @@ from behavexplor.judge.specs import Verdict
 MAX_CELLS = 1_000_000
 
 
-@dataclass(frozen=True)
+@validated
 class MAPElitesOptions:
     """Options of `MAPElites`.
 
@@ -38,16 +38,16 @@ class MAPElitesOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    initial: int = 20
+    initial: Annotated[int, between(1)] = 20
     measures: tuple[Measure, ...] = ("mean-speed", "braking")
-    bins: int = 12
+    bins: Annotated[int, between(1)] = 12
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
-        check_range("initial", self.initial, 1)
-        check_range("bins", self.bins, 1)
         check_measures(self.measures)
-        check_range("bins to the power of measures", self.bins ** len(self.measures), 1, MAX_CELLS)
+        cells = self.bins ** len(self.measures)
+        if cells > MAX_CELLS:
+            raise InputError(f"bins: {cells} cells are more than {MAX_CELLS}; give fewer bins or fewer measures")
 
 
 class MAPElites:

@@ -5,23 +5,23 @@ Computation 19(2), 2011. The archive is that of pyribs (Tjanaka et al., GECCO 20
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from dataclasses import field
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
 from behavexplor.errors import missing_library
 from behavexplor.fuzz.descriptors import SCALES, Measure, check_measures, describe
-from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import Candidate
 from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_elites
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
 
 
-@dataclass(frozen=True)
+@validated
 class NoveltySearchOptions:
     """Options of `NoveltySearch`.
 
@@ -36,16 +36,13 @@ class NoveltySearchOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    initial: int = 20
+    initial: Annotated[int, between(1)] = 20
     measures: tuple[Measure, ...] = tuple(SCALES)
-    neighbors: int = 15
-    threshold: float = 0.1
+    neighbors: Annotated[int, between(1)] = 15
+    threshold: Annotated[float, between(0)] = 0.1
     variation: VariationOptions = field(default_factory=VariationOptions)
 
     def __post_init__(self) -> None:
-        check_range("initial", self.initial, 1)
-        check_range("neighbors", self.neighbors, 1)
-        check_range("threshold", self.threshold, 0)
         check_measures(self.measures)
 
 

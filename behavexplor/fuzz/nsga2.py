@@ -6,18 +6,17 @@ Computation 6(2), 2002, in the implementation of pymoo (Blank and Deb, IEEE Acce
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
 from behavexplor.errors import missing_library
 from behavexplor.fuzz.objectives import objectives
-from behavexplor.fuzz.options import MAX_POPULATION, check_range
-from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
 
@@ -26,7 +25,7 @@ Floats = NDArray[np.float64]
 OFFSPRING = "offspring"  # origin of candidates
 
 
-@dataclass(frozen=True)
+@validated
 class NSGA2Options:
     """Options of `NSGA2`. The defaults are pymoo's, except for the population, which is smaller.
 
@@ -40,16 +39,10 @@ class NSGA2Options:
         InputError: if an option is out of range; the message names it.
     """
 
-    population: int = 20
-    crossover_probability: float = 0.9
-    crossover_eta: float = 15.0
-    mutation_eta: float = 20.0
-
-    def __post_init__(self) -> None:
-        check_range("population", self.population, 4, MAX_POPULATION)
-        check_range("crossover_probability", self.crossover_probability, 0, 1)
-        for name in ("crossover_eta", "mutation_eta"):
-            check_range(name, getattr(self, name), 0)
+    population: Annotated[int, between(4, MAX_POPULATION)] = 20
+    crossover_probability: Annotated[float, between(0, 1)] = 0.9
+    crossover_eta: Annotated[float, between(0)] = 15.0
+    mutation_eta: Annotated[float, between(0)] = 20.0
 
 
 class _Generation:

@@ -1,12 +1,12 @@
 """The paper's Random: mutations of random testcases without feedback (section IV, baselines and ablation)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.mutation import (
     MAX_KEEP_PROBABILITY,
     MIN_SIGMA,
@@ -15,14 +15,13 @@ from behavexplor.fuzz.mutation import (
     mutate_routes,
     mutate_waypoints,
 )
-from behavexplor.fuzz.options import check_range
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
 _KEEPING_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
 
 
-@dataclass(frozen=True)
+@validated
 class RandomMutationOptions:
     """Options of `RandomMutation`. The mutations are those of the paper.
 
@@ -38,18 +37,11 @@ class RandomMutationOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    initial_corpus: int = 4
-    keep_probability: float = 0.5
-    npc_keep_probability: float = 0.5
-    sigma_position: float = 12.0
-    sigma_speed: float = 6.0
-
-    def __post_init__(self) -> None:
-        check_range("initial_corpus", self.initial_corpus, 1)
-        check_range("keep_probability", self.keep_probability, 0, 1)
-        check_range("npc_keep_probability", self.npc_keep_probability, 0, MAX_KEEP_PROBABILITY)
-        for name in ("sigma_position", "sigma_speed"):
-            check_range(name, getattr(self, name), MIN_SIGMA)
+    initial_corpus: Annotated[int, between(1)] = 4
+    keep_probability: Annotated[float, between(0, 1)] = 0.5
+    npc_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
+    sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0
+    sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0
 
 
 class RandomMutation:

@@ -7,8 +7,7 @@ code follows.
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,10 @@ from threadpoolctl import threadpool_limits
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.many_objective import survivors
 from behavexplor.fuzz.objectives import objectives
-from behavexplor.fuzz.options import MAX_POPULATION, check_range
-from behavexplor.fuzz.search import INITIAL, Candidate
+from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate
 from behavexplor.fuzz.surrogates import Ensemble, fit_ensemble, fit_rbf
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
@@ -30,7 +29,7 @@ Ints = NDArray[np.intp]
 PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
 
 
-@dataclass(frozen=True)
+@validated
 class SAMOTAOptions:
     """Options of `SAMOTA`.
 
@@ -53,28 +52,18 @@ class SAMOTAOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    population: int = 6
-    adaptive_samples: int = 10
-    generations: int = 200
-    database_limit: int = 300
-    local_share: float = 0.2
-    local_limit: int = 100
-    cluster_size: int = 5
-    local_population: int = 20
-    local_generations: int = 50
-    crossover_probability: float = 0.3
-    mutation_probability: float = 0.05
-    mutation_sigma: float = 0.2
-
-    def __post_init__(self) -> None:
-        for name in ("population", "cluster_size", "local_population"):
-            check_range(name, getattr(self, name), 2, MAX_POPULATION)
-        for name in ("adaptive_samples", "generations", "local_generations"):
-            check_range(name, getattr(self, name), 1)
-        for name in ("database_limit", "local_limit"):
-            check_range(name, getattr(self, name), 10, 10_000)
-        for name in ("local_share", "crossover_probability", "mutation_probability", "mutation_sigma"):
-            check_range(name, getattr(self, name), 0.001, 1)
+    population: Annotated[int, between(2, MAX_POPULATION)] = 6
+    adaptive_samples: Annotated[int, between(1)] = 10
+    generations: Annotated[int, between(1)] = 200
+    database_limit: Annotated[int, between(10, 10_000)] = 300
+    local_share: Annotated[float, between(0.001, 1)] = 0.2
+    local_limit: Annotated[int, between(10, 10_000)] = 100
+    cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5
+    local_population: Annotated[int, between(2, MAX_POPULATION)] = 20
+    local_generations: Annotated[int, between(1)] = 50
+    crossover_probability: Annotated[float, between(0.001, 1)] = 0.3
+    mutation_probability: Annotated[float, between(0.001, 1)] = 0.05
+    mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2
 
 
 class SAMOTA:

@@ -15,6 +15,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
+MAX_POPULATION = 1000  # greatest population of a method that compares all pairs of its members
 MAX_FAILED_INITIAL = 1000  # number of initial scenarios after which a search ends if all of them failed
 
 

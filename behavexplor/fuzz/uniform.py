@@ -1,16 +1,16 @@
 """Uniform sampling, the baseline that every search must beat."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import validated
 from behavexplor.fuzz.search import UNIFORM, Candidate, draws
 from behavexplor.judge.specs import Verdict
 
 
-@dataclass(frozen=True)
+@validated
 class UniformOptions:
     """Uniform sampling has no options."""
 

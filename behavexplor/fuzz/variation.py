@@ -1,11 +1,10 @@
 """Variation of kept scenarios (elites) in quality-diversity methods."""
 
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 
-from behavexplor.fuzz.options import check_range
+from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.vector_search import Asker
 
@@ -13,7 +12,7 @@ VARIATION: Final = "variation"  # origin of candidates
 ELITES: Final = "number"  # archive field with the candidate number of each elite
 
 
-@dataclass(frozen=True)
+@validated
 class VariationOptions:
     """Variation along the line through two elites (Vassiliades and Mouret, GECCO 2018, equation 1).
 
@@ -27,14 +26,9 @@ class VariationOptions:
         InputError: if an option is out of range; the message names it.
     """
 
-    iso_sigma: float = 0.05
-    line_sigma: float = 0.2
-    npc_keep_probability: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_range("iso_sigma", self.iso_sigma, 1e-3, 1)
-        check_range("line_sigma", self.line_sigma, 0, 10)
-        check_range("npc_keep_probability", self.npc_keep_probability, 0, 0.95)
+    iso_sigma: Annotated[float, between(1e-3, 1)] = 0.05
+    line_sigma: Annotated[float, between(0, 10)] = 0.2
+    npc_keep_probability: Annotated[float, between(0, 0.95)] = 0.5
 
 
 def ask_elites(asker: Asker, archive: Any, initial: int, options: VariationOptions) -> Candidate:

@@ -10,10 +10,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.campaign.config import checked
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import write_durably
 from behavexplor.data.trace import Trace
+from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
