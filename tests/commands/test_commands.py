@@ -145,7 +145,7 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
         (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
         (["fuzz", "--resume", "tests"], "is not a run folder"),
-        (["fuzz", "--resume", "tests", "--config", "paper"], "--config and --out cannot be given with --resume"),
+        (["fuzz", "--resume", "tests", "--config", "paper"], "--config, --spec and --out cannot be given with --resume"),
         (["records", "nowhere"], "is not a run folder"),
         (["replay", "nowhere", "0"], "is not a run folder"),
         (["fuzz", "--env", ":"], "cannot be made"),
@@ -376,7 +376,7 @@ def test_help_is_quick_and_says_what_matters():
     for flag in ("env", "ads", "method", "config", "budget", "seed", "workers", "batch", "out", "resume", "quiet"):
         assert f"--{flag}" in result.stdout
     words = " ".join(result.stdout.replace("│", " ").split())
-    assert "lane-change, lane-follow, or a gymnasium id. (default: intersection-straight)" in words
+    assert "lane-change, lane-follow, or the gymnasium id of an environment that runs concrete scenarios." in words
 
 
 def test_records_can_be_cut_off_by_head(finished):
