@@ -145,7 +145,10 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--config", "papper"], "did you mean 'paper'?"),
         (["fuzz", "--config", "pyproject.toml"], "is not a YAML file"),
         (["fuzz", "--resume", "tests"], "is not a run folder"),
-        (["fuzz", "--resume", "tests", "--config", "paper"], "--config, --spec and --out cannot be given with --resume"),
+        (
+            ["fuzz", "--resume", "tests", "--config", "paper"],
+            "--config, --spec and --out cannot be given with --resume",
+        ),
         (["records", "nowhere"], "is not a run folder"),
         (["replay", "nowhere", "0"], "is not a run folder"),
         (["fuzz", "--env", ":"], "cannot be made"),
