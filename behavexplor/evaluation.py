@@ -1,4 +1,4 @@
-"""How well an ADS drives: its rates of arrival and of violations over scenarios drawn uniformly."""
+"""Evaluation of an ADS: rates of arrival and violations over uniformly drawn scenarios."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -13,17 +13,17 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.specs import SPECS, judge
 
-STREAM: Final = 0x65_76_61_6C  # sets the scenarios of evaluations apart from those of campaigns and trainings
+STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What happened in a number of scenarios.
+    """Outcomes of a number of scenarios.
 
     Attributes:
         n: number of scenarios.
-        counts: how many of them by what happened, in the order in which it is told: "arrived", each spec that was
-            violated, each verdict on a collision behind "collision: ".
+        counts: number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each
+            verdict on a collision. Outcomes are in the order in which they are reported.
     """
 
     n: int
@@ -31,7 +31,7 @@ class Evaluation:
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
-        """Judge traces."""
+        """Judge traces and count their outcomes."""
         judged = [_outcomes(trace) for trace in traces]
         found = Counter(outcome for outcomes in judged for outcome in outcomes)
         faults = sorted(outcome for outcome in found if ": " in outcome)
@@ -39,23 +39,25 @@ class Evaluation:
         return cls(len(judged), {name: found[name] for name in names})
 
     def rate(self, outcome: str) -> float:
-        """The share of scenarios with an outcome."""
+        """Return the share of scenarios with an outcome."""
         return self.counts.get(outcome, 0) / self.n
 
     def interval(self, outcome: str) -> tuple[float, float]:
-        """The 95 % interval of a rate, after Wilson."""
+        """Return the 95 % Wilson interval of a rate."""
         found = binomtest(self.counts.get(outcome, 0), self.n).proportion_ci(0.95, "wilson")
         return float(found.low), float(found.high)
 
 
-def evaluate(simulation: Simulation, n: int, seed: int, observe: Callable[[int], None] | None = None) -> Evaluation:
-    """Drive scenarios drawn uniformly.
+def estimate_rates(
+    simulation: Simulation, n: int, seed: int, observe: Callable[[int], None] | None = None
+) -> Evaluation:
+    """Evaluate an ADS in uniformly drawn scenarios.
 
     Args:
-        simulation: the ADS in its environment.
+        simulation: simulation with the ADS and its environment.
         n: number of scenarios.
-        seed: of the draw.
-        observe: called with the number of scenarios done.
+        seed: seed of the random scenarios.
+        observe: callback that gets the number of finished scenarios.
     """
     generator = np.random.default_rng([STREAM, seed])
     scenarios = [simulation.logical.sample(generator) for _ in range(n)]

@@ -1,8 +1,8 @@
-"""Training of a driving policy with Stable-Baselines3 on the vector environment, in stages that can be resumed.
+"""Training of a driving policy with Stable-Baselines3 on the vector environment, in resumable stages.
 
-Each stage begins with new episodes and with random generators of its own, seeded by the training's seed and the number
-of the stage. So a training that is resumed from the model at the end of a stage is the training that was never
-interrupted.
+Each stage begins with new episodes and with its own random generators, seeded by the seed of the training and the
+number of the stage. So a training that resumes from the model at the end of a stage gives the same policy as an
+uninterrupted one.
 """
 
 import re
@@ -36,9 +36,9 @@ from behavexplor.execution.simulation import environment_id
 
 Floats = NDArray[np.float64]
 
-CONFIG, NETWORK, MODELS, LOGS = "training.yaml", "policy.npz", "models", "logs"  # in the folder of a training
+CONFIG, NETWORK, MODELS, LOGS = "training.yaml", "policy.npz", "models", "logs"  # names in the folder of a training
 MOST_ENVS: Final = 4096
-EPISODES: Final = 1000  # the latest, over which rates are told
+EPISODES: Final = 1000  # latest episodes over which rates are reported
 
 ALGORITHMS: Mapping[str, type[OnPolicyAlgorithm]] = {
     "ppo": stable_baselines3.PPO,
@@ -50,21 +50,21 @@ _SETTINGS: Mapping[str, Mapping[str, Any]] = {
     "a2c": {"n_steps": 16, "ent_coef": 0.005},
     "trpo": {"n_steps": 128, "batch_size": 1024},
 }
-_RATES: Mapping[str, float] = {"ppo": 5e-4, "a2c": 7e-4, "trpo": 1e-3}  # of learning, at first
-_LAST_RATE: Final = 0.05  # of learning, as a share of the first
+_RATES: Mapping[str, float] = {"ppo": 5e-4, "a2c": 7e-4, "trpo": 1e-3}  # initial learning rates
+_LAST_RATE: Final = 0.05  # least learning rate, as a share of the initial one
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """A training.
+    """The configuration of a training.
 
     Attributes:
         env: functional scenario.
         algo: one of `ALGORITHMS`.
-        steps: decisions of all sub-environments together; rounded up to whole batches of experience.
-        seed: the same seed gives the same policy, on the same kind of processor.
-        envs: sub-environments in lock-step.
-        stage: steps between two saved models.
+        steps: number of decisions over all sub-environments, rounded up to whole batches of experience.
+        seed: random seed. The same seed gives the same policy on the same kind of processor.
+        envs: number of sub-environments in lock-step.
+        stage: number of steps between two saved models.
         layers: widths of the network's hidden layers.
 
     Raises:
@@ -91,26 +91,26 @@ class TrainingConfig:
             if not low <= getattr(self, name) <= high:
                 raise InputError(f"{name} {getattr(self, name)} must lie between {low} and {high}")
         if not self.layers or not all(1 <= width <= 4096 for width in self.layers):
-            raise InputError(f"layers {self.layers} must be widths between 1 and 4096")
+            raise InputError(f"layers {self.layers} must be at least one width, each between 1 and 4096")
 
     @property
     def n_stages(self) -> int:
-        """How many stages there are."""
+        """Number of stages."""
         return -(-self.steps // self.stage)
 
     def to_yaml(self) -> str:
-        """The whole configuration."""
+        """Return the whole configuration as YAML."""
         return yaml.safe_dump({**asdict(self), "layers": list(self.layers)}, sort_keys=False)
 
 
 @dataclass(frozen=True)
 class Learned:
-    """How far a training is.
+    """Progress of a training.
 
     Attributes:
-        steps: done so far.
-        reward: mean over the latest episodes.
-        ends: shares of the latest episodes by how they ended.
+        steps: number of steps so far.
+        reward: mean reward of the latest episodes.
+        ends: shares of the latest episodes by kind of end.
     """
 
     steps: int
@@ -119,20 +119,20 @@ class Learned:
 
 
 def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:
-    """Train a policy, from the last model in the folder if there is one.
+    """Train a policy. If the folder has a saved model, the training resumes from the last one.
 
     Args:
-        config: what to train.
-        folder: where models, logs and in the end the network go.
-        observe: called after each batch of experience.
+        config: configuration of the training.
+        folder: folder for models, logs and the final network.
+        observe: callback that gets the progress after each batch of experience.
 
     Returns:
-        The network's file, which `behavexplor.ads.learned.driver.read_layers` reads.
+        The file of the network, for `behavexplor.ads.learned.driver.read_layers`.
 
     Raises:
-        InputError: if the environment cannot be trained in.
+        InputError: if the environment does not support training, or the last model cannot be read.
     """
-    torch.set_num_threads(1)  # more of them change the last bits
+    torch.set_num_threads(1)  # more threads change the last bits
     venv = _environment(config)
     (folder / MODELS).mkdir(parents=True, exist_ok=True)
     first, model = _last_model(folder, config, venv)
@@ -152,36 +152,36 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
 
 
 def _save(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Write what a model has learned, in a file that is whole or not there."""
+    """Save the learned state of a model atomically."""
     part = path.with_suffix(".part")
     learned = {
         "policy": model.policy.state_dict(),
         "optimizer": model.policy.optimizer.state_dict(),
         "steps": model.num_timesteps,
-        "updates": model._n_updates,  # noqa: SLF001 - it is told in the logs
+        "updates": model._n_updates,  # noqa: SLF001 - the logs show it
     }
     torch.save(learned, part)
     part.replace(path)
 
 
 def _restore(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Give a new model what was saved; nothing but numbers is read.
+    """Load a saved state into a new model. Only numbers are read from the file, never code.
 
     Raises:
-        InputError: if the file is damaged, or of another model.
+        InputError: if the file is damaged or belongs to another model.
     """
     try:
         learned = torch.load(path, map_location="cpu", weights_only=True)
         model.policy.load_state_dict(learned["policy"])
         model.policy.optimizer.load_state_dict(learned["optimizer"])
         model.num_timesteps, model._n_updates = int(learned["steps"]), int(learned["updates"])  # noqa: SLF001
-    except Exception as error:  # whatever torch makes of a wrong file
+    except Exception as error:  # torch can raise anything for a damaged file
         first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(f"{path} cannot be gone on from: {first}; delete it to go on from the one before") from error
+        raise InputError(f"Cannot resume from {path}: {first}; delete it to resume from the model before it") from error
 
 
 def network_layers(model: OnPolicyAlgorithm) -> list[tuple[Floats, Floats]]:
-    """Weights and biases from what a policy sees to the preference of each action."""
+    """Return weights and biases of all layers, from the observation to the preference of each action."""
     policy: Any = model.policy
     parts = [*policy.mlp_extractor.policy_net, policy.action_net]
     linear = [part for part in parts if isinstance(part, torch.nn.Linear)]
@@ -201,7 +201,7 @@ def _environment(config: TrainingConfig) -> LearningVecEnv:
 
 
 def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> tuple[int, OnPolicyAlgorithm]:
-    """How many stages are done, and the model at their end; a new one before the first."""
+    """Return the number of finished stages and the model after them; a new model before the first stage."""
     algorithm: Any = ALGORITHMS[config.algo]
     settings = dict(_SETTINGS[config.algo])
     if "batch_size" in settings:
@@ -217,17 +217,17 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
 
 
 def _begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, config: TrainingConfig, stage: int) -> None:
-    """New episodes, generators and rate of learning, all of them functions of the stage's number."""
+    """Set new episodes, random generators and the learning rate, each a function of the stage's number."""
     networks, episodes = np.random.SeedSequence([config.seed, stage]).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))
     model._last_obs = None  # noqa: SLF001 - so that `learn` resets the environment
     model.learning_rate = _RATES[config.algo] * max(1 - stage / config.n_stages, _LAST_RATE)
-    model._setup_lr_schedule()  # noqa: SLF001 - the only way to change the rate of a model
+    model._setup_lr_schedule()  # noqa: SLF001 - the only way to change the learning rate of a model
 
 
 class _Watch(BaseCallback):
-    """Tells how the latest episodes ended, after each batch of experience."""
+    """Callback that reports the ends of the latest episodes after each batch of experience."""
 
     def __init__(self, observe: Callable[[Learned], None]) -> None:
         super().__init__()

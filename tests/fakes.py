@@ -1,12 +1,11 @@
 """Ten-line stand-ins for a simulator with an ADS in it, and traces made by hand."""
 
-from zlib import crc32
-
 import numpy as np
 
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.trace import Trace
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.testing import synthetic_trace
 
 LOGICAL = IntersectionStraightEnv.logical
 
@@ -38,22 +37,4 @@ def make_trace(ego, npcs=(), *, sizes=None, lines=(), destination=(0.0, 0.0), ti
 
 def simulate(scenario, logical=LOGICAL):
     """An ADS that never looks: it follows its route, hurries, dawdles and stops as the scenario's letters tell it."""
-    rng = np.random.default_rng(crc32(scenario.to_json().encode()))
-    roadmap, time = logical.roadmap, np.arange(rng.integers(300, 900)) / RATE
-    speed = np.clip(np.interp(time, np.linspace(0, 45, 10), rng.uniform(-3, 11, 10)), 0, None)
-    station = np.minimum(roadmap.ego_start + np.cumsum(speed) / RATE, roadmap.destination + rng.uniform(-2, 2))
-    poses = [roadmap.ego_route.pose(station)]
-    for npc in scenario.npcs:
-        positions = [point.position for point in npc.waypoints]
-        along = np.interp(time, np.linspace(0, 20, len(positions)), positions)
-        poses.append(roadmap.routes[npc.route].pose(along))
-    sizes = [EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)]
-    stations = roadmap.ego_route.polyline(roadmap.ego_start, roadmap.destination + 10)
-    return make_trace(
-        poses[0],
-        poses[1:],
-        sizes=sizes,
-        lines=roadmap.illegal_lines,
-        destination=roadmap.destination_point,
-        route=stations,
-    )
+    return synthetic_trace(scenario, logical)

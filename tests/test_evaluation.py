@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
-from behavexplor.evaluation import Evaluation, evaluate
+from behavexplor.evaluation import Evaluation, estimate_rates
 from behavexplor.execution.rollout import ADSError, rollout_all
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser
@@ -80,7 +80,7 @@ def test_intervals_are_wilsons(count, n, low, high):
 
 
 def test_the_same_seed_gives_the_same_scenarios(cruising):
-    first, again, other = (evaluate(cruising[0], 12, seed).counts for seed in (0, 0, 1))
+    first, again, other = (estimate_rates(cruising[0], 12, seed).counts for seed in (0, 0, 1))
     assert first == again
     assert first != other
 

@@ -14,7 +14,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 from behavexplor import jit as compiled
-from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.lateral import LateralProfile
 from behavexplor.ads.rule.station_time import StationTime
 
 SOURCES = {
@@ -144,7 +144,7 @@ def holds_arrays(annotation):
 
 def test_no_kernel_in_place_returns_an_array_whose_reference_nobody_counts():
     assert holds_arrays(tuple[float, StationTime])
-    assert not holds_arrays(tuple[int, Profile])
+    assert not holds_arrays(tuple[int, LateralProfile])
     names = [
         ".".join(path.relative_to(compiled._PACKAGE.parent).with_suffix("").parts)
         for path in compiled._modules_with_kernels(compiled._PACKAGE)

@@ -154,7 +154,7 @@ def insert(connection: sqlite3.Connection, rows: list[Row]) -> None:
         )
 
 
-class Table:
+class ExecutionTable:
     """The executions in a database.
 
     Args:
@@ -307,7 +307,9 @@ def _readable(path: Path) -> Iterator[Row]:
             connection.execute("SELECT record_checksum FROM executions LIMIT 0")
         except sqlite3.DatabaseError:
             stored_format = "1"
-        yield from (row for _, row in Table(path, connection, stored_format).rows(traces=True) if row is not None)
+        yield from (
+            row for _, row in ExecutionTable(path, connection, stored_format).rows(traces=True) if row is not None
+        )
 
 
 def _free_name(path: Path) -> Path:

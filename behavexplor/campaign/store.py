@@ -21,8 +21,8 @@ from behavexplor.campaign.database import (
     FORMAT,
     READABLE,
     DamagedError,
+    ExecutionTable,
     Row,
-    Table,
     begin,
     connect,
     insert,
@@ -92,7 +92,7 @@ class Store:
         self.folder = folder
         self.repaired = repaired
         self._connection = connection
-        self._table = Table(folder / DATABASE, connection, read_format(connection))
+        self._table = ExecutionTable(folder / DATABASE, connection, read_format(connection))
         self._lock = lock  # None for readers
         self._pending: list[Execution] = []
 

@@ -18,9 +18,9 @@ from behavexplor.bench.writing import table_csv, table_latex
 from behavexplor.campaign.campaign import search_method
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import clock
+from behavexplor.commands.interrupts import stopped_by_signals
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.report import PAGE
-from behavexplor.commands.signals import stopped_by_signals
 from behavexplor.commands.terminal_tables import text
 from behavexplor.errors import InputError
 from behavexplor.execution.cluster.address import parse_cluster

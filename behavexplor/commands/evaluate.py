@@ -13,8 +13,7 @@ from rich.table import Table
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.errors import InputError
-from behavexplor.evaluation import Evaluation
-from behavexplor.evaluation import evaluate as drive
+from behavexplor.evaluation import Evaluation, estimate_rates
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 
@@ -49,7 +48,7 @@ def evaluate(
     simulation = Simulation(env, ads, [trust] if trust else [])
     try:
         with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
-            found = drive(simulation, scenarios, seed, meter.show)
+            found = estimate_rates(simulation, scenarios, seed, meter.show)
     except ADSError as error:
         print(f"{program()}: In one of the scenarios {error}; fuzz records such failures and goes on", file=sys.stderr)
         return EXECUTION_FAILED

@@ -19,7 +19,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
-from behavexplor.commands.signals import stopped_by_signals
+from behavexplor.commands.interrupts import stopped_by_signals
 from behavexplor.errors import InputError
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
 from behavexplor.execution.executor import available_cores

@@ -1,4 +1,4 @@
-"""`behavexplor report`: what was found, as a page to read and to hand on."""
+"""`behavexplor report`: the findings of a run as one HTML page."""
 
 from pathlib import Path
 from typing import Annotated
@@ -27,22 +27,22 @@ def report(
     ] = None,
     replays: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
 ) -> int:
-    """Write what a run found as one HTML file: violations with replays, curves, behaviors. It loads nothing.
+    """Write the findings of a run as one self-contained HTML file: violations with replays, curves, behaviors.
 
-    Whose fault the failures were is in it if `triage` has been called before.
+    Fault and causes of the failures are included if `triage` was called before.
 
     Args:
         runs: Run folders; several are compared.
-        out: The file.
-        replays: Most replays of each run in the page; each takes about 2 kB.
+        out: The HTML file to write.
+        replays: Maximum number of replays of each run in the page; each takes about 2 kB.
     """
     if not runs:
-        raise InputError("report takes a run folder at least: behavexplor report RUN")
+        raise InputError("report needs at least one run folder: behavexplor report RUN")
     if not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"--replays {replays} must lie between 0 and {MOST_REPLAYS}")
     for run in runs:
         if (run / EXPERIMENT).is_file():
-            raise InputError(f"{run} is an experiment's folder: its page is {run / PAGE}, which `bench` writes")
+            raise InputError(f"{run} is the folder of an experiment: its page is {run / PAGE}, which `bench` writes")
     path = out or (runs[0] / PAGE if len(runs) == 1 else Path(PAGE))
     text = page([read_run(run) for run in runs], replays)
     try:

@@ -15,7 +15,7 @@ from behavexplor.commands.evaluate import table
 from behavexplor.commands.meter import Meter
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, missing_library
-from behavexplor.evaluation import Evaluation, evaluate
+from behavexplor.evaluation import Evaluation, estimate_rates
 from behavexplor.execution.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def train(
             network = training.train(config, folder, lambda learned: meter.show(learned.steps, _line(learned)))
         with Meter(sys.stderr, EVALUATED, "scenarios", quiet=quiet) as meter:
             simulation = Simulation(config.env, str(network))
-            found = evaluate(simulation, EVALUATED, 0, meter.show)
+            found = estimate_rates(simulation, EVALUATED, 0, meter.show)
             simulation.close()
     except KeyboardInterrupt:
         print(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)

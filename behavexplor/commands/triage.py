@@ -1,4 +1,4 @@
-"""`behavexplor triage`: what the failures of a run are."""
+"""`behavexplor triage`: classes, fault and causes of the failures of a run."""
 
 import json
 import shlex
@@ -41,10 +41,10 @@ from behavexplor.triage.findings import (
     witness_path,
 )
 
-WRITTEN_AFTER = 10  # findings, so that an interruption costs no more than that
-AHEAD = 4  # failures that are read ahead for each worker
+WRITTEN_AFTER = 10  # findings after which the file is written, the most that an interruption can lose
+AHEAD = 4  # failures read ahead for each worker
 MOST_WORKERS = 64
-TIME_LIMIT = 10.0  # of one failure, in those of one execution
+TIME_LIMIT = 10.0  # time limit of one failure, in units of the time limit of an execution
 
 
 def triage(
@@ -54,16 +54,16 @@ def triage(
     afresh: bool = False,
     quiet: bool = False,
 ) -> int:
-    """Group the failures of a run, say whose fault they were and how they could have been avoided.
+    """Classify the failures of a run, and find out whose fault they were and how they could have been avoided.
 
-    Each failure is run again first. For the rule planner the weakness that caused it is found out by replays. All
-    is kept in the run folder, triage.json and witnesses/; what is there already is not done again.
+    Each failure is executed again first. For the rule planner, replays find the weakness that caused the failure. The
+    findings are kept in the run folder, in triage.json and witnesses/, and only new failures are examined.
 
     Args:
         run: The run folder.
-        workers: Processes; the findings do not depend on it. 0 is this process.
-        afresh: Begin anew.
-        quiet: Only the tables.
+        workers: Number of worker processes; 0 uses this process. The findings do not depend on it.
+        afresh: Examine all failures again.
+        quiet: Print only the tables.
     """
     count = min(available_cores(), MOST_WORKERS) if workers is None else workers
     if not 0 <= count <= MOST_WORKERS:
@@ -98,12 +98,12 @@ def triage(
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
-        print(f"\nHow the first preventable collision could have been avoided: {command} --avoided")
+        print(f"\nTo see how the first preventable collision could have been avoided: {command} --avoided")
     return OK
 
 
 def _known(run: Path) -> dict[int, Finding]:
-    """What an earlier call has found out."""
+    """Return the findings of an earlier call."""
     if not (run / TRIAGE).is_file():
         return {}
     return {finding.id: finding for finding in Triage.read(run).findings}
@@ -114,7 +114,7 @@ def _triage(config: CampaignConfig, total: int, findings: Iterable[Finding]) -> 
 
 
 def _examined(store: Store, config: CampaignConfig, waiting: Sequence[int], workers: int) -> Iterator[Finding]:
-    """Examine failures in their order, and write the witnesses."""
+    """Examine failures in order, write their witnesses, and yield the findings."""
     if not waiting:
         return
     target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
@@ -157,16 +157,29 @@ def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
 
 
 def report(found: Triage) -> str:
-    """The tables that a person reads."""
+    """Return the tables for the terminal."""
     flaky = sum(not finding.same_verdict for finding in found.findings)
     lines = [
-        f"{len(found.findings)} failures of {found.executions} executions, in {class_count(len(found.classes))}; "
-        f"{flaky} did not happen again",
+        f"{len(found.findings)} failures in {found.executions} executions, in {class_count(len(found.classes))}; "
+        + (f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"),
         "",
         _plain(_class_table(found)),
+        "",
+        "A class groups failures that look alike. It begins with the violated requirement:",
+        "R1 collision, R2 illegal line touched, R3 destination missed.",
     ]
     if found.weaknesses:
-        lines += ["", _plain(_weakness_table(found)), *_agreements(found.findings)]
+        lines += [
+            "Causes such as R2-2 are weaknesses of the rule planner, not requirements:",
+            "R2-2 is the second weakness that leads to violations of R2.",
+            "",
+            _plain(_weakness_table(found)),
+            "",
+            "reached: executions in which the weakness could matter",
+            "triggered: executions in which it changed the planner's output",
+            "detected: failures that it caused; first: number of the first such execution",
+            *_agreements(found.findings),
+        ]
     return "\n".join(lines)
 
 
@@ -192,7 +205,7 @@ def _cells(sighting: Sighting) -> tuple[str, str]:
 
 
 def _agreements(findings: Sequence[Finding]) -> list[str]:
-    """How well what needs no replays agrees with the causes."""
+    """Return how well signatures and classes, which need no replays, agree with the causes."""
     caused = [finding for finding in findings if finding.cause not in (None, UNKNOWN)]
     if not caused:
         return []
@@ -201,10 +214,12 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
     classes = agreement(causes, [finding.class_id for finding in caused])
     return [
         "",
-        f"Signatures equal the cause in {signatures.equal:.0%} of {signatures.n} failures with a known one (precision "
-        f"{signatures.precision:.2f}, recall {signatures.recall:.2f}, adjusted Rand index "
-        f"{signatures.adjusted_rand:.2f}); classes group them with an adjusted Rand index of "
-        f"{classes.adjusted_rand:.2f}. An index of 1 is the same grouping, 0 as good as chance.",
+        "The signature, a guess of the cause without replays,",
+        f"is right for {signatures.equal:.0%} of {signatures.n} failures with a known cause "
+        f"(precision {signatures.precision:.2f}, recall {signatures.recall:.2f}).",
+        "The adjusted Rand index says how well a grouping matches the grouping by cause",
+        f"(1: equal, 0: chance): {signatures.adjusted_rand:.2f} for signatures "
+        f"and {classes.adjusted_rand:.2f} for classes.",
     ]
 
 

@@ -1,6 +1,6 @@
 """The `Scene` observation type: all vehicles in world coordinates, for planners. See `behavexplor.data.scene`."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from behavexplor.data import scene
 
-if TYPE_CHECKING:
-    from behavexplor.envs.driving import DrivingEnv
-
 
 class SceneObservation(ObservationType):  # type: ignore[misc]
-    """Float64 array of shape (1 + n_npcs, 8) with the columns of `behavexplor.data.scene`."""
+    """Float64 array of shape (1 + n_npcs, 8) with the columns of `behavexplor.data.scene`.
 
-    def __init__(self, env: "DrivingEnv", **_: Any) -> None:
+    Args:
+        env: a `behavexplor.envs.driving.DrivingEnv`.
+    """
+
+    def __init__(self, env: Any, **_: Any) -> None:
         super().__init__(env)
         self._shape = (1 + env.logical.n_npcs, scene.N_COLUMNS)
 

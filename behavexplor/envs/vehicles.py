@@ -16,20 +16,20 @@ from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
 Floats = NDArray[np.float64]
 
 
-class Ego(Vehicle):  # type: ignore[misc]
+class EgoVehicle(Vehicle):  # type: ignore[misc]
     """highway-env's vehicle with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
     step = with_c_library(Vehicle.step)
 
 
-class MetaEgo(MDPVehicle):  # type: ignore[misc]
+class MetaEgoVehicle(MDPVehicle):  # type: ignore[misc]
     """highway-env's vehicle for meta-actions with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
     step = with_c_library(MDPVehicle.step)
     steering_control = with_c_library(MDPVehicle.steering_control)
 
 
-_EGOS = {Vehicle: Ego, MDPVehicle: MetaEgo}
+_EGOS = {Vehicle: EgoVehicle, MDPVehicle: MetaEgoVehicle}
 
 
 def set_size(vehicle: Vehicle, size: tuple[float, float]) -> None:

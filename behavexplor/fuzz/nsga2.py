@@ -45,7 +45,7 @@ class NSGA2Options:
     mutation_eta: Annotated[float, between(0)] = 20.0
 
 
-class _Generation:
+class _BredGeneration:
     """Individuals of one generation of pymoo. It is complete once all of them have objectives."""
 
     def __init__(self, population: Any) -> None:
@@ -70,8 +70,8 @@ class NSGA2:
     def __init__(self, logical: LogicalScenario, seed: int, options: NSGA2Options) -> None:
         self._asker = Asker(logical, seed)
         self._algorithm = _algorithm(self._asker.encoding.size, options)
-        self._queue: deque[tuple[_Generation, int]] = deque()
-        self._in_flight: dict[int, tuple[_Generation, int]] = {}
+        self._queue: deque[tuple[_BredGeneration, int]] = deque()
+        self._in_flight: dict[int, tuple[_BredGeneration, int]] = {}
         self._generations = 0
 
     def ask(self) -> Candidate:
@@ -92,7 +92,7 @@ class NSGA2:
             bred = self._algorithm.initialization.do(
                 self._algorithm.problem, self._algorithm.pop_size, random_state=rng
             )
-        generation = _Generation(bred)
+        generation = _BredGeneration(bred)
         self._queue.extend((generation, index) for index in range(len(generation.vectors)))
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
@@ -108,7 +108,7 @@ class NSGA2:
             self._end(generation)
         return {"objectives": generation.values[index].tolist()}
 
-    def _end(self, generation: _Generation) -> None:
+    def _end(self, generation: _BredGeneration) -> None:
         """Select the survivors among the population and a complete generation."""
         from pymoo.core.evaluator import Evaluator  # noqa: PLC0415
         from pymoo.problems.static import StaticProblem  # noqa: PLC0415

@@ -1,1 +1,1 @@
-"""Judging a trace: requirements (specs), the violation event, whose fault it was, and its class."""
+"""Judging of traces: requirements (specs), violation events, fault of collisions, and classes of violations."""

@@ -1,7 +1,8 @@
-"""Classes of violations, of any ADS: what happened, read from the trace alone.
+"""Classes of violations, read from the trace alone, so that they apply to any driving system.
 
-Two failures are of one class if a person would describe them with the same words: what the ego was doing, where the
-other came from, how large it was. Bounds lie where traffic has gaps, such as between two directions at a crossing.
+Two failures belong to one class if a person would describe them with the same words: the ego's maneuver, the direction
+from which the other vehicle came, and its size. The bounds between classes lie where traffic has gaps, such as between
+two directions at a crossing.
 """
 
 import math
@@ -20,33 +21,55 @@ from behavexplor.judge.fault import ALIGNED, CUT_IN_TIME, STATIONARY_SPEED
 Floats = NDArray[np.float64]
 
 LARGE: Final = 7.0  # vehicles longer than this are large [m]
-CREEPING: Final = 2.0  # slower ones creep [m/s]
-BRAKING: Final = 2.0  # mean deceleration in the last `BRAKING_TIME` of one that brakes [m/s2]
+CREEPING: Final = 2.0  # vehicles slower than this creep [m/s]
+BRAKING: Final = 2.0  # least mean deceleration of a braking ego over the last `BRAKING_TIME` [m/s2]
 BRAKING_TIME: Final = 1.0  # [s]
-SLOW: Final = 6.0  # below, an ego that touches a line was slow [m/s]
-BEFORE: Final = 30.0  # so far back on its way a vehicle had not begun the turn that it is in [m]
-TURNED: Final = 0.35  # since then one that turns has turned by more than this [rad]
-CURVE: Final = 0.5  # a route that turns by more than this has a curve [rad]
-CURVE_EDGE: Final = 0.05  # which begins and ends where the heading has changed by this [rad]
-BEHIND_CURVE: Final = 10.0  # so far behind it the ego is still coming out of it [m]
-DRIFT: Final = 0.9  # who moved by more than this across the route is changing lanes [m]
-CLOSE: Final = 15.0  # a leader within this is followed [m]
-ASIDE: Final = 1.75  # who is farther from the ego's middle is in another lane [m]
+SLOW: Final = 6.0  # an ego that touches a line at less than this speed was slow [m/s]
+BEFORE: Final = 30.0  # distance driven since a vehicle's earlier heading, long enough to lie before its turn [m]
+TURNED: Final = 0.35  # a vehicle whose heading has changed by more than this since then has turned [rad]
+CURVE: Final = 0.5  # a route whose heading changes by more than this has a curve [rad]
+CURVE_EDGE: Final = 0.05  # the curve begins and ends where the heading has changed by this [rad]
+BEHIND_CURVE: Final = 10.0  # distance after the curve over which the ego still counts as turning [m]
+DRIFT: Final = 0.9  # an ego that has moved across its route by more than this is changing lanes [m]
+CLOSE: Final = 15.0  # the ego follows a leader within this distance [m]
+ASIDE: Final = 1.75  # lateral distance from the route or the ego beyond which a vehicle is in another lane [m]
+
+_VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it drove straight and if it had turned
+    "leading": ("{} ahead", "{} ahead that had turned"),
+    "from-behind": ("{} from behind", "{} from behind that had turned"),
+    "on-the-right": ("{} on the right", "{} on the right that had turned"),
+    "on-the-left": ("{} on the left", "{} on the left that had turned"),
+    "oncoming": ("oncoming {}", "oncoming {} that had turned"),
+    "crossing-from-right": ("{} crossing from the right", "{} that had turned in from the right"),
+    "crossing-from-left": ("{} crossing from the left", "{} that had turned in from the left"),
+}
+_PHRASES: Final = {  # where the words of a class are not its id's
+    "changing-right": "changing lanes right",
+    "changing-left": "changing lanes left",
+    "slow": "at low speed",
+    "fast": "at speed",
+    "ended-by-standstill": "stood still",
+    "ended-by-timeout": "ran out of time",
+    "never-in-its-lane": "without ever being in its lane",
+    "having-left-its-lane": "after leaving its lane",
+    "having-left-its-lane-again": "after entering its lane and leaving it again",
+    "nobody-ahead": "with no vehicle ahead",
+}
 
 
 @dataclass(frozen=True)
 class ViolationClass:
-    """What a violation looks like; equal in all campaigns.
+    """A kind of violation. Classes are comparable across campaigns.
 
     Attributes:
         spec: "R1", "R2", "R3", or the name of a user's spec.
-        maneuver: of the ego.
-        conflict: where the other was or came from (R1), on which side the touched line was (R2), how the drive ended
-            (R3).
-        mark: what else sets classes apart: the other's size (R1), whether the ego was slow (R2), behind whom it was or
-            what it did before (R3).
-        detail: what one looks at next, and does not set classes apart: which side of the ego was touched, whether the
-            other crept or stood, whether the ego braked, crept or stood.
+        maneuver: the ego's maneuver.
+        conflict: position or origin of the other vehicle (R1), side of the touched line (R2), or end of the episode
+            (R3 and users' specs).
+        mark: second distinction: size of the other vehicle (R1), speed of the ego (R2), or the vehicle ahead of the
+            ego or its way past the destination (R3).
+        detail: further information that does not distinguish classes: whether the ego braked, crept or stood, its
+            touched side, and whether the other vehicle crept or stood.
     """
 
     spec: str
@@ -57,26 +80,39 @@ class ViolationClass:
 
     @property
     def id(self) -> str:
-        """Readable and stable, such as "R1/turning-left/crossing-from-right/large"."""
+        """Readable and stable identifier, such as "R1/turning-left/crossing-from-right/large"."""
         return "/".join(filter(None, (self.spec, self.maneuver, self.conflict, self.mark)))
 
     @property
     def words(self) -> str:
-        """A line for people, with the detail."""
-        what = {
-            R1: f"Collision with a {self.mark} vehicle {self.conflict}",
-            R2: f"Touched a line on the {self.conflict}, {self.mark}",
-            R3: ", ".join(filter(None, (f"Not at the destination: {self.conflict}", self.mark))),
-        }.get(self.spec, f"Violated {self.spec}; the episode {self.conflict}")
-        words = f"{what}; the ego was {self.maneuver}" + (f", {self.detail}" if self.detail else "")
-        return words.replace("-", " ")
+        """Class and detail as a sentence, such as "Collision with an oncoming car-sized vehicle; the ego was ..."."""
+        if self.spec == R2:
+            return f"Touched a line on its {self.conflict} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
+        if self.spec == R1:
+            sentence = f"Collision with {_vehicle(self.conflict, self.mark)}"
+        elif self.spec == R3:
+            sentence = f"Missed the destination: {_phrase(self.conflict)} {_phrase(self.mark)}"
+        else:
+            sentence = f"Violated {self.spec} (end of the episode: {self.conflict.removeprefix('ended-by-')})"
+        return f"{sentence}; the ego was {_phrase(self.maneuver)}" + (f", {self.detail}" if self.detail else "")
+
+
+def _phrase(part: str) -> str:
+    return _PHRASES.get(part, part.replace("-", " "))
+
+
+def _vehicle(conflict: str, size: str) -> str:
+    """Describe the other vehicle of a collision, with its article."""
+    straight, turned = _VEHICLES[conflict.removesuffix("-turning")]
+    words = (turned if conflict.endswith("-turning") else straight).format(f"{size} vehicle")
+    return f"an {words}" if words.startswith("oncoming") else f"a {words}"
 
 
 def violation_class(trace: Trace, violated: Sequence[str]) -> ViolationClass | None:
     """Return the class of the first violated spec, R1 before R2 before R3 before the specs of a user.
 
     Args:
-        trace: the trace of an episode. Its decision log is not looked at.
+        trace: the trace of an episode. Its decision log is not used.
         violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
 
     Returns:
@@ -92,8 +128,8 @@ def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame, npc = event.frame, event.partner
     size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
     motion = motion_of(trace, frame, npc)
-    other = f"the other {motion}, " if motion else ""
-    detail = f"touched at its {_side(trace, frame, npc)}, {other}{_behavior(trace, frame)}"
+    ego = ", ".join(filter(None, (_behavior(trace, frame), f"with contact at its {_side(trace, frame, npc)}")))
+    detail = ego + (f"; the other vehicle was {motion}" if motion else "")
     return ViolationClass(R1, maneuver_of(trace, frame), _bearing(trace, frame, npc), size, detail)
 
 
@@ -119,13 +155,13 @@ def _destination(trace: Trace, event: ViolationEvent) -> ViolationClass:
 
 
 def _other(trace: Trace, event: ViolationEvent) -> ViolationClass:
-    """Return the class of a user's spec: only its name, the ego's maneuver and the end of the episode are known."""
+    """Return the class for a user's spec, made of its name, the ego's maneuver and the end of the episode."""
     frame = event.frame
     return ViolationClass(event.spec, maneuver_of(trace, frame), f"ended-by-{trace.end}", "", _behavior(trace, frame))
 
 
 def _way_there(trace: Trace) -> str:
-    """Whether an ego that passed its destination beside it ever was in its route's lane."""
+    """Return when an ego that missed its destination was in the lane of its route: never, from the start, or later."""
     offset = np.abs(_offsets(trace))
     if (offset > ASIDE).all():
         return "never-in-its-lane"
@@ -133,7 +169,7 @@ def _way_there(trace: Trace) -> str:
 
 
 def _offsets(trace: Trace) -> Floats:
-    """Distances of the ego from its route, right is positive, shape (T,) [m]."""
+    """Return the ego's offsets from its route, positive to the right, shape (T,) [m]."""
     station, along = project_on_polyline(trace.position[:, 0], trace.route)
     ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(trace.route, axis=0).T))])
     nearest = np.stack([np.interp(station, ends, trace.route[:, i]) for i in range(2)], -1)
@@ -142,7 +178,7 @@ def _offsets(trace: Trace) -> Floats:
 
 
 def maneuver_of(trace: Trace, frame: int) -> str:
-    """What the ego's route and its motion across it amount to."""
+    """Return the ego's maneuver at a frame: a turn of its route, a lane change, or going straight."""
     frames = recent(trace, frame, CUT_IN_TIME)
     station, along = project_on_polyline(trace.position[frames, 0], trace.route)
     turn = _turn(trace.route, float(station[-1]))
@@ -157,7 +193,7 @@ def maneuver_of(trace: Trace, frame: int) -> str:
 
 
 def _turn(route: Floats, station: float) -> str:
-    """The turn of the route around a station; empty where it is straight."""
+    """Return the turn of a route at a station [m]; empty where the route is straight."""
     along = np.diff(route, axis=0)
     heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
     turned = heading[-1] - heading[0]
@@ -172,7 +208,7 @@ def _turn(route: Floats, station: float) -> str:
 
 
 def _bearing(trace: Trace, frame: int, npc: int) -> str:
-    """Where the other was, or came from, as the ego saw it; and whether it was in a turn of its own."""
+    """Return the position or origin of the other vehicle relative to the ego, with a suffix if it had turned."""
     now = wrapped(trace.heading[frame, npc] - trace.heading[frame, 0])
     before = heading_before(trace, frame, npc)
     turning = "-turning" if abs(wrapped(trace.heading[frame, npc] - before)) > TURNED else ""
@@ -181,13 +217,13 @@ def _bearing(trace: Trace, frame: int, npc: int) -> str:
     came = wrapped(before - heading_before(trace, frame, 0))
     if abs(came) > math.pi * 3 / 4:
         return "oncoming" + turning
-    if abs(came) < math.pi / 4:  # it came the same way, and turned across the ego's
+    if abs(came) < math.pi / 4:  # it came from the ego's direction, and turned across the ego's path
         return _relation(trace, frame, npc) + turning
     return ("crossing-from-left" if came > 0 else "crossing-from-right") + turning
 
 
 def _relation(trace: Trace, frame: int, npc: int) -> str:
-    """Where another is beside the ego: leading, from behind, beside."""
+    """Return the position of a vehicle relative to the ego: leading, from behind, or on one side."""
     gap = trace.position[frame, npc] - trace.position[frame, 0]
     heading = trace.heading[frame, 0]
     ahead = float(gap[0] * math.cos(heading) + gap[1] * math.sin(heading))
@@ -199,15 +235,15 @@ def _relation(trace: Trace, frame: int, npc: int) -> str:
 
 
 def heading_before(trace: Trace, frame: int, vehicle: int) -> float:
-    """The heading that a vehicle had before it drove the last `BEFORE` meters, or in the beginning [rad]."""
+    """Return a vehicle's heading before it drove the last `BEFORE` meters, at the earliest in the first frame [rad]."""
     steps = np.diff(trace.position[: frame + 1, vehicle], axis=0)
-    left = np.cumsum(np.hypot(steps[:, 0], steps[:, 1])[::-1])  # meters to the end
+    left = np.cumsum(np.hypot(steps[:, 0], steps[:, 1])[::-1])  # distance left to drive [m]
     back = int(np.searchsorted(left, BEFORE))
     return float(trace.heading[max(frame - back, 0), vehicle])
 
 
 def _side(trace: Trace, frame: int, npc: int) -> str:
-    """Which side of the ego is touched: front, rear, left or right."""
+    """Return the touched side of the ego: front, rear, left or right."""
     boxes = box_corners(trace.position[frame, [0, npc]], trace.heading[frame, [0, npc]], trace.size[[0, npc]])
     points = np.concatenate([_outline(boxes[0]), _outline(boxes[1])])
     depth = np.maximum(_beyond(points, trace, frame, 0), _beyond(points, trace, frame, npc))
@@ -221,13 +257,13 @@ def _side(trace: Trace, frame: int, npc: int) -> str:
 
 
 def _outline(box: Floats) -> Floats:
-    """Points all round a box of shape (4, 2), shape (48, 2)."""
+    """Return 48 points along the edges of a box of shape (4, 2), shape (48, 2)."""
     share = np.linspace(0, 1, 12, endpoint=False)[:, None, None]
     return np.asarray((1 - share) * box + share * np.roll(box, -1, axis=0)).reshape(-1, 2)
 
 
 def _beyond(points: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
-    """How far points lie outside of a vehicle's box, negative inside, along its nearest axis, shape (n,) [m]."""
+    """Return how far points lie outside a vehicle's box along its nearest axis, negative inside, shape (n,) [m]."""
     heading = trace.heading[frame, vehicle]
     x, y = (points - trace.position[frame, vehicle]).T
     ahead, across = x * math.cos(heading) + y * math.sin(heading), y * math.cos(heading) - x * math.sin(heading)
@@ -236,7 +272,7 @@ def _beyond(points: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
 
 
 def _ahead(trace: Trace, frame: int) -> int | None:
-    """The nearest vehicle close ahead of the ego, in its way."""
+    """Return the nearest vehicle close ahead of the ego and in its way, or None."""
     gaps = trace.position[frame, 1:] - trace.position[frame, 0]
     heading = trace.heading[frame, 0]
     ahead = gaps[:, 0] * math.cos(heading) + gaps[:, 1] * math.sin(heading)
@@ -247,7 +283,7 @@ def _ahead(trace: Trace, frame: int) -> int | None:
 
 
 def motion_of(trace: Trace, frame: int, vehicle: int) -> str:
-    """Whether a vehicle stands or creeps; empty if it drives."""
+    """Return "standing" or "creeping"; empty for a faster vehicle."""
     speed = speed_of(trace, frame, vehicle)
     if speed < STATIONARY_SPEED:
         return "standing"
@@ -255,7 +291,7 @@ def motion_of(trace: Trace, frame: int, vehicle: int) -> str:
 
 
 def _behavior(trace: Trace, frame: int) -> str:
-    """Whether the ego stood, crept, braked or drove."""
+    """Return "standing", "braking" or "creeping"; empty if the ego drives on."""
     speed, motion = speed_of(trace, frame, 0), motion_of(trace, frame, 0)
     if motion == "standing":
         return motion
@@ -263,19 +299,19 @@ def _behavior(trace: Trace, frame: int) -> str:
     elapsed = trace.time[frame] - trace.time[begin]
     if elapsed > 0 and (speed_of(trace, begin, 0) - speed) / elapsed > BRAKING:
         return "braking"
-    return motion or "driving"
+    return motion
 
 
 def speed_of(trace: Trace, frame: int, vehicle: int) -> float:
-    """Speed of a vehicle [m/s]."""
+    """Return the speed of a vehicle [m/s]."""
     return math.hypot(*trace.velocity[frame, vehicle])
 
 
 def _across(gap: Floats, heading: float) -> float:
-    """The part of a gap that lies across a heading, positive to the right [m]."""
+    """Return the component of a gap across a heading, positive to the right [m]."""
     return float(gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
 
 
 def wrapped(angle: float) -> float:
-    """An angle in [-pi, pi] [rad]."""
+    """Return the equivalent angle in [-pi, pi] [rad]."""
     return math.remainder(angle, 2 * math.pi)

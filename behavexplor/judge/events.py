@@ -1,4 +1,4 @@
-"""When and where a trace violated a spec."""
+"""Violation events: the frame at which a trace violates a spec, and the vehicle or line that the ego touched."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 R1, R2, R3 = "R1", "R2", "R3"
-_BLOCK: Final = 8  # frames that are looked at together in the search for a touched line
-REQUIREMENTS: Final = {Collision().name: R1, Lines().name: R2, Destination().name: R3}  # by the names of the specs
+_BLOCK: Final = 8  # frames that share one bound in the search for a touched line
+REQUIREMENTS: Final = {Collision().name: R1, Lines().name: R2, Destination().name: R3}  # by name of the spec
 
 
 @dataclass(frozen=True)
 class ViolationEvent:
-    """When a spec was violated first.
+    """The first violation of a spec in a trace.
 
     Attributes:
         spec: "R1", "R2", "R3", or the name of a user's spec.
-        frame: frame of the trace; the last frame for all but R2.
-        partner: the touched vehicle (R1, an index of `trace.size`), or the touched line (R2, an index of
-            `trace.illegal_lines`); -1 for all others.
+        frame: frame of the violation; the last frame of the trace for all specs but R2.
+        partner: touched vehicle (R1, an index of `trace.size`) or touched line (R2, an index of
+            `trace.illegal_lines`); -1 for all other specs.
     """
 
     spec: str
@@ -39,7 +39,7 @@ class ViolationEvent:
 def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | None:
     """Return the violation event of the first violated spec.
 
-    R1 comes before R2 before R3, since a collision keeps the ego from its destination. Specs of a user come last.
+    The order is R1, R2, R3, since a collision keeps the ego from its destination, then the specs of the user.
 
     Args:
         trace: the trace of an episode.
@@ -61,7 +61,7 @@ def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | N
 
 
 def first_line_touch(trace: Trace) -> ViolationEvent | None:
-    """The first frame in which the ego's box touches an illegal line, and the line."""
+    """Return the first contact of the ego's box with an illegal line, or None."""
     lines, position, heading = trace.illegal_lines, trace.position[:, 0], trace.heading[:, 0]
     if not len(lines):
         return None
@@ -82,11 +82,11 @@ def first_line_touch(trace: Trace) -> ViolationEvent | None:
 
 
 def recent(trace: Trace, frame: int, seconds: float) -> Ints:
-    """The frames of the last `seconds` up to a frame, at least that frame [s]."""
+    """Return the frames of the last `seconds` [s] up to and including a frame."""
     return np.arange(np.searchsorted(trace.time, trace.time[frame] - seconds - 1e-9), frame + 1)
 
 
 def recent_decisions(trace: Trace, frame: int, seconds: float) -> Ints:
-    """The decisions given in the last `seconds` before a frame [s]."""
+    """Return the decisions made in the last `seconds` [s] before a frame."""
     given = trace.time[trace.action_frame]
     return np.flatnonzero((given >= trace.time[frame] - seconds - 1e-9) & (trace.action_frame < frame))

@@ -1,8 +1,8 @@
-"""Specs of users: callables that give a trace's signed robustness, loaded by name.
+"""Specs of users: functions that return the signed robustness of a trace, loaded by name.
 
-A spec of a user is any callable on a `behavexplor.data.trace.Trace` that returns a signed robustness, as signal
-temporal logic defines it: negative if the trace violates the requirement, else how far it is from violating it, in a
-unit of its own. `behavexplor.judge.stl` helps to write one.
+A user's spec is any callable that takes a `behavexplor.data.trace.Trace` and returns its signed robustness, as in
+signal temporal logic. The robustness is negative if the trace violates the requirement. Otherwise, it is the distance
+from a violation, in any unit. `behavexplor.judge.stl` helps to write such a function.
 """
 
 import re
@@ -30,7 +30,7 @@ class RobustnessSpec:
     Attributes:
         name: name in records, classes and reports.
         robustness: the function. A negative value means that the trace violates the requirement.
-        source: where the function comes from, for error messages.
+        source: origin of the function, for error messages.
 
     Raises:
         InputError: if the name cannot be used.
@@ -43,12 +43,13 @@ class RobustnessSpec:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name) or self.name in RESERVED:
             raise InputError(
-                f"The spec {self.source or self.name} is named {self.name!r}. A name has letters, digits, '_', '-' and "
-                f"'.', begins with a letter, and is none of {', '.join(sorted(RESERVED))}: give it an attribute `name`"
+                f"The spec {self.source or self.name} cannot be named {self.name!r}: give it an attribute `name` of "
+                f"letters, digits, '_', '-' and '.' that begins with a letter and is none of "
+                f"{', '.join(sorted(RESERVED))}"
             )
 
     def degree(self, trace: Trace) -> float:
-        """Return the robustness where it is positive, at most `NOTHING_NEAR`; 0 for a violation."""
+        """Return the robustness, limited to the range from 0 (a violation) to `NOTHING_NEAR`."""
         return min(max(self(trace), 0.0), NOTHING_NEAR)
 
     def violated(self, trace: Trace) -> bool:
@@ -83,18 +84,18 @@ _WANTED: Final = "it must return a number, negative if the trace violates the re
 
 
 def as_spec(found: Any, source: str = "") -> Spec:
-    """Return a spec for a callable, or for a class that makes one.
+    """Return a spec for a callable, or for a class whose instances are callable.
 
     Args:
-        found: a callable on a trace; its name is its attribute `name`, or else its `__name__`.
-        source: where it comes from, for error messages.
+        found: a function of a trace. The spec is named after its attribute `name`, else after its `__name__`.
+        source: origin of the callable, for error messages.
 
     Raises:
-        InputError: if it is not callable, or has no name that can be used.
+        InputError: if `found` is not callable, or its name cannot be used.
     """
     made = _instance(found, source) if isinstance(found, type) else found
     if not callable(made):
-        raise InputError(f"The spec {source or brief(made)} is not callable: give a function of a Trace")
+        raise InputError(f"The spec {source or brief(made)} is not callable: give a function that takes a Trace")
     name = getattr(made, "name", None) or getattr(made, "__name__", None) or type(made).__name__
     return RobustnessSpec(str(name), made, source)
 
@@ -106,7 +107,7 @@ def load_specs(names: Sequence[str]) -> tuple[Spec, ...]:
         names: specs of the user, each as "package.module:attribute".
 
     Raises:
-        InputError: if one cannot be imported or used, or two have the same name.
+        InputError: if a spec cannot be imported or used, or two specs have the same name.
     """
     specs = (*SPECS, *map(load_spec, names))
     known: set[str] = set()
@@ -118,13 +119,13 @@ def load_specs(names: Sequence[str]) -> tuple[Spec, ...]:
 
 
 def load_spec(name: str) -> Spec:
-    """Return the spec of a user.
+    """Import a user's spec.
 
     Args:
         name: the spec as "package.module:attribute".
 
     Raises:
-        InputError: if it cannot be imported or used.
+        InputError: if the spec cannot be imported or used.
     """
     module, _, attribute = name.partition(":")
     if not module or not attribute:
@@ -132,7 +133,7 @@ def load_spec(name: str) -> Spec:
     try:
         found = getattr(import_module(module), attribute)
     except Exception as error:  # a module can raise anything when it is imported
-        hint = ", which is looked for in this folder and on PYTHONPATH" if isinstance(error, ImportError) else ""
+        hint = " (searched in this folder and on PYTHONPATH)" if isinstance(error, ImportError) else ""
         raise InputError(f"The spec {name!r} cannot be imported: {type(error).__name__}: {error}{hint}") from error
     return as_spec(found, name)
 
@@ -141,7 +142,7 @@ def _instance(kind: type[Any], source: str) -> Any:
     try:
         return kind()
     except Exception as error:
-        raise InputError(f"The spec {source} cannot be made: {type(error).__name__}: {error}") from error
+        raise InputError(f"The spec {source} cannot be constructed: {type(error).__name__}: {error}") from error
 
 
 def _place(error: Exception) -> str:

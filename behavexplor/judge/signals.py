@@ -1,4 +1,4 @@
-"""Signals that requirements on an ego's driving need, each of shape (T,) and straight from a trace."""
+"""Signals for requirements on the ego's driving, computed from a trace, each of shape (T,)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +11,21 @@ Floats = NDArray[np.float64]
 
 
 def speed(trace: Trace) -> Floats:
-    """The ego's speed, whichever way it moves, shape (T,) [m/s]."""
+    """Return the ego's speed, forward or backward, shape (T,) [m/s]."""
     return np.hypot(trace.velocity[:, 0, 0], trace.velocity[:, 0, 1])
 
 
 def acceleration(trace: Trace) -> Floats:
-    """The ego's acceleration along its heading, negative where it brakes.
+    """Return the ego's acceleration along its heading, negative where it brakes.
 
-    That is the change of its forward speed from each frame to the next; the last frame repeats the one before it.
+    The acceleration is the change of the forward speed from each frame to the next. The last frame repeats the value
+    before it.
 
     Args:
-        trace: of an episode of T frames.
+        trace: a trace of T frames.
 
     Returns:
-        Shape (T,) [m/s2]; 0 for a single frame, where nothing can change.
+        Accelerations, shape (T,) [m/s2]; 0 for a trace of a single frame.
     """
     heading = trace.heading[:, 0]
     forward = trace.velocity[:, 0, 0] * np.cos(heading) + trace.velocity[:, 0, 1] * np.sin(heading)
@@ -33,16 +34,18 @@ def acceleration(trace: Trace) -> Floats:
 
 
 def gap_ahead(trace: Trace) -> Floats:
-    """The gap from the ego's front to the rear of the nearest vehicle ahead in its corridor, along its route.
+    """Return the gap from the ego's front to the rear of the nearest vehicle ahead in its corridor, along its route.
 
-    The corridor is the strip, as wide as the ego, that it covers if it keeps its lateral offset to its route. A
-    vehicle is in it if its box reaches into it, and ahead if its center is farther along the route than the ego's.
+    The corridor is the strip that the ego covers while it keeps its lateral offset from its route. It is as wide as the
+    ego. A vehicle is in the corridor if its box reaches into it. It is ahead if its center is farther along the route
+    than the ego's.
 
     Args:
-        trace: of an episode of T frames.
+        trace: a trace of T frames.
 
     Returns:
-        Shape (T,) [m]: 0 where the two overlap along the route, at most `NOTHING_NEAR`, also where nobody is ahead.
+        Gaps, shape (T,) [m]: 0 where both vehicles overlap along the route, at most `NOTHING_NEAR`, and `NOTHING_NEAR`
+        where no vehicle is ahead.
     """
     station, offset, turned = _on_route(trace)
     cos, sin = np.abs(np.cos(turned)), np.abs(np.sin(turned))
@@ -56,13 +59,13 @@ def gap_ahead(trace: Trace) -> Floats:
 
 
 def _on_route(trace: Trace) -> tuple[Floats, Floats, Floats]:
-    """Station and offset to the right [m], and heading relative to the route [rad], of all vehicles; (T, N) each."""
+    """Return stations [m], offsets to the right [m] and headings relative to the route [rad], each of shape (T, N)."""
     points = trace.position.reshape(-1, 2)
     station, heading = project_on_polyline(points, trace.route)
     vertices = np.append(0.0, np.cumsum(np.hypot(*np.diff(trace.route, axis=0).T)))
     x, y = (points[:, i] - np.interp(station, vertices, trace.route[:, i]) for i in (0, 1))
     cos, sin = np.cos(heading), np.sin(heading)
-    # What remains along the route lies before its start or past its end, where it goes straight on.
+    # Before its start and past its end, the route is extended straight.
     values = station + x * cos + y * sin, y * cos - x * sin, trace.heading.ravel() - heading
     station, offset, turned = (value.reshape(trace.heading.shape) for value in values)
     return station, offset, turned

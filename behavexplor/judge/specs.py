@@ -1,7 +1,7 @@
-"""What an ADS must not do: specs R1-R3, how near a trace came to breaking them, and the verdict.
+"""Requirements on a driving system: specs R1-R3, their violation degrees, and the verdict on a trace.
 
-Source: paper section II-C (R1, R2, R3) and III-B2 (violation degree O). Specs are judged outside the search
-methods, so that every method is scored by the same code.
+Source: paper section II-C (R1, R2, R3) and III-B2 (violation degree O). Traces are judged outside the search methods,
+so that every method is scored by the same code.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,11 +20,11 @@ from behavexplor.errors import InputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-ERROR: Final = "error"  # stands for the violated specs of an execution in which the ADS failed instead of driving
-NOTHING_NEAR = 1000.0  # degree where there is nothing to hit: no NPC, or no illegal line [m]
-_TOLERANCE = 1e-10  # of bounds [m]; far below the resolution of a trace, so that parallel motion is not a long tie
+ERROR: Final = "error"  # takes the place of a violated spec where the ADS failed instead of returning an action
+NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
+_TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
 _BLOCK = 8  # frames that share one bound in the search for the nearest line
-_FIRST_LOOK = 16  # exact distances that are computed first
+_FIRST_LOOK = 16  # number of exact distances computed first
 
 
 class Spec(Protocol):
@@ -32,45 +32,45 @@ class Spec(Protocol):
 
     @property
     def name(self) -> str:
-        """What the requirement is called in records and reports."""
+        """Name of the requirement in records and reports."""
         ...
 
     def degree(self, trace: Trace) -> float:
-        """How far the trace is from violating the spec, lower is nearer; finite, in the spec's unit."""
+        """Return the distance of a trace from a violation, finite, in the spec's unit; lower is nearer."""
         ...
 
     def violated(self, trace: Trace) -> bool:
-        """Whether the trace violates the spec."""
+        """Return whether the trace violates the spec."""
         ...
 
 
 @dataclass(frozen=True)
 class Collision:
-    """R1: the ego touches no NPC. Degree: D_b, the least distance between their boxes [m] (paper equation 1)."""
+    """R1: the ego touches no NPC. The degree is D_b, the least distance between their boxes [m] (paper equation 1)."""
 
     name: str = field(default="collision", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """D_b [m]; `NOTHING_NEAR` without any NPC."""
+        """Return D_b [m], or `NOTHING_NEAR` without any NPC."""
         return _npc_distance(trace)
 
     def violated(self, trace: Trace) -> bool:
-        """Whether D_b is 0 (paper equation 2)."""
+        """Return whether D_b is 0 (paper equation 2)."""
         return _npc_distance(trace) == 0.0
 
 
 @dataclass(frozen=True)
 class Lines:
-    """R2: the ego touches no illegal line. Degree: D_l, the least distance of its box to one [m] (equation 3)."""
+    """R2: the ego touches no illegal line. The degree is D_l, the least distance of its box to one [m] (equation 3)."""
 
     name: str = field(default="lines", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """D_l [m]; `NOTHING_NEAR` without any illegal line."""
+        """Return D_l [m], or `NOTHING_NEAR` without any illegal line."""
         return _line_distance(trace)
 
     def violated(self, trace: Trace) -> bool:
-        """Whether D_l is 0 (paper equation 4)."""
+        """Return whether D_l is 0 (paper equation 4)."""
         return _line_distance(trace) == 0.0
 
 
@@ -78,11 +78,12 @@ class Lines:
 class Destination:
     """R3: the ego ends at its destination.
 
-    The degree rewards runs that end far from it: max(10 - D, 0) (paper section III-B2), where D is the last
-    distance of the ego's center to the destination [m].
+    The degree is max(10 - D, 0) (paper section III-B2), where D is the final distance of the ego's center from the
+    destination [m]. So the degree is lower the farther from the destination the episode ends.
 
     Attributes:
-        threshold: greatest D of a passed run [m] (paper equation 5).
+        name: name in records and reports.
+        threshold: greatest D without a violation [m] (paper equation 5).
         reach: D beyond which the degree is 0 [m].
     """
 
@@ -91,16 +92,16 @@ class Destination:
     reach: float = 10.0
 
     def degree(self, trace: Trace) -> float:
-        """max(reach - D, 0) [m]."""
+        """Return max(reach - D, 0) [m]."""
         return max(self.reach - trace.destination_distance, 0.0)
 
     def violated(self, trace: Trace) -> bool:
-        """Whether D exceeds the threshold."""
+        """Return whether D exceeds the threshold."""
         return trace.destination_distance > self.threshold
 
 
 def default_specs() -> tuple[Spec, ...]:
-    """The paper's three specs, R1, R2, R3."""
+    """Return the paper's three specs, R1, R2 and R3."""
     return Collision(), Lines(), Destination()
 
 
@@ -109,7 +110,7 @@ SPECS: tuple[Spec, ...] = default_specs()
 
 @dataclass(frozen=True)
 class Verdict:
-    """What all specs say of one trace.
+    """The judgment of all specs on one trace.
 
     Attributes:
         degrees: violation degree by spec name, in the order of the specs.
@@ -129,12 +130,12 @@ class Verdict:
 
     @property
     def failed(self) -> bool:
-        """Whether any spec is violated."""
+        """True if any spec is violated."""
         return bool(self.violated)
 
 
 def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
-    """What the specs say of a trace.
+    """Judge a trace by all specs.
 
     Raises:
         InputError: if two specs have the same name, a degree is not a finite number, or a user's spec fails.
@@ -143,16 +144,16 @@ def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
     for spec in specs:
         degree = float(spec.degree(trace))
         if spec.name in degrees:
-            raise InputError(f"Two specs are named {spec.name!r}: give each its own name")
+            raise InputError(f"Two specs are named {spec.name!r}: give each a name of its own")
         if not np.isfinite(degree):
-            raise InputError(f"Spec {spec.name!r} gave the degree {degree}: it must be a finite number")
+            raise InputError(f"The degree of the spec {spec.name!r} must be a finite number, got {degree}")
         degrees[spec.name] = degree
     return Verdict(degrees, tuple(spec.name for spec in specs if spec.violated(trace)))
 
 
 @lru_cache(maxsize=2)
 def _npc_distance(trace: Trace) -> float:
-    """D_b [m]: exact, but boxes are compared only where their circles leave it open which pair is nearest."""
+    """Return D_b [m]. Bounds by circles leave few pairs of boxes whose exact distance is computed."""
     if len(trace.size) == 1:
         return NOTHING_NEAR
     pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)
@@ -176,7 +177,7 @@ def _npc_distance(trace: Trace) -> float:
 
 @lru_cache(maxsize=2)
 def _line_distance(trace: Trace) -> float:
-    """D_l [m]: exact, but the box is compared only with lines, and at frames, that may hold the least distance."""
+    """Return D_l [m]. Bounds leave few pairs of frames and lines whose exact distance is computed."""
     lines = trace.illegal_lines
     if not len(lines):
         return NOTHING_NEAR
@@ -184,7 +185,7 @@ def _line_distance(trace: Trace) -> float:
     position, heading = trace.position[frames, 0], trace.heading[frames, 0]
     reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2
 
-    first = np.arange(0, len(frames), _BLOCK)  # a block's first position stands for all of it, `spread` around
+    first = np.arange(0, len(frames), _BLOCK)  # all positions of a block lie within `spread` of its first
     stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
     spread = np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
     gap = point_segment_distance(position[first, None], lines[:, 0], lines[:, 1])
@@ -204,7 +205,7 @@ def _line_distance(trace: Trace) -> float:
 
 
 def gap_across(position: Floats, heading: Floats, size: Floats, line: Floats) -> Floats:
-    """Gaps between boxes and endless lines through segments, negative where they meet; all of n rows."""
+    """Return the gaps between n boxes and the infinite lines through n segments, negative where they meet [m]."""
     along = line[:, 1] - line[:, 0]
     angle = np.arctan2(along[:, 1], along[:, 0])
     cos, sin = np.cos(angle), np.sin(angle)
@@ -215,18 +216,18 @@ def gap_across(position: Floats, heading: Floats, size: Floats, line: Floats) ->
 
 
 def _changes(rows: Floats) -> Ints:
-    """Indices of the first row and of each that differs from the one before it; rows of shape (T, C)."""
+    """Return the indices of the first row and of each row that differs from the row before; rows of shape (T, C)."""
     changed = (rows[1:] != rows[:-1]).any(1)
     return np.concatenate([[0], np.flatnonzero(changed) + 1])
 
 
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
-    """The least of n distances of which only bounds are known cheaply; below a trace's resolution it is 0.
+    """Return the least of n distances, given cheap bounds; a value up to a trace's resolution counts as 0.
 
     Args:
-        lower: lower bound of each value, shape (n,).
-        upper: upper bound of the least.
-        exact: the values at some indices.
+        lower: lower bound of each distance, shape (n,) [m].
+        upper: upper bound of the least distance [m].
+        exact: function from indices to exact distances.
     """
     open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
     order = open_[np.argsort(lower[open_], kind="stable")]

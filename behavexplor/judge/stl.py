@@ -1,20 +1,21 @@
-"""Signal temporal logic: requirements on what happens when, as formulas over sampled signals.
+"""Signal temporal logic (STL): requirements on the timing of events, as formulas over sampled signals.
 
-A formula is a `Signal`: at each sample its robustness, which says how far the formula, read from there on, is from
-being violated, or, below 0, from being satisfied. It is built from margins, positive where a condition holds:
+A formula is a `Signal`. It holds the robustness of the formula at each sample: the distance from a violation where the
+value is positive, the distance from satisfaction where it is negative. Formulas are built from margins, which are
+positive where a condition holds:
 
     def brakes_for_leader(trace: Trace) -> float:
         close = Signal(trace.time, 10.0 - gap_ahead(trace))
         brakes = Signal(trace.time, -acceleration(trace))
         return float(always(implies(close, eventually(brakes, 0, 2))))
 
-says that always, within 2 s of a leader closer than 10 m, the ego decelerates. A robustness above 0 means satisfied,
-below 0 violated; 0 is the border and means neither. It can mix units, here m and m/s2; scale the margins where that
-matters.
+This formula requires that the ego always decelerates within 2 s when a leader is closer than 10 m. A robustness above 0
+means satisfied, below 0 violated, and exactly 0 undecided. A robustness can mix units, here m and m/s2. Scale the
+margins where that matters.
 
-The semantics are the usual quantitative ones of space robustness [1, 2], read point by point over the samples:
-nothing is assumed between two samples, and they need not be equally spaced. Let w be the samples whose time is in
-[t + start, t + end], both ends included up to `TOLERANCE`. Then at time t
+The semantics are the usual quantitative semantics of space robustness [1, 2], evaluated at the samples. Nothing is
+assumed between two samples, and the samples need not be equally spaced. Let w be the samples with a time in
+[t + start, t + end], both ends included up to `TOLERANCE`. Then at time t:
 
     ~p                           -p(t)
     p & q                        min(p(t), q(t))
@@ -24,13 +25,13 @@ nothing is assumed between two samples, and they need not be equally spaced. Let
     eventually(p, start, end)    max of p over w
     until(p, q, start, end)      max, over t' in w, of min(q(t'), min of p over [t, t'))
 
-In `until`, p need not hold at t' itself: this is the discrete-time reading, also that of RTAMT [3]. Donze and Maler
-[2] close the interval at t'; theirs is `until(p, p & q, start, end)`.
+In `until`, p need not hold at t' itself. This is the discrete-time semantics, as in RTAMT [3]. Donze and Maler [2]
+close the interval at t', which is `until(p, p & q, start, end)` here.
 
-The end of the signal cuts w off. An empty w makes `always` +inf (nothing can break it) and `eventually` and `until`
--inf (nothing can fulfill them). So a response that is due after the end counts as missing unless it has come before;
-`always(p, 0, max(trace.duration - 2, 0))` asks for responses within 2 s only where 2 s are left. Whether the robustness
-of a whole formula is finite is for the caller to check.
+The end of the signal truncates w. For an empty w, `always` is +inf (nothing can violate it), and `eventually` and
+`until` are -inf (nothing can satisfy them). So a response that is due after the end counts as missing unless it came
+earlier. `always(p, 0, max(trace.duration - 2, 0))` requires responses within 2 s only where 2 s are left. The caller
+has to check whether the robustness of a whole formula is finite.
 
 Sources:
     [1] Fainekos and Pappas, "Robustness of temporal logic specifications for continuous-time signals", Theoretical
@@ -54,22 +55,23 @@ from behavexplor.errors import InputError, brief
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-TOLERANCE = 1e-9  # of times [s], so that 0.1 + 0.2 is within [0, 0.3]
+TOLERANCE = 1e-9  # tolerance of times [s], so that 0.1 + 0.2 is within [0, 0.3]
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """The robustness of a formula at every sample; combined with `&`, `|` and `~`, and read with `float`.
+    """The robustness of a formula at every sample.
 
-    `float(signal)` is the robustness at the first sample: that of the formula on the whole signal.
+    The operators `&`, `|` and `~` combine signals. `float(signal)` is the robustness at the first sample, which is the
+    robustness of the formula on the whole signal.
 
     Attributes:
-        time: shape (T,) [s], increasing by more than `TOLERANCE`; T >= 1. Read-only.
-        robustness: shape (T,), in the signal's own unit, positive where the formula holds; may be infinite, never
-            NaN. Read-only.
+        time: times of the samples, shape (T,) [s], increasing by more than `TOLERANCE`; T >= 1. Read-only.
+        robustness: values in the signal's own unit, shape (T,), positive where the formula holds; may be infinite,
+            never NaN. Read-only.
 
     Raises:
-        InputError: if an array has a wrong shape or wrong values, or if signals that are combined differ in time.
+        InputError: if an array has a wrong shape or wrong values, or if combined signals differ in time.
     """
 
     time: Floats
@@ -105,72 +107,73 @@ class Signal:
 
 
 def implies(condition: Signal, consequence: Signal) -> Signal:
-    """Wherever the condition holds, the consequence does: `~condition | consequence`.
+    """Return the formula "wherever the condition holds, the consequence holds": `~condition | consequence`.
 
     Raises:
-        InputError: if the two are not signals with the same times.
+        InputError: if the arguments are not signals with the same times.
     """
     _check_signals(condition, consequence)
     return ~condition | consequence
 
 
 def always(signal: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
-    """The formula holds at every sample from `start` to `end` after now; +inf where there is no such sample.
+    """Return the formula "`signal` holds at every sample from `start` to `end` after now".
 
     Args:
         signal: the formula, T samples.
-        start: the first time, counted from each sample [s].
-        end: the last time, counted from each sample [s]; by default the end of the signal.
+        start: beginning of the window, counted from each sample [s].
+        end: end of the window, counted from each sample [s]; by default the end of the signal.
 
     Returns:
-        The least robustness over these samples, T samples in the unit of `signal`.
+        The least robustness in each window, T samples in the unit of `signal`; +inf where a window has no sample.
 
     Raises:
-        InputError: if `signal` is no signal, or [start, end] is no interval within [0, inf].
+        InputError: if `signal` is not a signal, or [start, end] is not an interval within [0, inf].
     """
     _check_signals(signal)
     return Signal(signal.time, _least(signal.robustness, *_windows(signal.time, start, end)))
 
 
 def eventually(signal: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
-    """The formula holds at one sample at least from `start` to `end` after now; -inf where there is no such sample.
+    """Return the formula "`signal` holds at some sample from `start` to `end` after now".
 
     Args:
         signal: the formula, T samples.
-        start: the first time, counted from each sample [s].
-        end: the last time, counted from each sample [s]; by default the end of the signal.
+        start: beginning of the window, counted from each sample [s].
+        end: end of the window, counted from each sample [s]; by default the end of the signal.
 
     Returns:
-        The greatest robustness over these samples, T samples in the unit of `signal`.
+        The greatest robustness in each window, T samples in the unit of `signal`; -inf where a window has no sample.
 
     Raises:
-        InputError: if `signal` is no signal, or [start, end] is no interval within [0, inf].
+        InputError: if `signal` is not a signal, or [start, end] is not an interval within [0, inf].
     """
     _check_signals(signal)
     return Signal(signal.time, -_least(-signal.robustness, *_windows(signal.time, start, end)))
 
 
 def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
-    """`right` holds at a sample from `start` to `end` after now, and `left` at every sample from now to before that.
+    """Return the formula "`right` holds at a sample from `start` to `end` after now, and `left` holds until then".
 
-    `left` need not hold at that sample itself, and need not hold at all where `right` does at once.
+    `left` need not hold at that sample itself. Where `right` holds at once, `left` need not hold at all.
 
     Args:
-        left: the formula that holds in the meantime, T samples.
-        right: the formula that ends the waiting, T samples.
-        start: the first time for `right`, counted from each sample [s].
-        end: the last time for `right`, counted from each sample [s]; by default the end of the signal.
+        left: the formula that holds until then, T samples.
+        right: the formula that ends the wait, T samples.
+        start: beginning of the window for `right`, counted from each sample [s].
+        end: end of the window for `right`, counted from each sample [s]; by default the end of the signal.
 
     Returns:
-        T samples; -inf where there is no sample from `start` to `end` after now.
+        The robustness, T samples; -inf where the window has no sample.
 
     Raises:
-        InputError: if the two are not signals with the same times, or [start, end] is no interval within [0, inf].
+        InputError: if the arguments are not signals with the same times, or [start, end] is not an interval within
+            [0, inf].
     """
     _check_signals(left, right)
     first, stop = _windows(left.time, start, end)
-    # `left` up to the window, untimed `until` from there, and `right` somewhere within: together these are exact [4].
-    # For if the untimed one is only fulfilled past the window, `left` holds throughout the window.
+    # The minimum of these is exact [4]: `left` up to the window, untimed `until` from there, `right` within the window.
+    # For if the untimed `until` is satisfied only past the window, `left` holds throughout the window.
     bridged = _least(left.robustness, np.arange(len(first)), first)
     within = -_least(-right.robustness, first, stop)
     from_first = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)[first]
@@ -178,7 +181,7 @@ def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf
 
 
 def _untimed_until(left: Floats, right: Floats) -> Floats:
-    """`until` over [0, inf), shape (T,): either `right` now, or `left` now and the same from the next sample on."""
+    """Return `until` over [0, inf), shape (T,): `right` now, or `left` now and the same from the next sample on."""
     result = np.empty(len(left))
     following = -math.inf
     for i in reversed(range(len(left))):
@@ -187,20 +190,21 @@ def _untimed_until(left: Floats, right: Floats) -> Floats:
 
 
 def _windows(time: Floats, start: Any, end: Any) -> tuple[Ints, Ints]:
-    """For each sample, the first index of its window and the one after its last; both of shape (T,)."""
+    """Return the first index of each sample's window and the index after its last, both of shape (T,)."""
     for name, bound in (("start", start), ("end", end)):
         if isinstance(bound, bool) or not isinstance(bound, Real):
             raise InputError(f"{name}: expected a number of seconds, got {brief(bound)}")
     if not 0.0 <= start <= end or math.isinf(start):
-        raise InputError(f"[{start}, {end}]: an interval begins at 0 s or later, and does not end before it begins")
+        raise InputError(f"[{start}, {end}]: an interval must begin at 0 s or later, and must not end before it begins")
     first = np.searchsorted(time, time + (start - TOLERANCE), side="left")
     return first, np.searchsorted(time, time + (end + TOLERANCE), side="right")
 
 
 def _least(values: Floats, first: Ints, stop: Ints) -> Floats:
-    """The least of each values[first:stop], +inf where that is empty; O(T log T), whatever the windows.
+    """Return the least of each values[first:stop], +inf for an empty window, in O(T log T) for any windows.
 
-    Two overlapping stretches of 2^k values make up each window; those of each k are made from those before.
+    Each window is the union of two overlapping stretches of 2^k values. The minima of the stretches are computed for
+    k = 0, 1, ..., each from those before.
     """
     count = stop - first
     least = np.full(len(count), np.inf)
@@ -221,7 +225,7 @@ def _check_signals(*signals: Any) -> None:
 
 
 def _frozen(name: str, values: Any) -> Floats:
-    """A read-only copy of shape (T,), T >= 1."""
+    """Return a read-only copy of shape (T,), T >= 1."""
     try:
         given = np.asarray(values)
     except ValueError:  # rows of different lengths

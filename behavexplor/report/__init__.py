@@ -1,1 +1,1 @@
-"""The report: one HTML page, made from run folders alone, that loads nothing."""
+"""Reports: self-contained HTML pages, made from run folders alone, and pictures of traces."""

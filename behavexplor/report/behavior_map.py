@@ -1,4 +1,4 @@
-"""The behaviors of a run: abstract states over time, and a map on which like behaviors lie near each other."""
+"""The behaviors of a run: abstract states over time, and a map on which similar behaviors are near each other."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from behavexplor.data.trace import Trace
 
 Floats = NDArray[np.float64]
 
-LETTERS: Final = "ABCDEFGHIJ"  # of the abstract states, the slowest first
+LETTERS: Final = "ABCDEFGHIJ"  # names of the abstract states, the slowest first
 _SHOWN: Final = ("speed", "speed-change", "yaw-rate")  # attributes whose means describe a state
 
 
@@ -25,12 +25,12 @@ class State:
     """One abstract state.
 
     Attributes:
-        letter: its name.
-        share: of all windows.
-        speed: mean of the ego's [m/s].
-        deviation: of the speed [m/s].
-        acceleration: mean [m/s2].
-        yaw_rate: mean [rad/s].
+        letter: name of the state.
+        share: share of all windows.
+        speed: mean speed of the ego [m/s].
+        deviation: standard deviation of the speed [m/s].
+        acceleration: mean acceleration [m/s2].
+        yaw_rate: mean yaw rate [rad/s].
     """
 
     letter: str
@@ -43,12 +43,12 @@ class State:
 
 @dataclass(frozen=True)
 class Behaviors:
-    """What the ego did in some executions.
+    """Behaviors of the ego in some executions.
 
     Attributes:
-        states: the abstract states, the slowest first.
-        labels: abstract trace of each execution by its number, indices of `states`, one for each `TIME_STEP`.
-        places: on the map, by number of the execution; distances on it are about those between behaviors.
+        states: abstract states, the slowest first.
+        labels: abstract trace of each execution by its number, as indices of `states`, one for each `TIME_STEP`.
+        places: point of each execution on the map, by its number; distances on the map approximate those of behaviors.
     """
 
     states: tuple[State, ...]
@@ -56,19 +56,19 @@ class Behaviors:
     places: Mapping[int, tuple[float, float]]
 
     def stretches(self, number: int) -> list[tuple[str, int]]:
-        """The abstract trace of an execution as letters, and how many windows each lasts."""
+        """Return the abstract trace of an execution as letters with their numbers of windows."""
         return [(LETTERS[label], sum(1 for _ in same)) for label, same in groupby(self.labels[number].tolist())]
 
     def text(self, number: int) -> str:
-        """The same in a line, such as "A 3.2 s, B 0.4 s"."""
+        """Return the abstract trace of an execution as text, such as "A 3.2 s, B 0.4 s"."""
         return ", ".join(f"{letter} {count * TIME_STEP:.1f} s" for letter, count in self.stretches(number))
 
 
 def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
-    """Abstract all traces with clusters that are fitted to them once.
+    """Abstract all traces with clusters fitted to these traces.
 
     Args:
-        traces: by the numbers of their executions, at least one.
+        traces: traces by the numbers of their executions, at least one.
     """
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
     merged = []
@@ -86,7 +86,7 @@ def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
 
 
 def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
-    """The new index of each cluster, by speed, and what is in it; clusters without any window come last."""
+    """Return the rank of each cluster by speed, and the states; clusters without any window come last."""
     columns = [ATTRIBUTES.index(name) * len(STATISTICS) + STATISTICS.index("mean") for name in _SHOWN]
     means, deviations = np.full((len(LETTERS), len(columns)), np.inf), np.zeros(len(LETTERS))
     counts = np.bincount(labels, minlength=len(LETTERS))
@@ -112,22 +112,22 @@ def _states(merged: Floats, labels: Labels) -> tuple[Labels, tuple[State, ...]]:
 
 
 def _plain(value: float) -> float:
-    """Rounded as it is shown; never a negative zero."""
+    """Round a value for display, without a negative zero."""
     return round(float(value), 2) + 0.0
 
 
 def scaled(distances: Floats) -> Floats:
-    """Points in the plane whose distances are about those given: classical multidimensional scaling.
+    """Place points in the plane at approximately given distances, by classical multidimensional scaling.
 
     Args:
-        distances: shape (n, n), symmetric.
+        distances: symmetric matrix of distances, shape (n, n).
 
     Returns:
-        Shape (n, 2); of the mirror images the one in which the farthest point of each axis is on its positive side.
+        Points, shape (n, 2). Of the mirror images, the one whose farthest point on each axis is on the positive side.
     """
     squared = distances**2
     centered = squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean()
-    with threadpool_limits(limits=1):  # last bits must not depend on the machine's cores
+    with threadpool_limits(limits=1):  # the last bits must not depend on the number of cores
         values, vectors = np.linalg.eigh(-centered / 2)
     points = np.zeros((len(distances), 2))
     for axis, index in enumerate(range(len(values) - 1, max(len(values) - 3, -1), -1)):
@@ -137,7 +137,7 @@ def scaled(distances: Floats) -> Floats:
 
 
 def evenly(numbers: Sequence[int], count: int) -> list[int]:
-    """At most `count` of the numbers, evenly spread over them."""
+    """Return at most `count` of the numbers, evenly spread."""
     if len(numbers) <= count:
         return list(numbers)
     return [numbers[i] for i in np.linspace(0, len(numbers) - 1, count).astype(int)]

@@ -1,4 +1,4 @@
-"""Charts as shapes: where lines, dots, ticks and labels go. The page's template draws them as SVG."""
+"""Layout of charts: positions of lines, dots, ticks and labels. The page template draws them as SVG."""
 
 import math
 from collections.abc import Sequence
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-WIDTH, HEIGHT = 360.0, 190.0  # of a chart, in the units of its view box
+WIDTH, HEIGHT = 360.0, 190.0  # size of a chart, in units of its view box
 LEFT, RIGHT, TOP, BOTTOM = 38.0, 8.0, 8.0, 22.0  # margins
-_TABLE_ROWS: Final = 12  # of the table under a chart
-_MOST_POINTS: Final = 400  # of a line or cloud
+_TABLE_ROWS: Final = 12  # rows of the table under a chart
+_MOST_POINTS: Final = 400  # points of a line or cloud
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,11 @@ class Series:
     """Values over the executions of a run.
 
     Attributes:
-        name: for the legend and the table.
-        x: numbers of executions.
-        y: of the same shape; NaN where there is none.
-        dots: drawn as dots, not as a line.
-        style: which of the page's styles it has.
+        name: name in the legend and the table.
+        x: numbers of executions, shape (n,).
+        y: values, shape (n,); NaN where there is none.
+        dots: whether the series is drawn as dots instead of a line.
+        style: index of a style of the page.
     """
 
     name: str
@@ -40,10 +40,10 @@ class Drawn:
     """A series as shapes.
 
     Attributes:
-        name: of the series.
-        style: of the series.
-        path: of its line as SVG, empty for dots.
-        dots: their places.
+        name: name of the series.
+        style: style of the series.
+        path: SVG path of the line; empty for dots.
+        dots: positions of the dots.
     """
 
     name: str
@@ -57,11 +57,11 @@ class Chart:
     """A chart with its axes.
 
     Attributes:
-        title: what it shows.
-        series: as shapes.
-        x_ticks: places and labels.
-        y_ticks: places and labels.
-        rows: the table under it: an execution, then a value of each series.
+        title: title of the chart.
+        series: series as shapes.
+        x_ticks: positions and labels of the ticks on the x axis.
+        y_ticks: positions and labels of the ticks on the y axis.
+        rows: rows of the table under the chart: an execution, then a value of each series.
     """
 
     title: str
@@ -72,10 +72,10 @@ class Chart:
 
 
 def chart(title: str, series: Sequence[Series]) -> Chart | None:
-    """Lay a chart out.
+    """Lay out a chart.
 
     Returns:
-        None if there is nothing to draw.
+        The chart, or None if no series has a value.
     """
     given = [line for line in series if np.isfinite(line.y).any()]
     if not given:
@@ -98,7 +98,7 @@ def chart(title: str, series: Sequence[Series]) -> Chart | None:
 
 @dataclass(frozen=True)
 class Scale:
-    """Values to places on a chart, rounded as they are written."""
+    """Linear map from values to positions on a chart, rounded to the written precision."""
 
     start: float
     end: float
@@ -106,13 +106,13 @@ class Scale:
     last: float
 
     def __call__(self, value: float) -> float:
-        """The place of a value."""
+        """Return the position of a value."""
         share = (value - self.start) / ((self.end - self.start) or 1.0)
         return round(self.first + share * (self.last - self.first), 1)
 
 
 def ticks(start: float, end: float, most: int = 5) -> list[float]:
-    """Round numbers that span from one value to another: 1, 2 or 5 times a power of ten apart."""
+    """Return ticks that span a range of values; their distance is 1, 2 or 5 times a power of ten."""
     span = (end - start) or 1.0
     power = 10.0 ** math.floor(math.log10(span / most))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power * most >= span * (1 - 1e-9))
@@ -134,14 +134,14 @@ def _drawn(line: Series, across: Scale, up: Scale) -> Drawn:
     path = f"M{points[0][0]:g} {points[0][1]:g}"
     before = points[0]
     for point in points[1:]:
-        if point[1] != before[1] or point is points[-1]:  # the line of a count runs level, then rises
+        if point[1] != before[1] or point is points[-1]:  # counts are drawn as steps
             path += f"H{point[0]:g}" + (f"V{point[1]:g}" if point[1] != before[1] else "")
             before = point
     return Drawn(line.name, line.style, path, ())
 
 
 def _rows(series: Sequence[Series]) -> tuple[tuple[str, ...], ...]:
-    """Some of the values, with the first and the last."""
+    """Return the rows for evenly spread executions, with the first and the last."""
     numbers = sorted({int(x) for line in series for x in line.x})
     shown = [numbers[i] for i in sorted(set(np.linspace(0, len(numbers) - 1, _TABLE_ROWS).astype(int).tolist()))]
     values = [{int(x): float(y) for x, y in zip(line.x, line.y, strict=True)} for line in series]

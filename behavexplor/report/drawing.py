@@ -14,12 +14,12 @@ from behavexplor.data.trace import Trace
 Floats = NDArray[np.float64]
 Color = tuple[int, int, int]
 
-SIDE = 600  # of a picture [px]
-VIEW = 80.0  # of the world in a picture, the ego in its middle [m]
-MAX_FRAMES = 300  # of an animation; longer ones run faster
-FRAME_TIME = 0.1  # between two pictures of an animation [s]
+SIDE = 600  # width and height of a picture [px]
+VIEW = 80.0  # side of the square around the ego that a picture shows [m]
+MAX_FRAMES = 300  # greatest number of frames of an animation; longer episodes run faster
+FRAME_TIME = 0.1  # time between two pictures of an animation [s]
 
-_SHARPNESS = 2  # pictures are drawn so many times larger, then reduced
+_SHARPNESS = 2  # factor by which pictures are drawn larger before they are reduced
 _GROUND, _ASPHALT, _DIVIDER, _CURB, _YELLOW = (
     (228, 232, 226),
     (92, 97, 104),
@@ -34,10 +34,10 @@ _COLORS = (_GROUND, _ASPHALT, _DIVIDER, _CURB, _YELLOW, _EGO, _HIT, _INK, _PAPER
 
 
 def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
-    """The frame that shows what a verdict says.
+    """Return the frame that shows the reason for a verdict.
 
-    For a touched line that is the first touch, for a collision or a missed destination the last frame, for a
-    passed run the frame in which the ego came nearest to another vehicle.
+    For a touched line, this is the first touch. For a collision or a missed destination, it is the last frame. Without
+    a violation, it is the frame in which the ego came nearest to another vehicle.
     """
     if "lines" in violated and "collision" not in violated:
         ego = box_corners(trace.position[:, 0], trace.heading[:, 0], trace.size[0])
@@ -49,7 +49,7 @@ def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
 
 
 def save_animation(path: Path, trace: Trace, roadmap: RoadMap, caption: str) -> None:
-    """Write an animation of the whole trace as a GIF; its last frame stays for a moment."""
+    """Write an animation of the whole trace as a GIF; its last frame is shown for two seconds."""
     count = min(MAX_FRAMES, max(2, round(trace.duration / FRAME_TIME) + 1))
     frames = np.unique(np.searchsorted(trace.time, np.linspace(0, trace.duration, count) - 1e-9))
     pictures = [draw(trace, roadmap, int(frame), caption) for frame in frames]
@@ -60,7 +60,7 @@ def save_animation(path: Path, trace: Trace, roadmap: RoadMap, caption: str) -> 
 
 
 def _palette(pictures: list[Image.Image]) -> Image.Image:
-    """One palette for all pictures: what blends in some of them, and every color for sure."""
+    """Return one palette for all pictures, from a sample of them and all base colors."""
     sample = pictures[:: max(1, len(pictures) // 4)]
     sheet = Image.new("RGB", (SIDE, SIDE * len(sample)))
     for i, picture in enumerate(sample):
@@ -75,10 +75,10 @@ def draw(trace: Trace, roadmap: RoadMap, frame: int, caption: str) -> Image.Imag
     """Draw one frame: the road, the illegal lines, the vehicles' paths, and the vehicles.
 
     Args:
-        trace: what happened.
-        roadmap: where.
-        frame: which frame.
-        caption: a line of text below the time and speed.
+        trace: trace of an episode.
+        roadmap: road on which it was driven.
+        frame: index of the frame.
+        caption: line of text below the time and the speed.
     """
     canvas = _Canvas(trace.position[frame, 0])
     for lane in roadmap.lanes:
@@ -101,7 +101,7 @@ def draw(trace: Trace, roadmap: RoadMap, frame: int, caption: str) -> Image.Imag
 
 
 class _Canvas:
-    """A picture of the world round a point."""
+    """A picture of the world around a point."""
 
     def __init__(self, middle: Floats) -> None:
         self._scale = SIDE * _SHARPNESS / VIEW
@@ -116,13 +116,13 @@ class _Canvas:
         return max(1, round(width * self._scale))
 
     def lane(self, lane: Lane) -> None:
-        """The surface of a lane."""
+        """Draw the surface of a lane."""
         count = 2 if lane.curvature == 0 else 16
         left, right = (_offset(lane, np.linspace(0, lane.length, count), side * lane.width / 2) for side in (-1, 1))
         self._draw.polygon(self._pixels(np.concatenate([left, right[::-1]])), fill=_ASPHALT)
 
     def dividers(self, roadmap: RoadMap) -> None:
-        """Dashes between lanes that run side by side outside junctions."""
+        """Draw dashes between parallel lanes outside junctions."""
         for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
             if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):
                 continue
@@ -131,7 +131,7 @@ class _Canvas:
                 self.path(_offset(lane, ends, lane.width / 2), _DIVIDER, 0.15)
 
     def illegal_line(self, line: Floats, kind: str) -> None:
-        """A curb, or a double yellow line."""
+        """Draw a curb or a double yellow line."""
         if kind != DOUBLE_YELLOW:
             self.path(line, _CURB, 0.25)
             return
@@ -141,19 +141,19 @@ class _Canvas:
         self.path(line - aside, _YELLOW, 0.14)
 
     def path(self, points: Floats, color: Color, width: float) -> None:
-        """A line of some width [m]."""
+        """Draw a polyline with a width [m]."""
         self._draw.line(self._pixels(points), fill=color, width=self._width(width), joint="curve")
 
     def circle(self, middle: Floats, radius: float, color: Color) -> None:
-        """A circle [m]."""
+        """Draw a circle with a radius [m]."""
         corners = self._pixels(np.array([middle - radius, middle + radius]))
         self._draw.ellipse([*corners[0], *corners[1]], outline=color, width=self._width(0.3))
 
     def vehicle(self, corners: Floats, color: Color) -> None:
-        """A vehicle with a windscreen towards its front; corners as `box_corners` gives them."""
+        """Draw a vehicle with a windscreen near its front, given the corners from `box_corners`."""
         self._draw.polygon(self._pixels(corners), fill=color, outline=_INK, width=self._width(0.1))
         right, left, back_left, back_right = corners
-        shares = ((0.25, 0.12), (0.25, 0.88), (0.42, 0.82), (0.42, 0.18))  # backwards and from right to left
+        shares = ((0.25, 0.12), (0.25, 0.88), (0.42, 0.82), (0.42, 0.18))  # shares backward and from right to left
         screen = [
             right
             + back * (back_right - right)
@@ -163,7 +163,7 @@ class _Canvas:
         self._draw.polygon(self._pixels(np.array(screen)), fill=_GLASS)
 
     def finished(self, title: str, caption: str) -> Image.Image:
-        """The picture in its final size, with text."""
+        """Return the picture in its final size, with text."""
         picture = self._image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
         pen = ImageDraw.Draw(picture)
         pen.rectangle([0, 0, SIDE, 48], fill=_PAPER)
@@ -173,6 +173,6 @@ class _Canvas:
 
 
 def _offset(lane: Lane, stations: Floats, offset: float) -> Floats:
-    """Points beside the center line of a lane, positive offsets to its right, shape (n, 2) [m]."""
+    """Return points beside the center line of a lane, shape (n, 2) [m]; positive offsets are to its right."""
     x, y, heading = lane.pose(stations).T
     return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)

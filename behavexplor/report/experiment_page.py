@@ -1,4 +1,4 @@
-"""The page of an experiment: what was compared, intervals, curves and tables, as one HTML file that loads nothing."""
+"""The page of an experiment: intervals, curves and tables of its methods, as one self-contained HTML file."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from behavexplor.report.charts import WIDTH, Chart, Scale, Series, chart, ticks
 from behavexplor.report.rendering import rendered
 
 LEFT, RIGHT, TOP, BOTTOM, LINE = 118.0, 10.0, 6.0, 18.0, 15.0  # of a chart of intervals, in units of its view box
-_TOO_WIDE: Final = ("classes", "signatures")  # for the table of campaigns
+_TOO_WIDE: Final = ("classes", "signatures")  # columns left out of the table of campaigns
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,12 @@ class Bar:
     """A mean with its interval, as a line of a chart.
 
     Attributes:
-        name: of the method.
-        y: where the line is.
-        x: where the mean is.
-        low: where the interval begins.
-        high: where it ends.
-        text: the figures.
+        name: name of the method.
+        y: vertical position of the line.
+        x: position of the mean.
+        low: position of the lower end of the interval.
+        high: position of the upper end of the interval.
+        text: mean and interval as text.
     """
 
     name: str
@@ -46,10 +46,10 @@ class Bars:
     """A chart of intervals, a line for each method.
 
     Attributes:
-        title: what it shows.
-        bars: from above.
-        x_ticks: places and labels.
-        height: of the chart.
+        title: title of the chart.
+        bars: lines of the chart, from top to bottom.
+        x_ticks: positions and labels of the ticks.
+        height: height of the chart.
     """
 
     title: str
@@ -61,13 +61,13 @@ class Bars:
 def experiment_page(
     experiment: Experiment, summaries: Sequence[Summary], tables: Sequence[Table], curves: Sequence[Curve]
 ) -> str:
-    """The page, pure ASCII. Equal experiments give equal pages.
+    """Return the page in ASCII. Equal experiments give equal pages.
 
     Args:
-        experiment: what was to be run.
-        summaries: of the campaigns that are finished.
-        tables: of these, as `behavexplor.bench.tables.tables` makes them.
-        curves: as `behavexplor.bench.curves.curves` makes them.
+        experiment: the experiment.
+        summaries: summaries of the finished campaigns.
+        tables: tables of these campaigns, from `behavexplor.bench.tables.tables`.
+        curves: curves of these campaigns, from `behavexplor.bench.curves.curves`.
     """
     return rendered(
         "experiment.html.jinja",
@@ -83,7 +83,7 @@ def experiment_page(
 
 
 def _figures(experiment: Experiment, curves: Sequence[Curve]) -> list[dict[str, object]]:
-    """For each figure its charts, one of either kind for each place."""
+    """Return the charts of each figure: for each environment and ADS a chart of intervals and a chart of curves."""
     styles = {name: i for i, name in enumerate(experiment.methods)}
     panels: dict[str, dict[str, list[Curve]]] = {}
     for curve in curves:
@@ -100,7 +100,7 @@ def _figures(experiment: Experiment, curves: Sequence[Curve]) -> list[dict[str, 
 
 
 def bars(title: str, curves: Sequence[Curve]) -> Bars:
-    """What each method has found in the end, with its interval."""
+    """Return the chart of each method's final count with its interval."""
     ends = [(curve.method, curve.found[-1]) for curve in curves]
     values = [value for _, end in ends for value in (end.mean, *_interval(end))]
     marks = ticks(min(0.0, *values), max(1.0, *values))
@@ -119,7 +119,7 @@ def _interval(end: Estimate) -> tuple[float, float]:
 
 
 def _lines(title: str, curves: Sequence[Curve], styles: Mapping[str, int]) -> Chart | None:
-    """The means over the executions."""
+    """Return the chart of the means over the executions."""
     series = [
         Series(
             curve.method,
@@ -133,7 +133,7 @@ def _lines(title: str, curves: Sequence[Curve], styles: Mapping[str, int]) -> Ch
 
 
 def _table(table: Table) -> dict[str, object]:
-    """A table as the template draws it: each cell with whether it is the best of its block."""
+    """Return a table for the template, with a flag for each cell that is the best of its block."""
     columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
     best = marked(table)
     last = set(np.cumsum(table.blocks).tolist())
@@ -156,7 +156,7 @@ def _table(table: Table) -> dict[str, object]:
 
 
 def _campaigns(experiment: Experiment, summaries: Sequence[Summary]) -> list[dict[str, str]]:
-    """Every campaign with its run folder."""
+    """Return the rows of the table of campaigns, each with its run folder."""
     folders = {(run.env, run.ads, run.method, run.seed): run.folder.as_posix() for run in experiment.runs()}
     rows = []
     for summary, row in zip(summaries, summary_rows(summaries), strict=True):

@@ -1,4 +1,4 @@
-"""The gallery: a card for each class of violations, and the replays on the cards."""
+"""The gallery: a card with replays for each class of violations."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -17,23 +17,23 @@ from behavexplor.triage.findings import Finding, counted
 
 Floats = NDArray[np.float64]
 
-PASSED: Final = "passed"  # in place of a class
-_NEAREST: Final = 3  # passed executions that came nearest to a violation
+PASSED: Final = "passed"  # replaces the class of executions without a violation
+_NEAREST: Final = 3  # number of these executions on their card, those nearest to a violation
 
 
 @dataclass(frozen=True)
 class Card:
-    """What is shown of a class.
+    """The card of a class.
 
     Attributes:
-        class_id: of the class, or `PASSED`.
-        spec: that is violated.
-        words: the class in a line.
-        count: of executions.
-        first: the first of them.
-        look_at: the first that happened again exactly, where that is known, else the first.
-        facts: what else is known, as names and values.
-        replays: executions whose replays are in the page.
+        class_id: identifier of the class, or `PASSED`.
+        spec: violated spec, or `PASSED`.
+        words: the class as a sentence.
+        count: number of executions.
+        first: first of these executions.
+        look_at: first execution with an exact second execution if triage found one, otherwise the first execution.
+        facts: names and values of further facts.
+        replays: executions with their replays in the page.
     """
 
     class_id: str
@@ -47,11 +47,11 @@ class Card:
 
 
 def cards(run: Run, limit: int) -> tuple[Card, ...]:
-    """The cards of a run: its classes, the largest first, then what passed most narrowly.
+    """Return the cards of a run: its classes, the largest first, then the executions that passed most narrowly.
 
     Args:
         run: the run.
-        limit: most replays; each class has one before any has two.
+        limit: greatest number of replays. Each class gets one replay before any class gets two.
     """
     classes = run.classes
     found = [_card(class_id, findings, run.examined) for class_id, findings in classes.items()]
@@ -79,7 +79,7 @@ def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> C
         "cause": counted(finding.cause for finding in known),
         "signature": counted(finding.signature for finding in known),
         "avoidable by": counted(finding.avoidance for finding in known),
-        "flaky": str(sum(not finding.same_verdict for finding in known) or ""),
+        "not reproduced": str(sum(not finding.same_verdict for finding in known) or ""),
     }
     listed = tuple((name, text) for name, text in facts.items() if text)
     return Card(class_id, first.spec, shown.words, len(findings), first.id, shown.id, listed)
@@ -91,17 +91,17 @@ def _nearest(run: Run) -> Card | None:
         return None
     order = sorted(passed, key=lambda entry: (np.isnan(entry.degree), entry.degree, entry.id))
     numbers = tuple(entry.id for entry in order[:_NEAREST])
-    words = "No spec violated; shown are those that came nearest to it"
+    words = "No requirement violated; these executions came nearest to a violation"
     return Card(PASSED, PASSED, words, len(passed), passed[0].id, numbers[0], replays=numbers)
 
 
 def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, Any]:
-    """A replay as JSON values.
+    """Return a replay as JSON values.
 
     Args:
-        trace: of the execution.
-        record: of it.
-        found: the behaviors, with the execution's among them.
+        trace: trace of the execution.
+        record: record of the execution.
+        found: behaviors, including that of the execution.
 
     Raises:
         InputError: if the record holds no valid scenario.
@@ -125,7 +125,7 @@ def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, A
 
 
 def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
-    """Where a violation happened [m]."""
+    """Return the place of a violation [m]."""
     ego = trace.position[event.frame, 0]
     if event.spec == R2:
         start, end = trace.illegal_lines[event.partner]
@@ -133,7 +133,7 @@ def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
         place = start + np.clip((ego - start) @ along / max(along @ along, 1e-12), 0.0, 1.0) * along
     elif event.spec == R1:
         place = ego
-        for _ in range(20):  # alternating projections lead into what two boxes share
+        for _ in range(20):  # alternating projections converge to a point of both boxes
             place = _into_box(place, trace, event.frame, event.partner)
             place = _into_box(place, trace, event.frame, 0)
     else:
@@ -142,7 +142,7 @@ def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
 
 
 def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
-    """The point of a vehicle's box that is nearest to a point."""
+    """Return the point of a vehicle's box nearest to a given point."""
     front_right, front_left, _, back_right = box_corners(
         trace.position[frame, vehicle], trace.heading[frame, vehicle], trace.size[vehicle]
     )

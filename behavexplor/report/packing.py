@@ -1,4 +1,4 @@
-"""Replays as a page carries them: int16 differences, deflated, in base64."""
+"""Compact replays for a page: int16 differences, deflated, in base64."""
 
 import base64
 import zlib
@@ -13,28 +13,28 @@ from behavexplor.data.trace import Trace
 Floats = NDArray[np.float64]
 Steps = NDArray[np.int64]
 
-FRAME_TIME: Final = 0.1  # between two frames of a replay [s]
-MAX_FRAMES: Final = 900  # of a replay; a longer one has frames farther apart
-LENGTH_UNIT: Final = 0.01  # of positions [m]; larger where a replay spans more than 650 m
+FRAME_TIME: Final = 0.1  # time between two frames of a replay [s]
+MAX_FRAMES: Final = 900  # greatest number of frames of a replay; a longer one has frames farther apart
+LENGTH_UNIT: Final = 0.01  # unit of positions [m]; larger where a replay spans more than 650 m
 TURN: Final = 2 * np.pi / 65536  # unit of headings [rad]
-SPEED_UNIT: Final = 0.01  # [m/s]
-TIME_UNIT: Final = 0.01  # [s]
-_SPAN: Final = 65_000  # of an int16, with some room
+SPEED_UNIT: Final = 0.01  # unit of speeds [m/s]
+TIME_UNIT: Final = 0.01  # unit of times [s]
+_SPAN: Final = 65_000  # usable range of an int16
 
 
 @dataclass(frozen=True)
 class Packed:
-    """The motion of all vehicles, as the page's script unpacks it.
+    """The motion of all vehicles, packed for the page's script.
 
-    Rows of a matrix of int16: the time, the ego's speed, then x, y and heading of each vehicle; in each row the
-    first value and then the differences, modulo 2^16. Low bytes come before high bytes.
+    The data are a matrix of int16. Its rows are the time, the ego's speed, then x, y and heading of each vehicle. Each
+    row holds the first value, then the differences, modulo 2^16. All low bytes come before all high bytes.
 
     Attributes:
-        frames: how many; they are `kept` of the trace.
-        kept: indices of the trace's frames.
-        vehicles: how many, the ego first.
-        middle: of all positions [m]; x and y are distances from it.
-        unit: of x and y [m].
+        frames: number of frames.
+        kept: indices of these frames in the trace, shape (frames,).
+        vehicles: number of vehicles, the ego first.
+        middle: middle of all positions [m], the origin of x and y.
+        unit: unit of x and y [m].
         data: base64 of the deflated matrix.
     """
 
@@ -46,7 +46,7 @@ class Packed:
     data: str
 
     def values(self) -> dict[str, Any]:
-        """What the page's script needs, as JSON values."""
+        """Return the fields for the page's script, as JSON values."""
         return {
             "frames": self.frames,
             "vehicles": self.vehicles,
@@ -60,8 +60,8 @@ def pack(trace: Trace, frame: int) -> Packed:
     """Pack a trace.
 
     Args:
-        trace: what happened.
-        frame: one that must be among those kept.
+        trace: trace of an execution.
+        frame: index of a frame that must be kept.
     """
     kept = _kept(trace, frame)
     position = trace.position[kept]
@@ -77,7 +77,7 @@ def pack(trace: Trace, frame: int) -> Packed:
 
 
 def _kept(trace: Trace, frame: int) -> NDArray[np.int64]:
-    """Frames about `FRAME_TIME` apart, the last one and a certain one."""
+    """Return frames about `FRAME_TIME` apart, with the given frame and the last one."""
     count = min(MAX_FRAMES, int(trace.duration / FRAME_TIME + 1e-6) + 1)
     times = np.linspace(0, (count - 1) * FRAME_TIME if count < MAX_FRAMES else trace.duration, count)
     even = np.searchsorted(trace.time, times - 1e-9)
@@ -87,5 +87,5 @@ def _kept(trace: Trace, frame: int) -> NDArray[np.int64]:
 def _deflated(rows: list[Floats]) -> str:
     steps: Steps = np.diff(np.stack(rows), axis=1, prepend=0).astype(np.int64)
     words = (steps & 0xFFFF).astype("<u2").ravel()
-    planes = words.view(np.uint8).reshape(-1, 2).T  # high bytes are mostly equal: apart, they deflate better
+    planes = words.view(np.uint8).reshape(-1, 2).T  # high bytes are mostly equal, so they deflate better separately
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")

@@ -3,11 +3,11 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const root = document.documentElement;
   const calm = matchMedia("(prefers-reduced-motion: reduce)");
-  const VIEW = 70; // width of the world where the ego is followed [m]
-  const BEFORE = 5; // [s]
-  const TYPES = ["sedan", "suv", "jeep", "hatchback", "school-bus"]; // the colors v0 to v4; v5 is for others
+  const VIEW = 70; // visible width while the view follows the ego [m]
+  const BEFORE = 5; // time before the violation to which a replay jumps [s]
+  const TYPES = ["sedan", "suv", "jeep", "hatchback", "school-bus"]; // their colors are v0 to v4; v5 is for other types
 
-  // Colors: those of the style sheet, as the canvas needs them.
+  // The canvas needs the colors of the style sheet as values.
   const probe = document.createElement("i");
   probe.hidden = true;
   document.body.append(probe);
@@ -37,8 +37,8 @@
       for (let i = 0, value = 0; i < n; i++) out[i] = (value = add(value, steps[i])) * unit;
       return out;
     };
-    const wrapped = (value, step) => ((value + step) << 16) >> 16; // places and speeds lie within an int16
-    const turned = (value, step) => value + step; // headings go on turning
+    const wrapped = (value, step) => ((value + step) << 16) >> 16; // positions and speeds fit into an int16
+    const turned = (value, step) => value + step; // headings are not wrapped
     const later = (value, step) => value + (step & 0xffff);
     const cars = [];
     for (let i = 0; i < replay.vehicles; i++) {
@@ -110,7 +110,7 @@
       this.motion = null;
       try {
         const motion = await unpack(this.replay);
-        if (this.replay !== this.run.replays[id]) return; // another was chosen meanwhile
+        if (this.replay !== this.run.replays[id]) return; // another replay was chosen meanwhile
         this.motion = motion;
       } catch (error) {
         this.output.textContent = "This browser cannot unpack replays.";
@@ -122,7 +122,7 @@
       this.seek(this.motion.time[this.replay.moment]);
     }
 
-    measured() { // what all of the replay needs, round the vehicles that move
+    measured() { // the area that all vehicles cover during the replay
       let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
       for (const car of this.motion.cars) {
         for (let i = 0; i < this.replay.frames; i += 5) {
@@ -135,7 +135,7 @@
 
     get end() { return this.motion.time[this.replay.frames - 1]; }
 
-    frame(time) { // the last frame that is not later
+    frame(time) { // the last frame up to a time
       const times = this.motion.time;
       let low = 0, high = times.length - 1;
       while (low < high) {
@@ -184,7 +184,7 @@
       let before = performance.now(), shown = before;
       const go = (stamp) => {
         if (!this.playing) return;
-        if (calm.matches && stamp - shown < 500) return void requestAnimationFrame(go); // pictures, not motion
+        if (calm.matches && stamp - shown < 500) return void requestAnimationFrame(go); // single pictures instead of motion
         shown = stamp;
         const time = this.now + (Math.max(stamp - before, 0) / 1000) * Number(this.speed.value);
         before = stamp;
@@ -200,7 +200,7 @@
       this.playButton.setAttribute("aria-label", "Play");
     }
 
-    pose(index) { // between two frames, as straight as it goes
+    pose(index) { // interpolated linearly between two frames
       const { time, cars } = this.motion, car = cars[index];
       const i = this.frame(this.now), j = Math.min(i + 1, this.replay.frames - 1);
       const share = j > i ? (this.now - time[i]) / (time[j] - time[i]) : 0;
@@ -255,7 +255,7 @@
           continue;
         }
         const [[ax, ay], [bx, by]] = ends, length = Math.hypot(bx - ax, by - ay) || 1;
-        const apart = Math.max(0.14, 1.3 * this.pixel); // so that two lines are seen
+        const apart = Math.max(0.14, 1.3 * this.pixel); // so that both lines are visible
         for (const side of [apart, -apart]) {
           const dx = (-(by - ay) / length) * side, dy = ((bx - ax) / length) * side;
           this.line(pen, [[ax + dx, ay + dy], [bx + dx, by + dy]], colors.yellow, 0.14);
@@ -298,7 +298,7 @@
       pen.lineWidth = Math.max(index ? 0.12 : 0.25, this.pixel);
       pen.fillRect(-length / 2, -width / 2, length, width);
       pen.strokeRect(-length / 2, -width / 2, length, width);
-      pen.fillStyle = index ? colors.edge : colors.accent; // the windscreen: which way is the front
+      pen.fillStyle = index ? colors.edge : colors.accent; // the windscreen marks the front
       pen.globalAlpha = 0.75;
       pen.beginPath();
       [[0.27, -0.4], [0.27, 0.4], [0.12, 0.34], [0.12, -0.34]].forEach(([ahead, across], i) => {
@@ -330,7 +330,7 @@
       pen.restore();
     }
 
-    drawStrip(ratio) { // the behavior under the picture, with the present moment
+    drawStrip(ratio) { // the behavior below the picture, with the current time
       const strip = this.strip, width = (strip.width = Math.round(strip.clientWidth * ratio)), height = (strip.height = Math.round(8 * ratio));
       const pen = strip.getContext("2d"), whole = Math.max(this.end, 1e-6);
       let begin = 0;
@@ -359,7 +359,7 @@
   }, { rootMargin: "300px" });
   for (const card of players.keys()) near.observe(card);
 
-  // Deep links: #run/class/execution, as the anchors have them; #run/execution does as well.
+  // Deep links: #run/class/execution, as in the anchors, or #run/execution.
   function open() {
     let parts;
     try {

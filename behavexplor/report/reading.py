@@ -1,4 +1,4 @@
-"""What a report knows of a run: read from its folder alone, and checked."""
+"""Reading of runs for a report, from their run folders alone."""
 
 import hashlib
 import json
@@ -28,14 +28,14 @@ class Entry:
     """One execution, without its scenario and trace.
 
     Attributes:
-        id: its number.
-        end: how it ended.
+        id: number of the execution.
+        end: kind of end.
         violated: names of the violated specs.
-        degree: sum of the violation degrees [m], NaN where the record has none.
-        novelty: in [0, 1], NaN where the record has none.
-        novel: whether its behavior was new to the campaign.
-        energy: of the testcase that it was made from, NaN where the method has none.
-        elapsed: running time of the campaign up to it [s].
+        degree: sum of the violation degrees [m]; NaN if the record has none.
+        novelty: distance to the nearest known behavior, in [0, 1]; NaN if the record has none.
+        novel: whether the behavior was new to the campaign.
+        energy: energy of the parent testcase; NaN if the method has none.
+        elapsed: running time of the campaign up to this execution [s].
     """
 
     id: int
@@ -49,7 +49,7 @@ class Entry:
 
     @classmethod
     def of(cls, execution: Execution) -> Self:
-        """What the record says; anything that it lacks is left out."""
+        """Return the entry of a stored execution."""
         record = execution.record
         return cls(
             id=record.id,
@@ -68,13 +68,13 @@ class Run:
     """A run, as a report shows it.
 
     Attributes:
-        folder: where it lies.
-        config: of the campaign.
-        entries: all executions in order.
-        findings: one for each failure, in order.
-        examined: numbers of the failures that triage has looked at; of the others only the class is known.
-        weaknesses: see `behavexplor.triage.findings.Triage`.
-        digests: SHA-256 of what was read, by name.
+        folder: run folder.
+        config: configuration of the campaign.
+        entries: all executions, in order.
+        findings: one finding for each failure, in order.
+        examined: numbers of the failures that triage has examined; only the classes of other failures are known.
+        weaknesses: coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`.
+        digests: SHA-256 of the read data, by name.
     """
 
     folder: Path
@@ -87,17 +87,17 @@ class Run:
 
     @property
     def name(self) -> str:
-        """The folder's name: where it lies is nobody's business."""
+        """Name of the run folder, without its path, which is private."""
         return self.folder.resolve().name or "run"
 
     @property
     def classes(self) -> dict[str, list[Finding]]:
-        """The findings by class, the largest first."""
+        """Findings by class, the largest class first."""
         return Triage(self.config.env, self.config.ads, len(self.entries), self.findings).classes
 
     @property
     def novel(self) -> int:
-        """How many executions showed a new behavior."""
+        """Number of executions with a new behavior."""
         return sum(entry.novel for entry in self.entries)
 
     @property
@@ -106,7 +106,7 @@ class Run:
         return max(entry.elapsed for entry in self.entries)
 
     def specs(self) -> dict[str, int]:
-        """Failures by the first spec that they violate."""
+        """Return the number of failures by first violated spec."""
         counts = dict.fromkeys((spec.name for spec in SPECS), 0)
         for entry in self.entries:
             for name in entry.violated[:1]:
@@ -114,20 +114,20 @@ class Run:
         return counts
 
     def faults(self) -> tuple[int, int]:
-        """Collisions that were the ego's fault, and those that were not."""
+        """Return the number of collisions that were the ego's fault, and of those that were not."""
         faults = [finding.fault for finding in self.findings if finding.id in self.examined]
         return sum(fault in AT_FAULT for fault in faults), sum(fault in NOT_AT_FAULT for fault in faults)
 
     def flaky(self) -> int:
-        """Failures that did not happen again."""
+        """Return the number of failures that did not reproduce."""
         return sum(not finding.same_verdict for finding in self.findings if finding.id in self.examined)
 
 
 def read_run(folder: Path) -> Run:
-    """Read a run; traces are looked at only for failures whose class nobody has found out yet.
+    """Read a run. Only traces of failures that triage has not examined are loaded.
 
     Raises:
-        InputError: if it is no run folder, has no executions yet, or is damaged.
+        InputError: if the folder is not a run folder, has no executions yet, or is damaged.
     """
     config = stored_config(folder)
     triage = Triage.read(folder) if (folder / TRIAGE).is_file() else None
@@ -140,7 +140,7 @@ def read_run(folder: Path) -> Run:
         if entries[-1].violated:
             findings.append(known.get(execution.id) or _finding(execution))
     if not entries:
-        raise InputError(f"{folder} has no executions yet: go on with `behavexplor fuzz --resume {folder}`")
+        raise InputError(f"{folder} has no executions yet: resume it with `behavexplor fuzz --resume {folder}`")
     digests = {CONFIG: _digest(folder / CONFIG), "executions": digest.hexdigest()}
     if triage:
         digests[TRIAGE] = _digest(folder / TRIAGE)
@@ -150,7 +150,7 @@ def read_run(folder: Path) -> Run:
 
 
 def stored(folder: Path) -> Iterator[Execution]:
-    """All executions of a run, in order."""
+    """Yield all executions of a run, in order."""
     store = Store.read(folder)
     try:
         yield from store.executions()
@@ -159,7 +159,7 @@ def stored(folder: Path) -> Iterator[Execution]:
 
 
 def _finding(execution: Execution) -> Finding:
-    """Return what the record and the trace of a failure tell, before triage."""
+    """Return the finding about a failure before triage, from its record and trace."""
     if execution.record.error is not None:
         return error_finding(execution.record, happened_again=False)
     return trace_finding(execution.record, execution.load_trace())
@@ -170,6 +170,6 @@ def _digest(path: Path) -> str:
 
 
 def _number(value: Any) -> float:
-    """A finite number, or NaN."""
+    """Return a finite number as it is, and anything else as NaN."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if is_number and math.isfinite(value) else math.nan

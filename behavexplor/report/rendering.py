@@ -1,4 +1,4 @@
-"""Pages: templates with the style and the scripts of this package, as one HTML file that loads nothing."""
+"""Rendering of templates with this package's styles and scripts into self-contained HTML pages."""
 
 import base64
 import hashlib
@@ -15,12 +15,12 @@ _LIBRARIES: Final = ("gymnasium", "highway-env", "numpy", "scikit-learn")
 
 
 def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
-    """A page in pure ASCII. Whatever is in the values is text in it.
+    """Render a page in ASCII. All values are escaped, so none is interpreted as HTML.
 
     Args:
-        template: its name in this package.
-        scripts: their names; they run at the end of the page, in this order.
-        values: of the template.
+        template: file name of the template in this package.
+        scripts: file names of the scripts, which run at the end of the page in this order.
+        values: variables of the template.
     """
     style, script = _source("page.css"), "".join(map(_source, scripts))
     environment = Environment(
@@ -38,7 +38,7 @@ def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
 
 
 class _Sources(BaseLoader):
-    """Templates beside this module, also in a zipped package."""
+    """Loader of the templates beside this module, also from a zipped package."""
 
     def get_source(self, environment: Environment, template: str) -> tuple[str, str | None, Any]:  # noqa: ARG002
         return _source(template), None, None
@@ -49,5 +49,5 @@ def _source(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """As a content security policy names a script or a style sheet."""
+    """Return the hash of a script or a style sheet for a content security policy."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -13,16 +13,19 @@ from behavexplor.data.trace import Trace
 Floats = NDArray[np.float64]
 
 _DASH, _GAP = 3.0, 6.0  # length of a dash between lanes, and distance between two [m]
-_CURVE_POINTS: Final = 13  # of a curved lane
+_CURVE_POINTS: Final = 13  # points along a curved lane
 
 
 def known_road(env: str) -> RoadMap | None:
-    """The road of one of this package's environments.
+    """Return the road of an environment of this package.
 
-    No other environment is made: what a run folder names is not imported for the sake of a picture.
+    No other environment is made, since a report must not import third-party code that a run folder names.
 
     Args:
-        env: as the run's configuration has it.
+        env: name of the environment in the run's configuration.
+
+    Returns:
+        The road, or None for an environment of another package.
     """
     name = env.removeprefix(f"{NAMESPACE}/").removesuffix("-v0") if env.startswith(f"{NAMESPACE}/") else env
     if name not in FUNCTIONAL_SCENARIOS:
@@ -34,11 +37,11 @@ def known_road(env: str) -> RoadMap | None:
 
 
 def road_values(roadmap: RoadMap | None, trace: Trace) -> dict[str, Any]:
-    """The road as JSON values, lengths in meters.
+    """Return the road as JSON values, with lengths in meters.
 
     Args:
-        roadmap: None if only what a trace has recorded is known.
-        trace: of any execution; its illegal lines and route are those of all.
+        roadmap: the road; None if only the lines and the route in the trace are known.
+        trace: trace of any execution. All executions have the same illegal lines and route.
     """
     kinds: tuple[str, ...] = (CURB,) * len(trace.illegal_lines)
     if roadmap is not None and np.array_equal(roadmap.illegal_lines, trace.illegal_lines):
@@ -58,7 +61,7 @@ def _points(points: Floats) -> list[list[float]]:
 
 
 def _beside(lane: Lane, stations: Floats, offset: float) -> Floats:
-    """Points beside the center line of a lane, positive offsets to its right, shape (n, 2) [m]."""
+    """Return points beside the center line of a lane, shape (n, 2) [m]; positive offsets are to its right."""
     x, y, heading = lane.pose(stations).T
     return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)
 
@@ -77,7 +80,7 @@ def _center(route: Route) -> Floats:
 
 
 def _dashes(roadmap: RoadMap) -> list[Floats]:
-    """Dashes between lanes that run side by side outside junctions."""
+    """Return the dashes between parallel lanes outside junctions."""
     dashes = []
     for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
         if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):

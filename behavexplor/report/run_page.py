@@ -1,4 +1,4 @@
-"""The page: what is known of some runs, as one HTML file that loads nothing."""
+"""The report on one or several runs, as one self-contained HTML file."""
 
 from collections.abc import Callable, Sequence
 from typing import Final
@@ -10,28 +10,28 @@ from behavexplor.report.sections import curves, section
 
 _NOT_EXAMINED: Final = "not examined"
 
-_FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # of the comparison
+_FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
     "environment": lambda run: run.config.env,
     "driving system": lambda run: run.config.ads,
     "method": lambda run: run.config.method,
     "seed": lambda run: str(run.config.seed),
     "executions": lambda run: str(len(run.entries)),
     "failed": lambda run: f"{len(run.findings)} ({len(run.findings) / len(run.entries):.1%})",
-    "collision, lines, destination": lambda run: ", ".join(map(str, run.specs().values())),
+    "collision (R1), lines (R2), destination (R3)": lambda run: ", ".join(map(str, run.specs().values())),
     "classes": lambda run: str(len(run.classes)),
     "first failure": lambda run: str(run.findings[0].id) if run.findings else "none",
     "collisions at fault": lambda run: str(run.faults()[0]) if run.examined else _NOT_EXAMINED,
-    "did not happen again": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
+    "did not reproduce": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
     "new behavior": lambda run: f"{run.novel / len(run.entries):.1%}",
 }
 
 
 def page(runs: Sequence[Run], replays: int) -> str:
-    """The report on some runs; equal run folders give equal pages. It is pure ASCII.
+    """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
 
     Args:
-        runs: at least one.
-        replays: most replays of each run.
+        runs: runs, at least one.
+        replays: greatest number of replays of each run.
 
     Raises:
         InputError: if a run is damaged.
@@ -51,12 +51,12 @@ def page(runs: Sequence[Run], replays: int) -> str:
 
 
 def comparison(runs: Sequence[Run]) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Figures of several runs side by side: a name, then a value of each run."""
+    """Return the rows of the comparison: the name of a figure, then its value for each run."""
     return tuple((name, tuple(figure(run) for run in runs)) for name, figure in _FIGURES.items())
 
 
 def class_rows(runs: Sequence[Run]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Which classes were seen in which runs, and how often; those of the most runs first."""
+    """Return the count of each class in each run, the classes found in most runs first."""
     counts = [{name: len(findings) for name, findings in run.classes.items()} for run in runs]
     names = {name for count in counts for name in count}
     rows = [(name, tuple(count.get(name, 0) for count in counts)) for name in names]

@@ -1,4 +1,4 @@
-"""What the page shows of one run: its gallery, its curves, its behaviors."""
+"""The section of a page about one run: gallery, curves and behaviors."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,6 +12,7 @@ from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
 from behavexplor.data.logical import VEHICLE_SIZES
 from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart
 from behavexplor.report.gallery import PASSED, Card, cards, replay_values
@@ -20,10 +21,15 @@ from behavexplor.report.road_shapes import known_road, road_values
 
 Floats = NDArray[np.float64]
 
-MOST_COMPARED: Final = 750  # executions whose behaviors are compared
+MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
 _PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
 _TYPES: Final = tuple(VEHICLE_SIZES)  # vehicle types with a color of their own
-_SYMBOLS: Final = {"R1": "collision", "R2": "line touched", "R3": "not at the destination", PASSED: "none violated"}
+_SYMBOLS: Final = {
+    "R1": "R1: collision",
+    "R2": "R2: illegal line touched",
+    "R3": "R3: destination missed",
+    PASSED: "no violation",
+}
 
 
 @dataclass(frozen=True)
@@ -31,11 +37,11 @@ class Ribbon:
     """The behavior of one execution as a strip.
 
     Attributes:
-        id: of the execution.
-        class_id: of its card, `PASSED` if it violates nothing.
-        strip: begin and length of each stretch of one abstract state, in percent of the longest, and the state.
-        text: the same in words.
-        linked: whether its replay is in the page.
+        id: number of the execution.
+        class_id: class of its card, or `PASSED` without a violation.
+        strip: begin and length of each stretch of one abstract state, in percent of the longest ribbon, and the state.
+        text: the abstract trace as text.
+        linked: whether the replay is in the page.
     """
 
     id: int
@@ -50,12 +56,12 @@ class Place:
     """One execution on the map of behaviors.
 
     Attributes:
-        id: of the execution.
-        x: in [0, 100].
-        y: in [0, 100].
-        spec: that it violates, or `PASSED`.
-        class_id: of its class, or `PASSED`.
-        linked: whether its replay is in the page.
+        id: number of the execution.
+        x: horizontal position, in [0, 100].
+        y: vertical position, in [0, 100].
+        spec: first violated spec, or `PASSED`.
+        class_id: class of the failure, or `PASSED`.
+        linked: whether the replay is in the page.
     """
 
     id: int
@@ -68,20 +74,20 @@ class Place:
 
 @dataclass(frozen=True)
 class Section:
-    """All that the page shows of one run.
+    """The content of a section about one run.
 
     Attributes:
-        number: counted from 1.
-        run: what was read.
-        limit: most replays.
-        cards: the gallery.
+        number: number of the run in the page, counted from 1.
+        run: the run.
+        limit: greatest number of replays.
+        cards: cards of the gallery.
         charts: curves over the executions.
-        found: the behaviors.
-        ribbons: of some executions.
-        longest: of these [s].
-        places: the map of behaviors.
-        has_road: whether the road of its environment is known.
-        values: what the page's script needs.
+        found: behaviors.
+        ribbons: behaviors of some executions as ribbons.
+        longest: duration of the longest ribbon [s].
+        places: executions on the map of behaviors.
+        has_road: whether the road of the environment is known.
+        values: data for the page's script.
     """
 
     number: int
@@ -98,36 +104,36 @@ class Section:
 
     @property
     def embedded(self) -> int:
-        """How many replays the page carries."""
+        """Number of replays in the page."""
         return len(self.values["replays"])
 
     @property
     def types(self) -> list[tuple[str, int]]:
-        """The vehicle types in the replays, and the numbers of their colors."""
+        """Vehicle types in the replays, with the numbers of their colors."""
         names = {name for replay in self.values["replays"].values() for name in replay["types"]}
         known = [(name, index) for index, name in enumerate(_TYPES) if name in names]
         return known + ([("other", len(_TYPES))] if names - set(_TYPES) else [])
 
     @property
     def symbols(self) -> list[tuple[str, str]]:
-        """The specs on the map, and what they are called."""
+        """Specs on the map, with their labels."""
         present = {place.spec for place in self.places}
         known = [(spec, name) for spec, name in _SYMBOLS.items() if spec in present]
         return known + ([("other", "other failure")] if present - _SYMBOLS.keys() else [])
 
     @property
     def parameters(self) -> list[tuple[str, str]]:
-        """The campaign's configuration."""
+        """Names and values of the campaign's configuration."""
         return [(name, str(value)) for name, value in asdict(self.run.config).items()]
 
 
 def section(number: int, run: Run, limit: int) -> Section:
-    """All that is shown of a run.
+    """Return the section about a run.
 
     Args:
-        number: of the run in the page, counted from 1.
-        run: what was read.
-        limit: most replays.
+        number: number of the run in the page, counted from 1.
+        run: the run.
+        limit: greatest number of replays.
 
     Raises:
         InputError: if the run is damaged.
@@ -155,7 +161,7 @@ def section(number: int, run: Run, limit: int) -> Section:
         has_road=roadmap is not None,
         values={
             "road": road_values(roadmap, next(iter(traces.values()))),
-            "replays": _replays(traces, records, found),
+            "replays": _replays(run, traces, records, found),
         },
     )
 
@@ -163,7 +169,7 @@ def section(number: int, run: Run, limit: int) -> Section:
 def _looked_at(
     run: Run, wanted: Collection[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
-    """The traces of some executions, and the records of those that are replayed, by their numbers."""
+    """Return the traces of the wanted executions and the records of the replayed ones, by their numbers."""
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
     for execution in stored(run.folder):
@@ -174,8 +180,15 @@ def _looked_at(
     return traces, records
 
 
-def _replays(traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
-    return {str(name): replay_values(traces[name], record, found) for name, record in records.items()}
+def _replays(run: Run, traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
+    """Return the replays by the numbers of their executions."""
+    replays = {}
+    for number, record in records.items():
+        try:
+            replays[str(number)] = replay_values(traces[number], record, found)
+        except InputError as error:
+            raise InputError(f"{run.folder}: execution {number} has no valid scenario: {error}") from None
+    return replays
 
 
 def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:
@@ -187,7 +200,7 @@ def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: 
 
 
 def _places(run: Run, found: Behaviors, replayed: Collection[int]) -> tuple[Place, ...]:
-    """The map, scaled into a square; failures come last, on top of the others."""
+    """Return the map, scaled into a square. Failures come last, so that they are drawn on top."""
     kinds = {finding.id: (finding.spec, finding.class_id) for finding in run.findings}
     points = np.array(list(found.places.values()))
     extent = np.ptp(points, axis=0)
@@ -200,7 +213,7 @@ def _places(run: Run, found: Behaviors, replayed: Collection[int]) -> tuple[Plac
 
 
 def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
-    """Failures, classes and new behaviors over the executions: of one run, or of several over each other."""
+    """Return the curves of failures, classes and new behaviors over the executions, for one run or several."""
     counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviors": []}
     for index, run in enumerate(runs):
         numbers = np.array([entry.id + 1.0 for entry in run.entries])
@@ -212,7 +225,7 @@ def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
 
 
 def _steps(run: Run) -> tuple[Floats, Floats, Floats]:
-    """For each execution 1 or 0: whether it failed, in a new class, and with a new behavior."""
+    """Return three arrays of 1 and 0 over the executions: failure, first failure of its class, new behavior."""
     firsts = {findings[0].id for findings in run.classes.values()}
     return (
         np.array([float(bool(entry.violated)) for entry in run.entries]),
@@ -222,12 +235,12 @@ def _steps(run: Run) -> tuple[Floats, Floats, Floats]:
 
 
 def clouds(run: Run) -> tuple[Chart, ...]:
-    """Novelty and energy of each execution, where the records have them."""
+    """Return the charts of novelty and energy over the executions, if the records have them."""
     limit = np.full(len(run.entries), NOVELTY_THRESHOLD)
     novelty = np.array([entry.novelty for entry in run.entries])
     energy = np.array([entry.energy for entry in run.entries])
     numbers = np.array([entry.id + 1.0 for entry in run.entries])
-    threshold = [Series("new behavior lies above", numbers, limit, style=2)] if np.isfinite(novelty).any() else []
+    threshold = [Series("threshold of new behavior", numbers, limit, style=2)] if np.isfinite(novelty).any() else []
     charts = (
         chart("Novelty", _cloud(run, numbers, novelty) + threshold),
         chart("Energy of the parent", _cloud(run, numbers, energy)),
@@ -238,6 +251,6 @@ def clouds(run: Run) -> tuple[Chart, ...]:
 def _cloud(run: Run, numbers: Floats, values: Floats) -> list[Series]:
     failed = np.array([bool(entry.violated) for entry in run.entries])
     return [
-        Series("none violated", numbers, np.where(failed, np.nan, values), dots=True, style=0),
+        Series("no violation", numbers, np.where(failed, np.nan, values), dots=True, style=0),
         Series("failed", numbers, np.where(failed, values, np.nan), dots=True, style=1),
     ]

@@ -1,6 +1,6 @@
 "use strict";
 (() => {
-  // Colors as the system has them, or as one wants; whoever draws is told by the event "colors".
+  // Colors follow the system or the user's choice. The event "colors" announces a change.
   const root = document.documentElement, button = document.getElementById("theme");
   const NAMES = { "": "auto", light: "light", dark: "dark" };
   const tell = () => root.dispatchEvent(new Event("colors"));

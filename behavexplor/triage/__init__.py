@@ -1,1 +1,1 @@
-"""What the failures of a campaign are: their classes and causes, whose fault they were, how to avoid them."""
+"""Triage of failures: reproducibility, classes, fault, causes, and ways to avoid collisions."""

@@ -1,4 +1,4 @@
-"""How well a classification agrees with the truth, over sequences of labels."""
+"""Agreement of two classifications, given as sequences of labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from behavexplor.errors import InputError
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well labels agree with true ones.
+    """Agreement of given labels with true labels.
 
     Attributes:
-        n: how many were compared.
-        equal: the share that is equal; only where both are of the same names.
-        precision: mean over the names of the share of those labeled so that truly are so.
-        recall: mean over the true names of the share of those truly so that are labeled so.
-        adjusted_rand: whether the same ones are grouped together, whatever their names: 1 for equal groups, about 0 by
-            chance.
+        n: number of compared labels.
+        equal: share of equal labels; meaningful only if both sequences use the same names.
+        precision: mean over the given names of the share of items with that label for which it is true.
+        recall: mean over the true names of the share of items with that true label that were given it.
+        adjusted_rand: adjusted Rand index, which compares the groups and ignores their names: 1 for equal groups,
+            about 0 for groups made by chance.
     """
 
     n: int
@@ -29,17 +29,17 @@ class Agreement:
 
 
 def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
-    """Compare labels with true ones.
+    """Compare given labels with true labels.
 
     Args:
-        true: labels.
-        given: others, of the same things in the same order.
+        true: true labels.
+        given: given labels of the same items, in the same order.
 
     Raises:
-        InputError: if there are none, or not as many of both.
+        InputError: if there are no labels, or the sequences differ in length.
     """
     if not true or len(true) != len(given):
-        raise InputError(f"Labels can only be compared one by one: there are {len(true)} and {len(given)}")
+        raise InputError(f"Labels are compared one by one, so {len(true)} and {len(given)} labels do not match")
     equal = sum(a == b for a, b in zip(true, given, strict=True)) / len(true)
     precision, recall = (
         precision_recall_fscore_support(true, given, labels=sorted(set(names)), average="macro", zero_division=0.0)[i]

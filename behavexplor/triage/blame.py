@@ -1,4 +1,4 @@
-"""Whose fault a collision was: what the trace alone tells, and for the rest whether it could have been avoided."""
+"""Fault of a collision: by the trace alone where it is clear, otherwise by whether the ego could have avoided it."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -22,12 +22,12 @@ class Blame:
     """The verdict on a collision.
 
     Attributes:
-        kind: `ego_cut_in`, `npc_rear_end` and `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
-            else `preventable` if there is a witness, `unpreventable` if none was found, and `other` if none could be
-            looked for, in an environment that cannot run in lock-step.
+        kind: `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
+            otherwise `preventable` if there is a witness, `unpreventable` if none was found, or `other` if the search
+            was impossible because the environment cannot run in lock-step.
         in_junction: whether the ego was inside a junction.
-        witness: how it could have been avoided, None unless `preventable`.
-        tried: how many ways of avoiding it were driven.
+        witness: evasion that avoids the collision; None unless the collision is `preventable`.
+        tried: number of evasions that were driven.
     """
 
     kind: Kind
@@ -37,21 +37,21 @@ class Blame:
 
     @property
     def at_fault(self) -> bool:
-        """Whether the ego answers for it."""
+        """True if the ego was at fault."""
         return self.kind in AT_FAULT
 
 
 def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.random.Generator) -> Blame | None:
-    """The verdict on the collision with which a drive ends.
+    """Return the verdict on the collision at the end of an execution.
 
     Args:
-        simulation: in whose environment it happened; its ADS is not asked.
-        scenario: that was driven.
-        trace: of it.
-        rng: for the ways of avoiding it that are drawn.
+        simulation: simulation with the environment of the execution; its ADS is not used.
+        scenario: the executed scenario.
+        trace: its trace.
+        rng: generator for the random evasions.
 
     Returns:
-        None if the ego touches nobody in the end.
+        The verdict, or None if the ego touches no vehicle in the last frame.
     """
     quick, event = contact_fault(trace), violation_event(trace, ("collision",))
     if quick is None or event is None or event.spec != R1:
@@ -66,7 +66,7 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
 
 
 def in_junction(roadmap: RoadMap, trace: Trace) -> bool:
-    """Whether the ego's middle is inside a junction at the end of a trace."""
+    """Return whether the ego's center is inside a junction at the end of a trace."""
     route = roadmap.ego_route
     station, _ = route.project(*trace.position[-1, 0])
     index = min(max(int(np.searchsorted(route.bounds, station, side="right")) - 1, 0), len(route.lanes) - 1)

@@ -1,11 +1,11 @@
-"""The true cause of a failure of the rule planner: the weakness without which it does not happen.
+"""Causes of the rule planner's failures: the weaknesses without which a failure does not happen.
 
-The weaknesses are those of paper section IV-B2, where people found them by looking at recordings. Here a failing
-drive is replayed exactly up to some seconds before its violation, and goes on from there with other weaknesses: if
-the violation is gone with one switched off, that one was *necessary*; if it is still there with all the others of the
-same spec switched off, that one is *sufficient*. Where two weaknesses lead to the same violation, each is sufficient
-and none necessary. A drive that misses its destination did so by something that it never did: there the whole drive
-is repeated.
+The weaknesses are those of paper section IV-B2, whose authors found them in recordings. Here, a failed execution is
+replayed exactly up to some seconds before its violation, and continues from there with other weaknesses. A weakness is
+*necessary* if the violation disappears when that weakness is switched off. It is *sufficient* if the violation remains
+when all other weaknesses of the same spec are switched off. Where two weaknesses lead to the same violation, each is
+sufficient and none is necessary. A missed destination has no such point in time, since its cause is an omission. There,
+the whole execution is repeated.
 """
 
 from collections.abc import Iterable
@@ -24,8 +24,8 @@ from behavexplor.judge.events import R3, REQUIREMENTS, ViolationEvent, recent_de
 from behavexplor.judge.specs import judge
 from behavexplor.triage.forks import Fork, run_forks, without
 
-OUTLOOKS: Final = (6.0, 15.0)  # before a violation, in which its causes are looked for; the longer if in vain [s]
-AFTERMATH: Final = 6.0  # behind it: a violation that is put off for longer is another one [s]
+OUTLOOKS: Final = (6.0, 15.0)  # times before a violation from which causes are searched for, one after the other [s]
+AFTERMATH: Final = 6.0  # a violation later than this after the recorded one is a different violation [s]
 UPSTREAM: Final = ("prediction", "decision", "path", "speed", "control")  # the order of the planner's modules
 
 
@@ -34,10 +34,11 @@ class Cause:
     """Why the rule planner failed.
 
     Attributes:
-        primary: the weakness to blame, see `primary_cause`; or "environment" where the planner without any weakness
-            violates the same spec, and "unknown" where no single weakness is to blame.
-        necessary: the weaknesses without which the violation does not happen, upstream first.
-        sufficient: the weaknesses of the violated spec with which it happens without any other of them, upstream first.
+        primary: the weakness to blame, see `primary_cause`; "environment" if the planner without any weakness violates
+            the same spec; "unknown" if no single weakness is to blame.
+        necessary: weaknesses without which the violation does not happen, upstream first.
+        sufficient: weaknesses of the violated spec that cause the violation without any other weakness of that spec,
+            upstream first.
     """
 
     primary: str
@@ -46,15 +47,15 @@ class Cause:
 
 
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
-    """The cause of the first violated spec, R1 before R2 before R3.
+    """Return the cause of the first violated spec, in the order R1, R2, R3.
 
     Args:
-        simulation: with the ADS that drove, in the environment where it did.
-        scenario: that was driven.
-        trace: of it, with the decision log.
+        simulation: simulation with the same ADS and environment as in the recorded execution.
+        scenario: the executed scenario.
+        trace: its trace, with the decision log.
 
     Returns:
-        None if nothing is violated, or the ADS is not the rule planner.
+        The cause, or None if no spec is violated or the ADS is not the rule planner.
     """
     planner = simulation.ads
     event = violation_event(trace, judge(trace).violated)
@@ -73,11 +74,11 @@ def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Caus
 
 
 def primary_cause(spec: str, necessary: tuple[str, ...], sufficient: tuple[str, ...]) -> str:
-    """The one weakness to blame.
+    """Return the weakness to blame.
 
-    A weakness that shows as a violation of this very spec goes before one that only led there (an overtaking without
-    room to return lets another weakness overshoot the line); then who is necessary and sufficient before who is
-    necessary before who is sufficient; then upstream first.
+    A weakness of the violated spec comes before one that only led to the situation. For example, overtaking without
+    room to return lets another weakness overshoot the line. Then come weaknesses that are both necessary and
+    sufficient, then necessary ones, then sufficient ones, each upstream first.
     """
     both = tuple(name for name in necessary if name in sufficient)
     order = (*both, *necessary, *sufficient, UNKNOWN)
@@ -85,25 +86,25 @@ def primary_cause(spec: str, necessary: tuple[str, ...], sufficient: tuple[str, 
 
 
 def suspected(trace: Trace, event: ViolationEvent, outlook: float) -> tuple[str, ...]:
-    """The weaknesses that were reached in the time before a violation [s], upstream first."""
+    """Return the weaknesses reached in the last `outlook` [s] before a violation event, upstream first."""
     bits = trace.decisions["reached"][recent_decisions(trace, event.frame, outlook)]
     return upstream_first(weakness_names(int(np.bitwise_or.reduce(bits.astype(np.int64)))))
 
 
 def upstream_first(weaknesses: Iterable[str]) -> tuple[str, ...]:
-    """Weaknesses in the order of the modules that they sit in."""
+    """Sort weaknesses in the order of the planner's modules."""
     return tuple(sorted(weaknesses, key=lambda name: UPSTREAM.index(WEAKNESSES[name].module)))
 
 
 def _causes(
     simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, outlook: float
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The necessary and the sufficient weaknesses, if others are switched off so long before the violation [s].
+    """Return the necessary and the sufficient weaknesses, found by switching off weaknesses `outlook` [s] earlier.
 
-    No weakness of the violated spec is sufficient if the violation happens without any of them.
+    If the violation happens with all weaknesses of the violated spec switched off, none of them is sufficient.
     """
     planner = simulation.ads
-    assert isinstance(planner, RulePlanner)  # noqa: S101 - asked before
+    assert isinstance(planner, RulePlanner)  # noqa: S101 - checked by the caller
     decisions = recent_decisions(trace, event.frame, outlook)
     begin = int(decisions[0]) if len(decisions) else 0
     until = None if event.spec == R3 else float(trace.time[event.frame]) + AFTERMATH
@@ -114,7 +115,7 @@ def _causes(
     forks = [Fork(without(planner.parameters, _switches(switched)), begin) for switched in off]
     others = run_forks(simulation, scenario, trace, forks, until)
     too_late, without_kin, *fails = (_violates(other, event.spec, until) for other in others)
-    if too_late:  # whatever is switched off
+    if too_late:  # the violation happens even with all weaknesses switched off
         return (), ()
     necessary = tuple(name for name, fail in zip(suspects, fails, strict=False) if not fail)
     alone = tuple(name for name, fail in zip(kin, fails[len(suspects) :], strict=True) if fail)
@@ -122,7 +123,7 @@ def _causes(
 
 
 def _violates(trace: Trace, spec: str, until: float | None = None) -> bool:
-    """Whether a drive violates a spec, up to a time [s]."""
+    """Return whether an execution violates a spec, by the time `until` [s] if given."""
     violated = tuple(name for name in judge(trace).violated if REQUIREMENTS.get(name) == spec)
     event = violation_event(trace, violated)
     return event is not None and (until is None or bool(trace.time[event.frame] <= until))

@@ -1,4 +1,4 @@
-"""How far a campaign got with each weakness of the rule planner: reached, triggered, detected."""
+"""Coverage of the rule planner's weaknesses by a campaign: reached, triggered, detected."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,11 +10,14 @@ from behavexplor.triage.findings import Finding, Sighting, WeaknessRecord
 
 
 def weakness_records(traces: Iterable[tuple[int, Trace]], findings: Sequence[Finding]) -> dict[str, WeaknessRecord]:
-    """Which executions reached and triggered each weakness, and of which failures it is the primary cause.
+    """Count the executions that reached or triggered each weakness, and the failures that it caused.
 
     Args:
-        traces: of all executions of the rule planner with their numbers, in order.
-        findings: of its failures, in order.
+        traces: traces of all executions of the rule planner with their numbers, in order.
+        findings: findings of its failures, in order.
+
+    Returns:
+        The record of each weakness by name.
     """
     bits = ("reached", "triggered")
     seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESS_NAMES}

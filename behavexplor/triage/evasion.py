@@ -1,4 +1,4 @@
-"""Evasions: an ego that drives as recorded up to a moment, then brakes, accelerates, or gives way to the side."""
+"""Evasions: the ego drives as recorded up to some time, then brakes, accelerates, or moves to the side."""
 
 import math
 from collections.abc import Sequence
@@ -16,29 +16,29 @@ from behavexplor.triage.playback import as_actions, recorded_commands
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SPACING: Final = 0.25  # of the points of a path [m]
-BEYOND: Final = 60.0  # that a path goes on straight at its end [m]
-BACK, AHEAD = 8, 16  # points of a path where the ego is looked for next
-LOOK_AHEAD: Final = 2.5  # of the steering, at least [m],
-LOOK_AHEAD_TIME: Final = 0.25  # and what it grows by with the speed [s]
+SPACING: Final = 0.25  # distance between points of a path [m]
+BEYOND: Final = 60.0  # straight extension of a path at its end [m]
+BACK, AHEAD = 8, 16  # points behind and ahead of the last nearest point among which the next one is searched for
+LOOK_AHEAD: Final = 2.5  # look-ahead distance of the steering at standstill [m]
+LOOK_AHEAD_TIME: Final = 0.25  # growth of the look-ahead distance with the speed [s]
 STEERING: Final = 0.6  # greatest steering angle [rad]
-STEERING_RATE: Final = 0.8  # and its greatest change [rad/s]
+STEERING_RATE: Final = 0.8  # greatest change of the steering angle [rad/s]
 LATERAL: Final = 5.0  # greatest lateral acceleration [m/s2]
 
 
 @dataclass(frozen=True)
 class Evasion:
-    """What the ego does instead.
+    """Driving that deviates from a recorded execution.
 
     Attributes:
-        name: for people.
-        begin: up to then it drives as recorded [s].
-        acceleration: wanted at first [m/s2].
-        lasting: for so long [s].
-        then: the acceleration wanted afterwards [m/s2].
+        name: kind of evasion, for people.
+        begin: time up to which the ego drives as recorded [s].
+        acceleration: desired acceleration at first [m/s2].
+        lasting: duration of the first acceleration [s].
+        then: desired acceleration afterwards [m/s2].
         jerk: limit of the change of the acceleration [m/s3].
-        offset: how far it moves to the right of the recorded path [m].
-        swing: the time that it takes for that [s].
+        offset: lateral move to the right of the path [m].
+        swing: duration of the lateral move [s].
     """
 
     name: str
@@ -52,18 +52,20 @@ class Evasion:
 
     @property
     def effort(self) -> float:
-        """By which the mildest of several is chosen."""
+        """Severity of the evasion, lower is milder."""
         return max(abs(self.acceleration), abs(self.then)) + 2 * abs(self.offset)
 
 
 class EvasionDriver:
-    """Egos in the same scenario, each with an evasion of its own; an ADS. Row i of a batch is evasion i.
+    """An ADS that drives the egos of a batch, each with an evasion of its own, in the same scenario.
+
+    Row i of the batch is evasion i.
 
     Args:
-        trace: what was recorded.
-        evasions: one for each ego.
-        path: along which they drive; it begins with the recorded one. Points `SPACING` apart, shape (P, 2) [m].
-        speed_limit: that they keep to while they accelerate [m/s].
+        trace: trace of the recorded execution.
+        evasions: one evasion for each ego.
+        path: path of all egos, which begins with the recorded path, as points `SPACING` apart, shape (P, 2) [m].
+        speed_limit: limit up to which the egos accelerate [m/s].
     """
 
     def __init__(self, trace: Trace, evasions: Sequence[Evasion], path: Floats, speed_limit: float) -> None:
@@ -81,9 +83,9 @@ class EvasionDriver:
         observation: Floats,
         state: tuple[int, Floats, Ints] | None = None,
         episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
-        deterministic: bool = True,  # noqa: ARG002 - they always are
+        deterministic: bool = True,  # noqa: ARG002 - evasions are always deterministic
     ) -> tuple[Floats, tuple[int, Floats, Ints]]:
-        """Decide for all egos; the state counts the steps, and remembers the last commands and places on the path."""
+        """Return the commands of all egos. The state holds the step, the last commands and the nearest path points."""
         count = len(observation)
         step, last, place = (0, np.zeros((count, 2)), np.zeros(count, np.int64)) if state is None else state
         commands = np.repeat(self._recorded[[min(step, len(self._recorded) - 1)]], count, axis=0)
@@ -99,13 +101,13 @@ class EvasionDriver:
         return as_actions(commands), (step + 1, commands, place)
 
     def _nearest(self, ego: Floats, place: Ints) -> Ints:
-        """The index of the path's point next to each ego, looked for around the last one, shape (B,)."""
+        """Return the index of the path point nearest to each ego, searched for around the last index, shape (B,)."""
         near = np.clip(place[:, None] + np.arange(-BACK, AHEAD), 0, len(self._path) - 1)
         gap = self._path[near] - ego[:, None, [X, Y]]
         return np.asarray(near[np.arange(len(ego)), (gap**2).sum(-1).argmin(1)])
 
     def _accelerate(self, ego: Floats, since: Floats, last: Floats) -> Floats:
-        """Accelerations, shape (B,) [m/s2]; nobody drives backwards."""
+        """Return the accelerations, shape (B,) [m/s2]. They never lead to a negative speed."""
         plan = self._plan
         wanted = np.where(since < plan["lasting"], plan["acceleration"], plan["then"])
         change = plan["jerk"] * self._period
@@ -114,7 +116,7 @@ class EvasionDriver:
         return np.maximum(np.minimum(wanted, room), -ego[:, SPEED] / self._period)
 
     def _steer(self, ego: Floats, since: Floats, place: Ints, last: Floats) -> Floats:
-        """Steering angles by pure pursuit of the path and its offset, shape (B,) [rad]."""
+        """Return steering angles by pure pursuit of the path with its offset, shape (B,) [rad]."""
         plan, path, speed = self._plan, self._path, ego[:, SPEED]
         away = LOOK_AHEAD + LOOK_AHEAD_TIME * speed
         there = np.clip(place + np.rint(away / SPACING).astype(np.int64), 1, len(path) - 1)
@@ -133,12 +135,12 @@ class EvasionDriver:
 
 
 def path_straight_on(trace: Trace) -> Floats:
-    """Where the ego drove, then straight on, points `SPACING` apart, shape (P, 2) [m]."""
+    """Return the recorded path, extended straight, as points `SPACING` apart, shape (P, 2) [m]."""
     return _spaced(np.concatenate([trace.position[:, 0], _beyond(trace.position[-1, 0], trace.heading[-1, 0])]))
 
 
 def path_beside_route(trace: Trace) -> Floats:
-    """Where the ego drove, then on beside its route as far as that goes, points `SPACING` apart, shape (P, 2) [m]."""
+    """Return the recorded path, extended parallel to the route, as points `SPACING` apart, shape (P, 2) [m]."""
     driven, route = trace.position[:, 0], trace.route
     station, along = project_on_polyline(driven[-1:], route)
     ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
@@ -153,12 +155,12 @@ def path_beside_route(trace: Trace) -> Floats:
 
 
 def _beyond(point: Floats, heading: float) -> Floats:
-    """A point straight ahead, shape (1, 2) [m]."""
+    """Return the point `BEYOND` straight ahead, shape (1, 2) [m]."""
     return np.array([point + BEYOND * np.array([math.cos(heading), math.sin(heading)])])
 
 
 def _spaced(points: Floats) -> Floats:
-    """Points `SPACING` apart on the way through others."""
+    """Resample a polyline at points `SPACING` apart."""
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     moved = np.concatenate([[True], np.diff(way) > 0])
     stations = np.arange(0.0, way[-1], SPACING)

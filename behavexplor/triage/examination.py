@@ -1,8 +1,8 @@
-"""Examination of a failure: is it reproducible, whose fault was it, and what caused it?"""
+"""Examination of a failure: whether it is reproducible, whose fault it was, and what caused it."""
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any, Final
 
 import numpy as np
@@ -19,13 +19,13 @@ from behavexplor.triage.findings import Finding, Witness, trace_finding, witness
 from behavexplor.triage.flakiness import repeat
 from behavexplor.triage.signatures import signature
 
-STREAM: Final = 0x7472_6961  # sets the draws of triage apart from those of campaigns
+STREAM: Final = 0x7472_6961  # separates the random numbers of triage from those of campaigns
 
 EXAMINE: Final = "examine"  # function of the service
 
 
 class Examiner(Evaluator):
-    """The evaluator that also examines failures.
+    """An evaluator that also examines failures.
 
     Args:
         specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
@@ -38,7 +38,7 @@ class Examiner(Evaluator):
         self._specs = tuple(specs)
 
     def begin(self) -> None:
-        """Load the ADS and make its environment. Failures are examined one by one, so nothing runs in batches."""
+        """Load the ADS and make its environment. Nothing runs in batches, since failures are examined one by one."""
         super().begin()
         self.batch = None
 
@@ -46,29 +46,16 @@ class Examiner(Evaluator):
         """Examine a failure.
 
         Args:
-            request: the failure as `examination` gives it.
+            request: the failure, as encoded by `examination`.
 
         Returns:
             The finding, and the witness if there is one, as JSON.
         """
         head, record, trace = request.split(b"\n", 2)
-        failure = Failure(Record.from_json(record), Trace.from_bytes(trace))
-        finding, witness = examined(self.simulation, failure, int(head), load_specs(self._specs))
+        found = Record.from_json(record), Trace.from_bytes(trace)
+        finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self._specs))
         shown = None if witness is None else witness_values(witness)
         return json.dumps({"finding": asdict(finding), "witness": shown}).encode()
-
-
-@dataclass(frozen=True)
-class Failure:
-    """A failed execution.
-
-    Attributes:
-        record: its record.
-        trace: its trace.
-    """
-
-    record: Record
-    trace: Trace
 
 
 def examination(record: Record, trace: bytes, seed: int) -> bytes:
@@ -83,20 +70,20 @@ def examination(record: Record, trace: bytes, seed: int) -> bytes:
 
 
 def examined(
-    simulation: Simulation, failure: Failure, seed: int, specs: Sequence[Spec] = SPECS
+    simulation: Simulation, record: Record, trace: Trace, *, seed: int, specs: Sequence[Spec] = SPECS
 ) -> tuple[Finding, Witness | None]:
-    """Examine a failure: execute it again, find out whose fault it was and what caused it.
+    """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
     Args:
-        simulation: a simulation with the ADS that drove, in the environment in which it drove.
-        failure: the failed execution.
+        simulation: simulation with the same ADS and environment as in the recorded execution.
+        record: the record of the failed execution.
+        trace: its trace.
         seed: the seed of the campaign.
-        specs: the specs that judged it.
+        specs: the specs of the campaign.
 
     Returns:
-        The finding, and a witness if the collision could have been avoided.
+        The finding, and a witness if the failure is a collision that the ego could have avoided.
     """
-    record, trace = failure.record, failure.trace
     scenario = record.load_scenario()
     again = repeat(simulation, scenario, trace, specs)
     rng = np.random.default_rng([STREAM, seed, record.id])
@@ -120,7 +107,7 @@ def examined(
 
 
 def _collision(verdict: Blame | None) -> dict[str, Any]:
-    """What the verdict on a collision says, as fields of a `Finding`."""
+    """Return the verdict on a collision as fields of a `Finding`."""
     if verdict is None:
         return {}
     avoidance = verdict.witness.name if verdict.witness else None

@@ -1,4 +1,4 @@
-"""What triage found out about the failures of a run, as plain data: `triage.json` and `witnesses/` in a run folder."""
+"""Findings of triage about the failures of a run, as plain data: `triage.json` and `witnesses/` in the run folder."""
 
 import json
 from collections import Counter
@@ -26,23 +26,24 @@ TRIAGE, WITNESSES = "triage.json", "witnesses"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What is known of one failure.
+    """The finding about one failure.
 
     Attributes:
-        id: of the execution.
-        spec: "R1", "R2" or "R3", the first one violated; "error" for an ADS that did something else than driving.
-        class_id: see `behavexplor.judge.classes.ViolationClass`; for errors "error/" and their kind.
-        words: the class in a line.
-        same_verdict: whether it violated the same specs when it was run again.
-        same_trace: whether the same happened then.
-        fault: whose it was, see `behavexplor.triage.blame.Blame`; None unless it was a collision.
-        in_junction: whether the ego was in a junction then.
-        avoidance: kind of the witness, None without one; the file is `Triage.witness_path`.
-        tried: how many ways to avoid it were driven.
-        signature: see `behavexplor.triage.signatures`; None unless the rule planner drove.
-        cause: the primary one, see `behavexplor.triage.counterfactual.Cause`; None likewise.
-        necessary: and the weaknesses without which it does not happen,
-        sufficient: and those with which it does without others.
+        id: number of the execution.
+        spec: first violated spec: "R1", "R2", "R3" or the name of a user's spec; "error" if the ADS failed instead of
+            returning an action.
+        class_id: identifier of the `behavexplor.judge.classes.ViolationClass`; "error/" and the kind of an error.
+        words: the class as a sentence.
+        same_verdict: whether the failure violated the same specs when it was executed again.
+        same_trace: whether the second execution had the same trace.
+        fault: kind of a `behavexplor.triage.blame.Blame`; None unless the failure is a collision.
+        in_junction: whether the ego was in a junction at the collision.
+        avoidance: name of the witness, None without a witness; its file is `witness_path`.
+        tried: number of evasions that were driven to avoid the collision.
+        signature: likely cause, see `behavexplor.triage.signatures`; None unless the rule planner drove.
+        cause: primary cause, see `behavexplor.triage.counterfactual.Cause`; None unless the rule planner drove.
+        necessary: weaknesses without which the failure does not happen.
+        sufficient: weaknesses of the violated spec that cause the failure without any other weakness of that spec.
     """
 
     id: int
@@ -63,11 +64,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Sighting:
-    """In how many executions something was seen.
+    """Executions in which something was observed.
 
     Attributes:
-        count: of executions.
-        first: the first of them, None if there is none.
+        count: number of executions.
+        first: number of the first execution; None without any.
     """
 
     count: int = 0
@@ -75,18 +76,18 @@ class Sighting:
 
     @classmethod
     def of(cls, executions: Sequence[int]) -> Self:
-        """Of some executions, in order."""
+        """Summarize executions, given by their numbers in order."""
         return cls(len(executions), executions[0] if executions else None)
 
 
 @dataclass(frozen=True)
 class WeaknessRecord:
-    """How far a campaign got with one weakness of the rule planner.
+    """Coverage of one weakness of the rule planner by a campaign.
 
     Attributes:
-        reached: executions in which its gate was open.
-        triggered: in which it changed what its module gave.
-        detected: failures of which it is the primary cause.
+        reached: executions in which the gate of the weakness was open.
+        triggered: executions in which the weakness changed the output of its module.
+        detected: failures with this weakness as the primary cause.
     """
 
     reached: Sighting
@@ -96,14 +97,14 @@ class WeaknessRecord:
 
 @dataclass(frozen=True)
 class Triage:
-    """What is known of the failures of a run.
+    """The findings about all failures of a run.
 
     Attributes:
-        env: the environment.
-        ads: the system under test.
-        executions: how many the run had.
-        findings: one for each failure, in the order of the executions.
-        weaknesses: of the rule planner, by name; empty for other systems.
+        env: environment.
+        ads: driving system under test.
+        executions: number of executions of the run.
+        findings: one finding for each failure, in the order of the executions.
+        weaknesses: coverage of the rule planner's weaknesses by name; empty for other driving systems.
     """
 
     env: str
@@ -114,33 +115,36 @@ class Triage:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """What is known of the failures of a run.
+        """Read the findings from a run folder.
 
         Args:
-            folder: of the run.
+            folder: run folder.
 
         Raises:
-            InputError: if nothing is, or the file is damaged or of another version.
+            InputError: if the folder has no findings, or their file is damaged or has another format version.
         """
         path = folder / TRIAGE
         if not path.is_file():
-            raise InputError(f"{folder} has no {TRIAGE}: make it with `behavexplor triage {folder}`")
+            raise InputError(f"{folder} has no {TRIAGE}: create it with `behavexplor triage {folder}`")
         try:
             values = json.loads(path.read_bytes())
         except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path} cannot be read, delete it and make it again: {error}") from None
+            raise InputError(f"{path} cannot be read: {error}; delete it and run `behavexplor triage` again") from None
         found = values.pop("format", None) if isinstance(values, dict) else None
         if found != FORMAT:
-            raise InputError(f"{path} has format {found}; this version reads format {FORMAT}: delete it, make it again")
+            raise InputError(
+                f"{path} has format {found}, but this version reads format {FORMAT}: delete the file and run "
+                "`behavexplor triage` again"
+            )
         return checked(cls, values, f"triage in {path}")
 
     def write(self, folder: Path) -> None:
-        """Write the file as a whole."""
+        """Write the findings into a run folder. The file is replaced as a whole."""
         write_durably(folder / TRIAGE, json.dumps({"format": FORMAT, **asdict(self)}, indent=1) + "\n")
 
     @property
     def classes(self) -> dict[str, list[Finding]]:
-        """The findings by class, the largest first, then the one found first."""
+        """Findings by class, the largest class first; classes of equal size in the order in which they were found."""
         groups: dict[str, list[Finding]] = {}
         for finding in self.findings:
             groups.setdefault(finding.class_id, []).append(finding)
@@ -149,13 +153,13 @@ class Triage:
 
 @dataclass(frozen=True, eq=False)
 class Witness:
-    """How a collision could have been avoided.
+    """Commands that avoid a recorded collision.
 
     Attributes:
-        name: kind of the evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
-        begin: up to then it drives as recorded [s].
-        frequency: of the commands, one for each step of the simulation [Hz].
-        commands: acceleration [m/s2] and steering [rad], shape (T, 2).
+        name: kind of evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
+        begin: time up to which the ego drives as recorded [s].
+        frequency: frequency of the commands, one for each step of the simulation [Hz].
+        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
     """
 
     name: str
@@ -165,7 +169,7 @@ class Witness:
 
 
 def counted(names: Iterable[str | None]) -> str:
-    """Names in words, the most frequent first, with their counts where there are several."""
+    """Return names as text, the most frequent first, with their counts if there are several names."""
     counts = Counter(name for name in names if name is not None).most_common()
     if len(counts) == 1:
         return counts[0][0].replace("_", " ")
@@ -173,32 +177,32 @@ def counted(names: Iterable[str | None]) -> str:
 
 
 def witness_path(folder: Path, number: int) -> Path:
-    """The file of the witness against the failure of an execution."""
+    """Return the file of the witness for an execution."""
     return folder / WITNESSES / f"{number:06d}.json"
 
 
 def witness_values(witness: Witness) -> dict[str, Any]:
-    """A witness as JSON values."""
+    """Return a witness as JSON values."""
     return {**asdict(witness), "commands": np.asarray(witness.commands).tolist()}
 
 
 def read_witness(path: Path) -> Witness:
-    """A witness from its file.
+    """Read a witness from its file.
 
     Raises:
-        InputError: if it is missing or damaged.
+        InputError: if the file is missing or damaged.
     """
     try:
         return witness_from(json.loads(path.read_bytes()))
     except (OSError, ValueError, TypeError, KeyError) as error:
-        raise InputError(f"{path} is no witness: {error}") from None
+        raise InputError(f"{path} is not a witness: {error}") from None
 
 
 def witness_from(values: Mapping[str, Any]) -> Witness:
-    """The inverse of `witness_values`.
+    """Return the witness of JSON values, the inverse of `witness_values`.
 
     Raises:
-        ValueError: if nobody could drive it.
+        ValueError: if the commands cannot be driven.
     """
     commands = np.array(values["commands"], dtype=np.float64).reshape(-1, 2)
     frequency = int(values["frequency"])
@@ -208,10 +212,10 @@ def witness_from(values: Mapping[str, Any]) -> Witness:
 
 
 def trace_finding(record: Record, trace: Trace) -> Finding:
-    """Return what the record and the trace of a failure tell, before the failure has been executed again."""
+    """Return the finding from the record and the trace of a failure, before the failure is executed again."""
     kind = violation_class(trace, record.violated)
     spec = kind.spec if kind else REQUIREMENTS.get(record.violated[0], record.violated[0])
-    class_id, words = (kind.id, kind.words) if kind else (spec, "Violates " + ", ".join(record.violated))
+    class_id, words = (kind.id, kind.words) if kind else (spec, "Violated " + ", ".join(record.violated))
     return Finding(id=record.id, spec=spec, class_id=class_id, words=words, same_verdict=False, same_trace=False)
 
 
@@ -222,7 +226,7 @@ def error_finding(record: Record, *, happened_again: bool) -> Finding:
         id=record.id,
         spec=ERROR,
         class_id=f"{ERROR}/{failure.get('kind', '')}",
-        words=f"The ADS failed: {failure.get('message', '')}",
+        words=f"The driving system failed: {failure.get('message', '')}",
         same_verdict=happened_again,
         same_trace=happened_again,
     )

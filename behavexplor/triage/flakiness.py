@@ -1,4 +1,4 @@
-"""Whether a failure happens again: only what does is a finding."""
+"""Reproducibility of a failure, checked by a second execution."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from behavexplor.judge.specs import SPECS, Spec, judge
 
 @dataclass(frozen=True)
 class Repetition:
-    """What happened when a scenario was run again.
+    """Comparison of a second execution of a scenario with the first.
 
     Attributes:
-        same_verdict: whether the same specs were violated.
-        same_trace: whether the same happened, to the resolution of traces.
-        deviation: greatest distance of the ego from where it was at the same time [m]; over the shorter of both.
+        same_verdict: whether both violated the same specs.
+        same_trace: whether both have the same trace, to the resolution of traces.
+        deviation: greatest distance between the ego's positions at the same time, over the shorter execution [m].
     """
 
     same_verdict: bool
@@ -28,17 +28,17 @@ class Repetition:
 
 
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Repetition:
-    """Run a scenario again and compare what happens.
+    """Execute a scenario again and compare the traces.
 
     Args:
-        simulation: with the ADS that drove, in the environment where it did.
-        scenario: that was driven.
-        trace: of it.
-        specs: what judges both.
+        simulation: simulation with the same ADS and environment as in the recorded execution.
+        scenario: the executed scenario.
+        trace: its recorded trace.
+        specs: specs that judge both traces.
     """
     try:
         again = simulation.run(scenario)
-    except ADSError:  # that is no trace at all
+    except ADSError:
         return Repetition(same_verdict=False, same_trace=False, deviation=0.0)
     frames = min(len(again.time), len(trace.time))
     apart = again.position[:frames, 0] - trace.position[:frames, 0]

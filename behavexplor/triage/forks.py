@@ -1,4 +1,4 @@
-"""Forked replays of the rule planner: the recorded drive up to a moment, then one with other weaknesses."""
+"""Forked replays of the rule planner: as recorded up to some decision, then with other weaknesses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,11 +18,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fork:
-    """Another way to go on with a recorded drive.
+    """An alternative continuation of a recorded execution.
 
     Attributes:
-        parameters: of the planner from there on.
-        decision: the first one that it takes; 0 for the whole drive.
+        parameters: parameters of the planner after the fork.
+        decision: index of the first decision with these parameters; 0 for the whole execution.
     """
 
     parameters: Parameters
@@ -30,15 +30,15 @@ class Fork:
 
 
 class ForkedPlanner:
-    """Egos of one recorded drive, each of which goes its own way from some decision on; an ADS.
+    """An ADS that drives the egos of a batch as recorded, each up to its own fork.
 
-    Up to there every ego is given the recorded commands, while the recorded planner goes along, so that the one that
-    takes over remembers what it would remember. Row i of a batch is fork i.
+    Up to its fork, an ego gets the recorded commands. Meanwhile, the recorded planner runs as well, so that the planner
+    that takes over has the right memory. Row i of the batch is fork i.
 
     Args:
-        planner: that drove.
+        planner: the planner of the recorded execution.
         actions: the recorded commands, shape (D, 2).
-        forks: one for each ego.
+        forks: one fork for each ego.
     """
 
     def __init__(self, planner: RulePlanner, actions: Floats, forks: Sequence[Fork]) -> None:
@@ -55,15 +55,15 @@ class ForkedPlanner:
         observation: Floats,
         state: tuple[int, Floats | None] | None = None,
         episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
-        deterministic: bool = True,  # noqa: ARG002 - they always are
+        deterministic: bool = True,  # noqa: ARG002 - the planner is always deterministic
     ) -> tuple[Floats, tuple[int, Floats]]:
-        """Decide for all egos; see `behavexplor.ads.interface.ADS`. The state counts the decisions."""
+        """Return the commands of all egos, as in `behavexplor.ads.interface.ADS`. The state counts the decisions."""
         step, memory = (0, None) if state is None else state
         together = self._decision > step
         actions = np.empty((len(observation), 2))
         after: list[Floats] = [np.empty(0)] * len(observation)
         if together.any():
-            first = int(together.argmax())  # they are all at the same place, and remember the same
+            first = int(together.argmax())  # egos before their forks have the same position and the same memory
             _, common = self._planner.predict(observation[[first]], None if memory is None else memory[[first]])
             actions[together] = self._actions[step]
         for row, other in enumerate(self._others):
@@ -78,17 +78,20 @@ class ForkedPlanner:
 def run_forks(
     simulation: Simulation, scenario: Scenario, trace: Trace, forks: Sequence[Fork], seconds: float | None = None
 ) -> list[Trace]:
-    """What becomes of a recorded drive on other ways.
+    """Continue a recorded execution along several forks.
 
     Args:
-        simulation: with the rule planner that drove.
-        scenario: that was driven.
-        trace: of it.
-        forks: where the ways part, and how they go on.
-        seconds: after which nothing matters any more [s]; None for whole drives. A replay may still be longer.
+        simulation: simulation with the rule planner of the recorded execution.
+        scenario: the executed scenario.
+        trace: its trace.
+        forks: forks to drive.
+        seconds: duration of the replays [s]; None for whole executions. A replay may be longer.
 
     Returns:
-        A trace for each fork.
+        The trace of each fork.
+
+    Raises:
+        TypeError: if the ADS is not the rule planner.
     """
     planner = simulation.ads
     if not isinstance(planner, RulePlanner):
@@ -106,5 +109,5 @@ def run_forks(
 
 
 def without(parameters: Parameters, names: Sequence[str]) -> Parameters:
-    """The parameters with some of them, the severities of weaknesses, switched off."""
+    """Return parameters with the named ones, which are severities of weaknesses, set to 0."""
     return replace(parameters, **dict.fromkeys(names, 0.0))

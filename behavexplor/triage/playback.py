@@ -1,4 +1,4 @@
-"""Commands for every step of the simulation: read from any trace, and given again."""
+"""Recovery of the commands at every simulation step from a trace, and their playback."""
 
 import math
 from collections.abc import Mapping
@@ -12,9 +12,9 @@ from behavexplor.data.trace import Trace
 
 Floats = NDArray[np.float64]
 
-MAX_ACCELERATION: Final = 10.0  # that can be commanded, and as a deceleration [m/s2]
-MAX_STEERING: Final = math.pi / 3  # that can be commanded to either side [rad]
-MOVING: Final = 1e-3  # of a slower ego the steering is not seen, and has no effect [m/s]
+MAX_ACCELERATION: Final = 10.0  # greatest commanded acceleration and deceleration [m/s2]
+MAX_STEERING: Final = math.pi / 3  # greatest commanded steering angle to either side [rad]
+MOVING: Final = 1e-3  # below this speed, the steering has no effect and cannot be recovered [m/s]
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})
 ACTION: Final[Mapping[str, Any]] = MappingProxyType(
@@ -27,15 +27,17 @@ ACTION: Final[Mapping[str, Any]] = MappingProxyType(
 
 
 def frequency(trace: Trace) -> int:
-    """Steps of the simulation that was recorded [Hz]."""
+    """Return the frequency of the recorded simulation steps [Hz]."""
     return round((len(trace.time) - 1) / trace.duration)
 
 
 def recorded_commands(trace: Trace) -> Floats:
-    """What highway-env's bicycle model was commanded in every step, whatever ADS drove; see `Vehicle.step` there.
+    """Recover the commands to highway-env's bicycle model at every step, for any ADS.
+
+    This inverts `Vehicle.step` of highway-env.
 
     Returns:
-        Acceleration [m/s2] and steering [rad] between each frame and the next, shape (T - 1, 2).
+        Accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
     """
     heading, velocity = trace.heading[:, 0], trace.velocity[:, 0]
     forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
@@ -46,21 +48,22 @@ def recorded_commands(trace: Trace) -> Floats:
     step = np.diff(trace.time)
     moves = np.abs(speed) > MOVING
     turn = np.diff(heading) * trace.size[0, 0] / 2 / np.where(moves[:-1], speed[:-1] * step, np.inf)
-    stopping = np.arcsin(np.clip(turn, -1.0, 1.0))  # one that has just stopped has no course; its heading tells
+    # An ego that has just stopped has no direction of motion. There, the change of its heading shows the steering.
+    stopping = np.arcsin(np.clip(turn, -1.0, 1.0))
     used = np.where(moves[1:], slip[1:], stopping)
     return np.stack([np.diff(speed) / step, np.arctan(2 * np.tan(used))], axis=-1)
 
 
 def as_actions(commands: Floats) -> Floats:
-    """Accelerations [m/s2] and steering angles [rad], shape (..., 2), as values of `ACTION`."""
+    """Scale accelerations [m/s2] and steering angles [rad], shape (..., 2), to values of `ACTION`."""
     return np.asarray(commands / (MAX_ACCELERATION, MAX_STEERING))
 
 
 class Playback:
-    """Gives commands that were written down, one a step, and the last one for ever; an ADS.
+    """An ADS that gives recorded commands, one at each step, and then repeats the last one.
 
     Args:
-        commands: acceleration [m/s2] and steering [rad], shape (T, 2).
+        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
     """
 
     def __init__(self, commands: Floats) -> None:
@@ -71,9 +74,9 @@ class Playback:
         observation: Floats,
         state: int | None = None,
         episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
-        deterministic: bool = True,  # noqa: ARG002 - it always is
+        deterministic: bool = True,  # noqa: ARG002 - playback is always deterministic
     ) -> tuple[Floats, int]:
-        """The command of this step for every ego; the state counts the steps."""
+        """Return the command of this step for every ego. The state counts the steps."""
         step = 0 if state is None else state
         action = self._actions[min(step, len(self._actions) - 1)]
         return np.repeat(action[None], len(observation), axis=0), step + 1

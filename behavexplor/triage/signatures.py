@@ -1,9 +1,9 @@
 """Signatures: the likely cause of a failure of the rule planner, from its trace and its decision log alone.
 
-Rules after the paper's sixteen paragraphs (section IV-B2), as a person would apply them who looks at one recording: a
-weakness that changed what its module gave shortly before the violation, in a situation that looks like its own; of
-several the one farthest upstream, with those last that apply nearly always. They are written once and need no replay;
-`behavexplor.triage.counterfactual` says how often they are right.
+The rules follow the paper's sixteen paragraphs (section IV-B2), as a person would apply them to a recording. A
+signature names a weakness that changed the output of its module shortly before the violation, in a situation typical of
+that weakness. Of several weaknesses, it names the one farthest upstream, and those whose situation is nearly always
+given come last. The rules need no replay. `behavexplor.triage.counterfactual` shows how often they are right.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,21 +21,21 @@ from behavexplor.judge.fault import STATIONARY_SPEED, contact_fault
 
 Floats = NDArray[np.float64]
 
-OUTLOOK: Final = 6.0  # before a violation, in which weaknesses are looked for [s]
-SUDDEN: Final = 2.0  # change of another's speed [m/s2]
-HIDDEN: Final = 0.2  # share of the time for which another was hidden that matters
+OUTLOOK: Final = 6.0  # time before a violation in which weaknesses are searched for [s]
+SUDDEN: Final = 2.0  # greater acceleration or deceleration of the other vehicle is sudden [m/s2]
+HIDDEN: Final = 0.2  # the other vehicle was hidden if it was out of sight for more than this share of the time
 
 
 def signature(trace: Trace, violated: Sequence[str]) -> str | None:
-    """The likely cause of the first violated spec.
+    """Return the likely cause of the first violated spec.
 
     Args:
-        trace: of the rule planner, with its decision log.
+        trace: trace of the rule planner, with its decision log.
         violated: names of the violated specs.
 
     Returns:
-        One of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back; None if none of
-        them fits, or there is nothing to explain.
+        One of the sixteen weaknesses, or "environment" if a faster vehicle drove into the ego's back. None if no
+        weakness fits, no spec is violated, or the trace has no decision log.
     """
     event = violation_event(trace, violated)
     if event is None or "triggered" not in trace.decisions:
@@ -54,26 +54,26 @@ def _changing_lanes(trace: Trace, event: ViolationEvent) -> bool:
 
 
 def _overtaken_from(trace: Trace, event: ViolationEvent) -> bool:
-    """Whether the other came from behind while the ego changed lanes."""
+    """Return whether the other vehicle came from behind while the ego changed lanes."""
     gap = trace.position[event.frame, event.partner] - trace.position[event.frame, 0]
     heading = trace.heading[event.frame, 0]
     return _changing_lanes(trace, event) and float(gap @ (np.cos(heading), np.sin(heading))) < 0.0
 
 
 def _restarted(trace: Trace, event: ViolationEvent) -> bool:
-    """Whether the ego stood shortly before."""
+    """Return whether the ego stood shortly before the violation."""
     frames = recent(trace, event.frame, OUTLOOK)
     return bool((np.hypot(*trace.velocity[frames, 0].T) < STATIONARY_SPEED).any())
 
 
 def _crept(trace: Trace, event: ViolationEvent) -> bool:
-    """Whether the other crept most of the time."""
+    """Return whether the other vehicle crept most of the time."""
     speed = np.hypot(*trace.velocity[recent(trace, event.frame, OUTLOOK), event.partner].T)
     return float(np.median(speed)) < CREEPING
 
 
 def _turned(trace: Trace, event: ViolationEvent) -> bool:
-    """Whether the other turned."""
+    """Return whether the other vehicle turned."""
     now = trace.heading[event.frame, event.partner]
     return abs(wrapped(now - heading_before(trace, event.frame, event.partner))) > TURNED
 
@@ -83,7 +83,7 @@ def _was_large(trace: Trace, event: ViolationEvent) -> bool:
 
 
 def _was_hidden(trace: Trace, event: ViolationEvent) -> bool:
-    """Whether the middle of the other was out of the ego's sight for a while."""
+    """Return whether the center of the other vehicle was out of the ego's sight for some time."""
     frames = recent(trace, event.frame, OUTLOOK)
     gap = trace.position[frames] - trace.position[frames][:, :1]
     distance = np.hypot(gap[..., 0], gap[..., 1])
@@ -96,7 +96,7 @@ def _was_hidden(trace: Trace, event: ViolationEvent) -> bool:
 
 
 def _changed_suddenly(trace: Trace, event: ViolationEvent) -> bool:
-    """Whether the other changed its speed suddenly."""
+    """Return whether the other vehicle changed its speed suddenly."""
     frames = recent(trace, event.frame, OUTLOOK)
     speed = np.hypot(*trace.velocity[frames, event.partner].T)
     return bool((np.abs(np.diff(speed) / np.diff(trace.time[frames])) > SUDDEN).any())
@@ -119,7 +119,7 @@ def _always(trace: Trace, event: ViolationEvent) -> bool:  # noqa: ARG001 - a ru
 
 
 _RULES: Final = MappingProxyType[str, Callable[[Trace, ViolationEvent], bool]](
-    {  # in the order in which they are tried
+    {  # in the order in which the rules are tried
         "R1-6": _overtaken_from,
         "R1-5": _changing_lanes,
         "R1-3": _restarted,

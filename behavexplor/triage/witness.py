@@ -1,8 +1,9 @@
-"""Witnesses: what the ego could have done to avoid a collision, as commands that anyone can replay.
+"""Witnesses: commands with which the ego would have avoided a collision, for anyone to replay.
 
-NPCs react to nothing, so what they would have done is what they did, and a witness is exact. It drives as recorded up
-to some moment, then otherwise, touches nobody until `SURVIVED` after the recorded collision, and no illegal line.
-The models of drivers are those of UN Regulation 157 (annex 4, appendix 3) and milder and harsher ones.
+NPCs do not react to the ego, so their motion stays the same and a witness is exact. A witness drives as recorded up to
+some time and deviates from then on. It touches no vehicle until `SURVIVED` after the recorded collision, and no illegal
+line after the deviation. The driver models are those of UN Regulation 157 (annex 4, appendix 3), and milder and harsher
+ones.
 """
 
 from collections.abc import Sequence
@@ -23,19 +24,19 @@ from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency
 
 Floats = NDArray[np.float64]
 
-SURVIVED: Final = 4.0  # for so long after the recorded collision a witness touches nobody [s]
-SAMPLES: Final = 192  # evasions that are drawn before a collision counts as unpreventable
-BATCH: Final = 64  # of them that are driven at a time
+SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
+SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable
+BATCH: Final = 64  # random evasions driven in lock-step
 
-ALARM: Final = 2.0  # at a time to collision below this a careful driver reacts [s]
-DELAY: Final = 0.75  # after so long [s]
+ALARM: Final = 2.0  # time to collision below which a careful driver reacts [s]
+DELAY: Final = 0.75  # reaction time of a careful driver [s]
 CAREFUL_BRAKING: Final = 0.774 * 9.81  # [m/s2]
 CAREFUL_JERK: Final = 12.65  # [m/s3]
 IDEAL_BRAKING: Final = 8.5  # [m/s2]
-ANTICIPATING: Final = 4.0  # braking of one who saw it coming [m/s2],
-ANTICIPATED: Final = (3.0, 3.5, 4.0, 4.5, 5.0)  # so long before the collision [s]
-EARLIEST, LATEST = 6.0, 0.3  # before the collision, when drawn evasions begin [s]
-SIDEWAYS: Final = 3.5  # as far as they go to either side [m]
+ANTICIPATING: Final = 4.0  # deceleration of an anticipating driver [m/s2]
+ANTICIPATED: Final = (3.0, 3.5, 4.0, 4.5, 5.0)  # times before the collision at which that driver begins to brake [s]
+EARLIEST, LATEST = 6.0, 0.3  # range of times before the collision at which random evasions begin [s]
+SIDEWAYS: Final = 3.5  # greatest lateral move of a random evasion to either side [m]
 
 CAREFUL, IDEAL, ANTICIPATION, SAMPLED = "careful and competent", "ideal braking", "anticipation", "sampled"
 
@@ -43,18 +44,18 @@ CAREFUL, IDEAL, ANTICIPATION, SAMPLED = "careful and competent", "ideal braking"
 def find_witness(
     simulation: Simulation, scenario: Scenario, trace: Trace, event: ViolationEvent, rng: np.random.Generator
 ) -> tuple[Witness | None, int]:
-    """How a collision could have been avoided: at first as drivers would, mildest model first, then by drawn evasions.
+    """Search for a witness: first by models of drivers, the mildest first, then by random evasions.
 
     Args:
-        simulation: in whose environment it happened; its ADS is not asked.
-        scenario: that was driven.
-        trace: of it.
-        event: of the collision.
-        rng: for the draws.
+        simulation: simulation with the environment of the collision; its ADS is not used.
+        scenario: the executed scenario.
+        trace: its trace.
+        event: violation event of the collision.
+        rng: generator for the random evasions.
 
     Returns:
-        The witness, None if there is none among those tried; and how many were tried, 0 where the environment cannot
-        run in lock-step.
+        The witness, or None if no evasion avoids the collision; and the number of evasions that were tried, 0 if the
+        environment cannot run in lock-step.
     """
     tried = 0
     for batch in range(1 + SAMPLES // BATCH):
@@ -71,17 +72,17 @@ def find_witness(
 
 
 def avoids(other: Trace, trace: Trace, begin: float) -> bool:
-    """Whether a drive is a witness against a recorded one from which it differs since a time [s]."""
+    """Return whether `other`, which deviates from a recorded trace at time `begin` [s], is a witness."""
     if other.end not in ("arrived", "timeout", "standstill"):
         return False
     if other.end != "arrived" and other.duration < trace.duration + SURVIVED - 1e-6:
         return False
     touch = first_line_touch(other)
-    return touch is None or bool(other.time[touch.frame] <= begin)  # as it was recorded
+    return touch is None or bool(other.time[touch.frame] <= begin)  # a touch before the deviation was recorded, too
 
 
 def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness) -> Trace:
-    """What happens if a witness drives.
+    """Execute a scenario with the commands of a witness.
 
     Raises:
         ValueError: if the environment cannot run in lock-step.
@@ -98,7 +99,11 @@ def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness)
 def drive(
     simulation: Simulation, scenario: Scenario, trace: Trace, evasions: Sequence[Evasion], path: Floats
 ) -> list[Trace]:
-    """What becomes of evasions along a path, up to `SURVIVED` after the recorded end; nothing without lock-step."""
+    """Drive evasions along a path, up to `SURVIVED` after the recorded end.
+
+    Returns:
+        The trace of each evasion; none if the environment cannot run in lock-step.
+    """
     rate = frequency(trace)
     envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
     if envs is None:
@@ -120,7 +125,7 @@ def _config(rate: int, seconds: float) -> dict[str, Any]:
 
 
 def modeled(trace: Trace, event: ViolationEvent) -> list[Evasion]:
-    """What models of drivers would have done."""
+    """Return the evasions of driver models, the mildest first."""
     alarm, end = alarm_time(trace, event), float(trace.time[event.frame])
     earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
     careful = Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
@@ -128,7 +133,7 @@ def modeled(trace: Trace, event: ViolationEvent) -> list[Evasion]:
 
 
 def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
-    """An evasion by chance: two accelerations one after the other, and half of the time a move to the side."""
+    """Draw a random evasion: two accelerations in succession and, with probability 1/2, a lateral move."""
     end = trace.duration
     return Evasion(
         SAMPLED,
@@ -142,11 +147,11 @@ def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
 
 
 def alarm_time(trace: Trace, event: ViolationEvent) -> float:
-    """When the time to collision was first below `ALARM`, if everybody kept their velocity and heading [s]."""
+    """Return when the time to collision, at constant velocities and headings, first fell below `ALARM` [s]."""
     frames = np.arange(max(event.frame - round(EARLIEST * frequency(trace)), 0), event.frame + 1)
     pair = [0, event.partner]
     position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
-    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # boxes do not pass through each other in between
+    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # too fine for boxes to pass each other
     boxes = box_corners(position + ahead * velocity, trace.heading[frames][:, pair], trace.size[pair])
     conflict = boxes_overlap(boxes[:, :, 0], boxes[:, :, 1]).any(0)
     return float(trace.time[frames[conflict.argmax() if conflict.any() else -1]])

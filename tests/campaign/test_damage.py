@@ -51,7 +51,7 @@ def change(folder, statement):
 def read(folder):
     """The numbers of the records that can be read, and what is said to be lost."""
     store, losses = Store.read(folder), Losses()
-    numbers = [record["id"] for record in store.records(losses)]
+    numbers = [record.id for record in store.records(losses)]
     store.close()
     return numbers, losses.sentences(folder)
 
@@ -217,7 +217,7 @@ def test_damage_in_a_run_of_format_1_is_named(tmp_path):
 
 def read_records(folder):
     store = Store.read(folder)
-    records = list(store.records())
+    records = [record.to_dict() for record in store.records()]
     store.close()
     return records
 

@@ -18,7 +18,7 @@ from behavexplor.envs import c_library
 from behavexplor.envs.c_library import with_c_library
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.network import road_network
-from behavexplor.envs.vehicles import Ego, MetaEgo
+from behavexplor.envs.vehicles import EgoVehicle, MetaEgoVehicle
 
 TRIGONOMETRY = ("sin", "cos", "tan", "arcsin", "arctan", "arctan2")
 angles = st.floats(-1.5, 1.5)
@@ -51,12 +51,12 @@ def test_an_episode_is_the_same_whatever_numpy_s_trigonometry_is(action, monkeyp
 
 @given(st.floats(0, 20), st.floats(-7, 7), angles, st.floats(-5, 5))
 def test_the_ego_s_step_is_the_c_library_s_to_the_last_bit(speed, heading, steering, acceleration):
-    ego = Ego(None, [1.0, 2.0], heading, speed)
+    ego = EgoVehicle(None, [1.0, 2.0], heading, speed)
     ego.act({"steering": steering, "acceleration": acceleration})
     ego.step(0.05)
     slip = math.atan(0.5 * math.tan(steering))
     x, y = 1.0 + speed * math.cos(heading + slip) * 0.05, 2.0 + speed * math.sin(heading + slip) * 0.05
-    turned = heading + speed * math.sin(slip) / (Ego.LENGTH / 2) * 0.05
+    turned = heading + speed * math.sin(slip) / (EgoVehicle.LENGTH / 2) * 0.05
     assert (*ego.position, ego.heading, ego.speed) == (x, y, turned, speed + acceleration * 0.05)
 
 
@@ -73,23 +73,23 @@ def test_curved_lanes_are_highway_env_s_but_for_the_last_bits(x, y):
 @pytest.mark.parametrize(
     ("action", "expected"),
     [
-        ({"type": "ContinuousAction"}, Ego),
-        ({"type": "DiscreteAction"}, Ego),
-        ({"type": "DiscreteMetaAction", "target_speeds": [0, 3, 6]}, MetaEgo),
+        ({"type": "ContinuousAction"}, EgoVehicle),
+        ({"type": "DiscreteAction"}, EgoVehicle),
+        ({"type": "DiscreteMetaAction", "target_speeds": [0, 3, 6]}, MetaEgoVehicle),
         ({"type": "ContinuousAction", "dynamical": True}, BicycleVehicle),
     ],
 )
 def test_the_ego_s_class_follows_the_action_type(action, expected):
     env = IntersectionLeftEnv({"action": action})
     assert type(env.vehicle) is expected
-    if expected is MetaEgo:
+    if expected is MetaEgoVehicle:
         assert env.vehicle.target_speeds.tolist() == [0, 3, 6]
 
 
 def test_highway_env_itself_is_left_alone():
     assert Vehicle.step.__globals__["np"] is MDPVehicle.steering_control.__globals__["np"] is np
-    assert Ego.step.__globals__["np"] is not np
-    assert Ego.step.__code__ is Vehicle.step.__code__
+    assert EgoVehicle.step.__globals__["np"] is not np
+    assert EgoVehicle.step.__code__ is Vehicle.step.__code__
 
 
 def test_defaults_and_closures_are_kept():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.trace import Trace
-from behavexplor.judge.classes import violation_class
+from behavexplor.judge.classes import ViolationClass, violation_class
 from behavexplor.judge.events import first_line_touch, violation_event
 from behavexplor.judge.specs import judge
 from tests.judge.test_fault import BEHIND, SIZE, trace
@@ -23,18 +23,22 @@ def class_of(recorded):
 @pytest.mark.parametrize(
     ("recorded", "expected", "detail"),
     [
-        (trace(5.0, BEHIND, 9.0), "from-behind/car-sized", "rear, driving"),
-        (trace(5.0, (4.6, 0.2), 1.0), "leading/car-sized", "front, the other creeping, driving"),
-        (trace(5.0, (4.6, 0.2), 0.0), "leading/car-sized", "front, the other standing, driving"),
-        (trace(5.0, (4.6, 0.0), 6.0, np.pi), "oncoming/car-sized", "front, driving"),
-        (trace(0.0, (0.0, 3.2), 6.0, -np.pi / 2), "crossing-from-right/car-sized", "right, standing"),
-        (trace(1.0, (0.0, -3.2), 6.0, np.pi / 2), "crossing-from-left/car-sized", "left, creeping"),
-        (replace(trace(5.0, (6.5, 0.0), 3.0), size=BUS), "leading/large", "front, driving"),
+        (trace(5.0, BEHIND, 9.0), "from-behind/car-sized", "with contact at its rear"),
+        (trace(5.0, (4.6, 0.2), 1.0), "leading/car-sized", "with contact at its front; the other vehicle was creeping"),
+        (trace(5.0, (4.6, 0.2), 0.0), "leading/car-sized", "with contact at its front; the other vehicle was standing"),
+        (trace(5.0, (4.6, 0.0), 6.0, np.pi), "oncoming/car-sized", "with contact at its front"),
+        (
+            trace(0.0, (0.0, 3.2), 6.0, -np.pi / 2),
+            "crossing-from-right/car-sized",
+            "standing, with contact at its right",
+        ),
+        (trace(1.0, (0.0, -3.2), 6.0, np.pi / 2), "crossing-from-left/car-sized", "creeping, with contact at its left"),
+        (replace(trace(5.0, (6.5, 0.0), 3.0), size=BUS), "leading/large", "with contact at its front"),
     ],
 )
 def test_collisions_are_told_apart_by_what_a_person_would_say(recorded, expected, detail):
     assert class_of(recorded) == f"R1/going-straight/{expected}"
-    assert violation_class(recorded, judge(recorded).violated).detail == f"touched at its {detail}"
+    assert violation_class(recorded, judge(recorded).violated).detail == detail
 
 
 def test_lane_changes_are_a_maneuver():
@@ -59,8 +63,42 @@ def test_a_class_is_a_value_with_a_line_of_words():
     first, again = (violation_class(t, judge(t).violated) for t in (trace(5.0, BEHIND, 9.0), trace(5.2, BEHIND, 9.0)))
     assert first == again
     assert first.words == (
-        "Collision with a car sized vehicle from behind; the ego was going straight, touched at its rear, driving"
+        "Collision with a car-sized vehicle from behind; the ego was going straight, with contact at its rear"
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (
+            ViolationClass("R1", "turning-left", "oncoming", "car-sized", "braking"),
+            "Collision with an oncoming car-sized vehicle; the ego was turning left, braking",
+        ),
+        (
+            ViolationClass("R1", "going-straight", "crossing-from-right-turning", "large"),
+            "Collision with a large vehicle that had turned in from the right; the ego was going straight",
+        ),
+        (
+            ViolationClass("R2", "changing-right", "right", "fast"),
+            "Touched a line on its right at speed while changing lanes right",
+        ),
+        (
+            ViolationClass("R3", "changing-left", "passed-it-on-the-left", "never-in-its-lane"),
+            "Missed the destination: passed it on the left without ever being in its lane; "
+            "the ego was changing lanes left",
+        ),
+        (
+            ViolationClass("R3", "going-straight", "ended-by-timeout", "behind-a-moving-vehicle", "creeping"),
+            "Missed the destination: ran out of time behind a moving vehicle; the ego was going straight, creeping",
+        ),
+        (
+            ViolationClass("my-spec", "going-straight", "ended-by-arrived", ""),
+            "Violated my-spec (end of the episode: arrived); the ego was going straight",
+        ),
+    ],
+)
+def test_words_are_a_sentence(kind, words):
+    assert kind.words == words
 
 
 def braking(recorded):
@@ -75,7 +113,7 @@ def braking(recorded):
 
 def test_who_brakes_is_told_from_who_drives():
     slower = braking(trace(5.0, (4.6, 0.2), 3.0))
-    assert violation_class(slower, judge(slower).violated).detail == "touched at its front, braking"
+    assert violation_class(slower, judge(slower).violated).detail == "braking, with contact at its front"
 
 
 def test_a_touched_line_is_to_a_side():

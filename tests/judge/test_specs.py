@@ -219,8 +219,8 @@ class Broken:
     ("specs", "message"),
     [
         ([Broken("mine"), Broken("mine")], "Two specs are named 'mine'"),
-        ([Broken("mine", np.inf)], "'mine' gave the degree inf"),
-        ([Broken("mine", np.nan)], "'mine' gave the degree nan"),
+        ([Broken("mine", np.inf)], "degree of the spec 'mine' must be a finite number, got inf"),
+        ([Broken("mine", np.nan)], "degree of the spec 'mine' must be a finite number, got nan"),
     ],
 )
 def test_a_bad_spec_is_refused(specs, message):

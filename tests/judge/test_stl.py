@@ -299,11 +299,11 @@ def test_a_bad_signal_is_refused(time, robustness, message):
 @pytest.mark.parametrize(
     ("start", "end", "message"),
     [
-        pytest.param(-1, 2, r"\[-1, 2\]: an interval begins at 0 s or later", id="negative"),
-        pytest.param(2, 1, r"\[2, 1\]: .* does not end before it begins", id="reversed"),
-        pytest.param(INF, INF, "an interval begins", id="never"),
-        pytest.param(math.nan, 1, "an interval begins", id="NaN start"),
-        pytest.param(0, math.nan, "an interval begins", id="NaN end"),
+        pytest.param(-1, 2, r"\[-1, 2\]: an interval must begin at 0 s or later", id="negative"),
+        pytest.param(2, 1, r"\[2, 1\]: .* must not end before it begins", id="reversed"),
+        pytest.param(INF, INF, "an interval must begin", id="never"),
+        pytest.param(math.nan, 1, "an interval must begin", id="NaN start"),
+        pytest.param(0, math.nan, "an interval must begin", id="NaN end"),
         pytest.param("0", 1, "start: expected a number of seconds, got '0'", id="text"),
         pytest.param(0, None, "end: expected a number of seconds, got None", id="None"),
         pytest.param(0, True, "end: expected a number of seconds, got True", id="truth value"),

@@ -86,7 +86,7 @@ def test_part_of_an_experiment_is_said_to_be_one():
     chosen = experiment()
     summaries = campaigns(chosen, np.random.default_rng(2))[:4]  # one campaign has no interval
     page = plain(made(chosen, summaries))
-    assert "4 of 18 campaigns are finished; this page is of these." in page
+    assert "4 of 18 campaigns are finished, and this page shows only these." in page
     assert "nan" not in page
 
 

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -12,6 +13,7 @@ from urllib.parse import unquote
 import pytest
 
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.database import Row, connect, insert
 from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.commands.report import PAGE
@@ -70,12 +72,12 @@ def test_the_report_lies_in_the_run_folder_and_is_the_same_again(run, tmp_path, 
 
 def test_the_page_says_what_was_tested_and_what_was_found(run, text):
     read, words = read_run(run), plain(text)
-    assert "tests.drivers:cruiser was driven through 24 scenarios of intersection-straight" in words
+    assert "behavexplor tested tests.drivers:cruiser in 24 intersection-straight scenarios" in words
     assert f"{len(read.findings)} executions failed, in {len(read.classes)} classes" in words
     for class_id, findings in read.classes.items():
         assert class_id in words
         assert findings[0].words in words
-    assert "Nobody has looked at whose fault they were" in words
+    assert "to find out whose fault they were" in words
     for digest in read.digests.values():
         assert digest in words
     assert "seed 5" in words
@@ -155,8 +157,8 @@ def test_what_triage_found_is_told(run, tmp_path):
     )
     Triage("intersection-straight", "rule", len(read.entries), findings).write(folder)
     words = plain(page([read_run(folder)], 100))
-    assert f"Of {len(collisions)} collisions the driving system was at fault for 1 and not for 1" in words
-    assert "1 failure did not happen again" in words
+    assert f"Of {len(collisions)} collisions, the driving system was at fault for 1 and not at fault for 1" in words
+    assert "1 failure did not reproduce" in words
     assert "preventable" in words
     assert "R1-4" in words
     assert TRIAGE in words
@@ -175,8 +177,8 @@ def test_failures_that_triage_has_not_seen_have_their_class(run, tmp_path):
 def test_the_number_of_replays_is_limited_and_the_page_says_so(run):
     text = page([read_run(run)], 2)
     assert len(data_of(text)["runs"][0]["replays"]) == 2
-    assert "2 of 24 executions have their replay in this page (at most 2)" in plain(text)
-    assert "Its replay is not in this page" in plain(text)
+    assert "The replays of 2 of 24 executions are in this page (at most 2)" in plain(text)
+    assert "The replay is not in this page" in plain(text)
     assert data_of(page([read_run(run)], 0))["runs"][0]["replays"] == {}
 
 
@@ -211,7 +213,7 @@ def test_several_runs_stand_side_by_side(run, harmless_run, tmp_path, monkeypatc
 
 def test_a_run_without_failures_shows_what_came_nearest(harmless_run):
     text = page([read_run(harmless_run)], 100)
-    assert "None failed." in plain(text)
+    assert "No execution failed." in plain(text)
     (card,) = [attributes for tag, attributes in Outline(text).tags if tag == "article"]
     assert card["data-class"] == "passed"
     degrees = {entry.id: entry.degree for entry in read_run(harmless_run).entries}
@@ -276,7 +278,10 @@ def _flip(folder):
     [
         (shutil.rmtree, "is not a run folder"),
         (lambda folder: (folder / DATABASE).unlink(), "is not a run folder: it has no campaign.db"),
-        (lambda folder: (folder / TRIAGE).write_text("{"), "cannot be read, delete it and make it again"),
+        (
+            lambda folder: (folder / TRIAGE).write_text("{"),
+            "cannot be read: .*; delete it and run `behavexplor triage` again",
+        ),
         (_flip, "Execution 5 in .* is damaged"),
     ],
 )
@@ -298,17 +303,20 @@ def test_a_damaged_run_is_one_sentence(run, tmp_path, capsys, how, message):
     ],
 )
 def test_a_record_of_another_kind_is_one_sentence(run, tmp_path, capsys, change):
-    folder = copied(run, tmp_path / "run", change=change)
+    folder = copied(run, tmp_path / "run")
+    with closing(connect(folder / DATABASE, "rw")) as connection:
+        record, trace = connection.execute("SELECT record, trace FROM executions WHERE id = 3").fetchone()
+        insert(connection, [Row(3, json.dumps(change(json.loads(record))).encode(), trace, 1.0)])
     assert main(["report", str(folder)]) == BAD_INPUT
     error = capsys.readouterr().err
-    assert re.search("has a record that is not one of a campaign|is damaged", error)
+    assert re.search(f"{folder}.* is damaged|{folder}: execution 3 ", error)
     assert error.count("\n") == 1
 
 
 def test_an_empty_run_is_one_sentence(tmp_path, capsys):
     Store.create(tmp_path / "run", CampaignConfig().to_yaml()).close()
     assert main(["report", str(tmp_path / "run")]) == BAD_INPUT
-    assert "has no executions yet: go on with" in capsys.readouterr().err
+    assert "has no executions yet: resume it with" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -142,7 +142,7 @@ def test_what_is_known_is_not_found_out_again(run, tmp_path, capsys):
     )
     assert main(["triage", str(copy), "--workers", "0", "--quiet", "--afresh"]) == OK
     assert (copy / TRIAGE).read_bytes() == (run / TRIAGE).read_bytes()
-    assert f"{len(found.findings)} failures of 3 executions" in capsys.readouterr().out
+    assert f"{len(found.findings)} failures in 3 executions" in capsys.readouterr().out
 
 
 def test_worker_processes_find_out_the_same(run, tmp_path):
@@ -194,18 +194,18 @@ def test_the_report_counts_classes_and_weaknesses():
     weaknesses = {"R1-1": WeaknessRecord(Sighting(9, 0), Sighting(4, 1), Sighting(2, 2))}
     text = report(Triage("lane-follow", "rule", 10, few, weaknesses))
     lines = [line.split() for line in text.splitlines()]
-    assert text.startswith("3 failures of 10 executions, in 2 classes; 1 did not happen again")
+    assert text.startswith("3 failures in 10 executions, in 2 classes; 1 did not reproduce")
     assert ["R1/b", "2", "2", "2", "preventable", "R1-1"] in lines
     assert ["R1/a", "1", "5", "5", "npc", "rear", "end", "R1-2"] in lines
     assert ["R1-1", "9", "0", "4", "1", "2", "2"] in lines
-    assert "Signatures equal the cause in 67% of 3 failures" in text
-    assert "adjusted Rand index of 1.00" in text
+    assert "is right for 67% of 3 failures" in text
+    assert "and 1.00 for classes" in text
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "make it with `behavexplor triage"),
+        (None, "create it with `behavexplor triage"),
         ("{", "cannot be read"),
         ("[]", "has format None"),
         ('{"format": 99}', "has format 99"),
@@ -225,7 +225,7 @@ def test_a_damaged_witness_is_said_to_be(tmp_path):
     values = [{"name": "a", "begin": 0, "frequency": rate, "commands": commands} for rate, commands in damaged]
     for content in ("", "{}", *map(json.dumps, values)):
         (tmp_path / "w.json").write_text(content)
-        with pytest.raises(InputError, match="is no witness"):
+        with pytest.raises(InputError, match="is not a witness"):
             read_witness(tmp_path / "w.json")
 
 

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-class Network(NamedTuple):
+class DenseNetwork(NamedTuple):
     """The numbers of all layers in flat arrays, for any number of layers.
 
     Attributes:
@@ -28,17 +28,17 @@ class Network(NamedTuple):
     widths: Ints
 
 
-def as_network(layers: Sequence[tuple[Floats, Floats]]) -> Network:
+def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
     """Make a network from the weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer."""
     widths = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
-    return Network(
+    return DenseNetwork(
         weights=np.concatenate([weights.T.ravel() for weights, _ in layers], dtype=np.float64),
         biases=np.concatenate([bias for _, bias in layers], dtype=np.float64),
         widths=np.array(widths, dtype=np.int64),
     )
 
 
-def decide_batch(network: Network, seen: Floats) -> Ints:
+def decide_batch(network: DenseNetwork, seen: Floats) -> Ints:
     """Return the index of the greatest output for each row of inputs, the first index if several are equal.
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
@@ -54,13 +54,13 @@ def decide_batch(network: Network, seen: Floats) -> Ints:
 
 
 @kernel_in_place
-def _decide_all(network: Network, seen: Floats, room: Floats, decisions: Ints) -> None:
+def _decide_all(network: DenseNetwork, seen: Floats, room: Floats, decisions: Ints) -> None:
     for i in range(len(seen)):
         decisions[i] = _decide(network, seen[i], room)
 
 
 @kernel_in_place
-def _decide(network: Network, seen: Floats, room: Floats) -> int:
+def _decide(network: DenseNetwork, seen: Floats, room: Floats) -> int:
     values, sums = room[0], room[1]
     for i in range(len(seen)):
         values[i] = seen[i]
@@ -82,7 +82,9 @@ def _squash(values: Floats, count: int) -> None:
 
 
 @kernel_in_place
-def _add_up(network: Network, weight: int, bias: int, values: Floats, before: int, sums: Floats, width: int) -> None:
+def _add_up(
+    network: DenseNetwork, weight: int, bias: int, values: Floats, before: int, sums: Floats, width: int
+) -> None:
     """Compute the sums of a layer whose numbers begin at `weight` and `bias`; the inner loop runs over its outputs."""
     sums, biases = sums[:width], network.biases[bias : bias + width]
     for j in range(len(sums)):

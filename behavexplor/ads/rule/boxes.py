@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 
 from behavexplor.ads.road.lane_arrays import COS, SIN
 from behavexplor.ads.road.path import Path, is_straight, locate_on_path, project_on_path
-from behavexplor.ads.rule.lateral import Profile, offset_at
+from behavexplor.ads.rule.lateral import LateralProfile, offset_at
 from behavexplor.jit import kernel_in_place
 
 PARALLEL: Final = 1e-6  # sine of the angle to the route below which a box is parallel to it
@@ -33,7 +33,7 @@ class Box(NamedTuple):
 
 
 @kernel_in_place
-def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[float, float]:
+def box_on_path(path: Path, profile: LateralProfile, box: Box, strip: float) -> tuple[float, float]:
     """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
 
     Args:
@@ -75,7 +75,7 @@ def box_on_path(path: Path, profile: Profile, box: Box, strip: float) -> tuple[f
 
 
 @kernel_in_place
-def _on_path(path: Path, profile: Profile, x: float, y: float, straight: bool) -> tuple[float, float]:
+def _on_path(path: Path, profile: LateralProfile, x: float, y: float, straight: bool) -> tuple[float, float]:
     """Return the station of a point [m] and its offset from the profile [m].
 
     If `straight`, x and y are the point's coordinates along and across the route.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path, point_beside, pose_on_path
-from behavexplor.ads.rule.lateral import Profile, offset_at
+from behavexplor.ads.rule.lateral import LateralProfile, offset_at
 from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, SLOW_TURN
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
@@ -28,7 +28,9 @@ TURN_WAY, TURN = 15.0, 0.1  # a left turn: the route has turned by more than TUR
 
 
 @kernel_in_place
-def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers) -> float:
+def steer(
+    path: Path, profile: LateralProfile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers
+) -> float:
     """Return the steering angle [rad] by pure pursuit: the circle through a point ahead on the path.
 
     The bicycle model turns about its center with sin(slip) = length / (2 radius) and tan(steering) = 2 tan(slip),
@@ -56,7 +58,7 @@ def steer(path: Path, profile: Profile, scene: Floats, station: float, memory: F
 
 @kernel_in_place
 def _worsened(
-    profile: Profile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
+    profile: LateralProfile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
 ) -> float:
     """Return the steering angle of a planner that steers back too little (R2-1) or holds a large angle (R2-4)."""
     across = profile.last - profile.first

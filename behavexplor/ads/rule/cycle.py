@@ -21,7 +21,7 @@ from behavexplor.ads.rule.lane_choice import (
     CHANGE,
     KEEP,
     OVERTAKE,
-    Ego,
+    EgoState,
     accepts_gap,
     change_length,
     choose_lane,
@@ -29,7 +29,7 @@ from behavexplor.ads.rule.lane_choice import (
     gap_share,
     wrong_side,
 )
-from behavexplor.ads.rule.lateral import Profile, change_profile, keep_profile
+from behavexplor.ads.rule.lateral import LateralProfile, change_profile, keep_profile
 from behavexplor.ads.rule.memory import (
     CLEAR,
     CREEPS,
@@ -57,7 +57,7 @@ from behavexplor.ads.rule.memory import (
     WAITED,
     WEAKENED,
 )
-from behavexplor.ads.rule.option import Option, World, plan_option
+from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
@@ -77,12 +77,12 @@ CREEP_ACCELERATION: Final = 1.2  # acceleration while creeping [m/s2]
 
 
 @kernel_in_place
-def plan_once(world: World, memory: Floats) -> None:
+def plan_once(world: Surroundings, memory: Floats) -> None:
     """Make one decision, and leave its commands in the memory."""
     path, scene, bits = world.path, world.scene, world.room.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
-    ego = Ego(station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2)
+    ego = EgoState(station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2)
     locate(path, scene, world.others)
     _remember(path, ego, memory)
     option = plan_option(world, ego, _present_profile(path, memory), int(memory[LANE]), memory)
@@ -95,7 +95,7 @@ def plan_once(world: World, memory: Floats) -> None:
 
 
 @kernel_in_place
-def _remember(path: Path, ego: Ego, memory: Floats) -> None:
+def _remember(path: Path, ego: EgoState, memory: Floats) -> None:
     """Update the memory with the ego's motion since the last decision."""
     if memory[STARTED] == 0.0:
         memory[STARTED] = 1.0
@@ -117,11 +117,11 @@ def _remember(path: Path, ego: Ego, memory: Floats) -> None:
 
 
 @kernel_in_place
-def _present_profile(path: Path, memory: Floats) -> Profile:
+def _present_profile(path: Path, memory: Floats) -> LateralProfile:
     last = memory[LANE] * path.lane_width
     if memory[LENGTH] == 0.0:
         return keep_profile(last)
-    return Profile(memory[START], memory[LENGTH], memory[FROM], memory[SLOPE], last)
+    return LateralProfile(memory[START], memory[LENGTH], memory[FROM], memory[SLOPE], last)
 
 
 @kernel_in_place
@@ -130,7 +130,7 @@ def _is_safe(option: Option) -> bool:
 
 
 @kernel_in_place
-def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -> Option:
+def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memory: Floats) -> Option:
     """Begin a lane change if another lane is better and its gaps are accepted."""
     path, others, p, bits = world.path, world.others, world.p, world.room.bits
     lane = int(memory[LANE])
@@ -147,7 +147,9 @@ def _change_if_wanted(world: World, ego: Ego, present: Option, memory: Floats) -
 
 
 @kernel_in_place
-def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Floats) -> tuple[Option, bool]:
+def _try_change(
+    world: Surroundings, ego: EgoState, present: Option, wanted: int, memory: Floats
+) -> tuple[Option, bool]:
     """Return the change to a lane if it is safe, else the present option; and whether the change is begun."""
     path, p, bits = world.path, world.p, world.room.bits
     lane = int(memory[LANE])
@@ -175,7 +177,7 @@ def _try_change(world: World, ego: Ego, present: Option, wanted: int, memory: Fl
 
 
 @kernel_in_place
-def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) -> Option:
+def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory: Floats) -> Option:
     """Return to the original lane if a vehicle comes close in the target lane, and returning is possible and helps.
 
     It is possible while the ego's center is still in the original lane.
@@ -204,21 +206,21 @@ def _abort_if_needed(world: World, ego: Ego, present: Option, memory: Floats) ->
 
 
 @kernel_in_place
-def _slope(world: World, ego: Ego) -> float:
+def _slope(world: Surroundings, ego: EgoState) -> float:
     """Return the slope of the ego's motion relative to its route."""
     _, _, along = pose_on_path(world.path, ego.station)
     return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
 
 
 @kernel_in_place
-def _adopt(profile: Profile, lane: int, memory: Floats) -> None:
+def _adopt(profile: LateralProfile, lane: int, memory: Floats) -> None:
     memory[LANE] = lane
     memory[START], memory[LENGTH] = profile.start, profile.length
     memory[FROM], memory[SLOPE] = profile.first, profile.slope
 
 
 @kernel_in_place
-def _settle(world: World, ego: Ego, option: Option, memory: Floats) -> None:
+def _settle(world: Surroundings, ego: EgoState, option: Option, memory: Floats) -> None:
     """Store the decision and its commands in the memory."""
     path, p, bits, plan = world.path, world.p, world.room.bits, option.plan
     memory[CLEAR] = memory[CLEAR] + PERIOD if option.crosses else 0.0

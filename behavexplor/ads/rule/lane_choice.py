@@ -30,7 +30,7 @@ MOVES: Final = 0.05  # speed up to which leaders stand (R3-1) [m/s]
 ALONGSIDE: Final = 1.0  # least difference of speed to an overtaken vehicle [m/s]
 
 
-class Ego(NamedTuple):
+class EgoState(NamedTuple):
     """The ego on its route.
 
     Attributes:
@@ -55,7 +55,7 @@ def change_length(speed: float, p: Numbers) -> float:
 
 
 @kernel_in_place
-def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbors:
+def beside_lane(path: Path, others: Floats, ego: EgoState, lane: int) -> Neighbors:
     """Find the nearest vehicles in a lane; a vehicle ahead that is beyond the destination does not count."""
     found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
     if found.ahead >= 0:
@@ -66,7 +66,7 @@ def beside_lane(path: Path, others: Floats, ego: Ego, lane: int) -> Neighbors:
 
 
 @kernel_in_place
-def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
+def choose_lane(path: Path, others: Floats, ego: EgoState, memory: Floats, bits: Ints, p: Numbers) -> int:
     """Return the lane that the ego should be in: its own, or a lane next to it."""
     lane = int(memory[LANE])
     leader = beside_lane(path, others, ego, lane)
@@ -92,7 +92,7 @@ def choose_lane(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints
 
 
 @kernel_in_place
-def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
+def _open(path: Path, ego: EgoState, lane: int, p: Numbers) -> bool:
     """Return whether a lane runs beside the ego for the length of a change to it, without a junction in between."""
     until = ego.station + change_length(ego.speed, p) + ego.half_length
     if ego.station - ego.half_length < path.junction_end and until > path.junction_start:
@@ -101,7 +101,7 @@ def _open(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
 
 
 @kernel_in_place
-def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
+def _score(path: Path, others: Floats, ego: EgoState, lane: int, p: Numbers) -> float:
     """Return how far the ego gets in a lane within the outlook, less the cost of being beside the route [m]."""
     found = beside_lane(path, others, ego, lane)
     free = path.speed_limit * p.outlook
@@ -111,14 +111,14 @@ def _score(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float
 
 
 @kernel_in_place
-def _must_return(path: Path, ego: Ego, lane: int, p: Numbers) -> bool:
+def _must_return(path: Path, ego: EgoState, lane: int, p: Numbers) -> bool:
     """Return whether the remaining room is needed to return to the route."""
     room = lane_end(path, lane, ego.station) - ego.station
     return room < abs(lane) * (change_length(ego.speed, p) + 2 * ego.speed + p.change_length)
 
 
 @kernel_in_place
-def _delays(path: Path, ego: Ego, lane: int, leader: Neighbors, bits: Ints, p: Numbers) -> bool:
+def _delays(path: Path, ego: EgoState, lane: int, leader: Neighbors, bits: Ints, p: Numbers) -> bool:
     """Return whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
     if p.late_change == 0.0 or leader.ahead < 0 or leader.gap_ahead > CLOSE_UP or leader.speed_ahead > SLOW:
         return False
@@ -130,7 +130,7 @@ def _delays(path: Path, ego: Ego, lane: int, leader: Neighbors, bits: Ints, p: N
 
 @kernel_in_place
 def _may_overtake(
-    path: Path, others: Floats, ego: Ego, other: int, leader: Neighbors, memory: Floats, bits: Ints, p: Numbers
+    path: Path, others: Floats, ego: EgoState, other: int, leader: Neighbors, memory: Floats, bits: Ints, p: Numbers
 ) -> bool:
     """Return whether the ego overtakes its leader: its last change is long enough ago, and it can return in time."""
     if leader.ahead < 0 or memory[SINCE] < p.lane_rest:
@@ -150,7 +150,7 @@ def _may_overtake(
 
 
 @kernel_in_place
-def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbors, p: Numbers) -> float:
+def room_to_overtake(path: Path, others: Floats, ego: EgoState, leader: Neighbors, p: Numbers) -> float:
     """Return the distance until the ego is back in front of its leader, at the speed that needs the least room [m]."""
     least = math.inf
     passed = leader.gap_ahead + 2 * others[leader.ahead, HALF_ALONG] + 2 * ego.half_length + p.pass_gap
@@ -164,7 +164,7 @@ def room_to_overtake(path: Path, others: Floats, ego: Ego, leader: Neighbors, p:
 
 
 @kernel_in_place
-def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints, p: Numbers) -> int:
+def wrong_side(path: Path, others: Floats, ego: EgoState, memory: Floats, bits: Ints, p: Numbers) -> int:
     """Return the oncoming lane if a slow leader is to be overtaken there (weakness R2-3), or else the ego's lane."""
     lane = int(memory[LANE])
     other = oncoming_lane(path, ego.station)
@@ -184,7 +184,7 @@ def wrong_side(path: Path, others: Floats, ego: Ego, memory: Floats, bits: Ints,
 
 
 @kernel_in_place
-def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> float:
+def gap_share(path: Path, others: Floats, ego: EgoState, lane: int, p: Numbers) -> float:
     """Return the gap in a lane as a share of the gap needed by distance and closing speed.
 
     It is the smaller of the shares ahead and behind.
@@ -196,13 +196,13 @@ def gap_share(path: Path, others: Floats, ego: Ego, lane: int, p: Numbers) -> fl
 
 
 @kernel_in_place
-def cuts_in(ego: Ego, p: Numbers) -> bool:
+def cuts_in(ego: EgoState, p: Numbers) -> bool:
     """Return whether the ego would take a gap that is too small (weakness R1-5)."""
     return p.cut_in > 0.0 and ego.speed < p.cut_in_below
 
 
 @kernel_in_place
-def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: Numbers) -> bool:
+def accepts_gap(path: Path, others: Floats, ego: EgoState, lane: int, bits: Ints, p: Numbers) -> bool:
     """Return whether the gaps in a lane are wide enough to begin a change to it."""
     share = gap_share(path, others, ego, lane, p)
     if share < 1.0 and cuts_in(ego, p):
@@ -212,7 +212,7 @@ def accepts_gap(path: Path, others: Floats, ego: Ego, lane: int, bits: Ints, p: 
 
 
 @kernel_in_place
-def lane_wall(path: Path, ego: Ego, lane: int, p: Numbers) -> float:
+def lane_wall(path: Path, ego: EgoState, lane: int, p: Numbers) -> float:
     """Return the station that the ego must not pass beside its route's lane, so that it can still return [m]."""
     if lane == 0:
         return math.inf

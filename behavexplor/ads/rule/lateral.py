@@ -6,7 +6,7 @@ from typing import NamedTuple
 from behavexplor.jit import kernel_in_place
 
 
-class Profile(NamedTuple):
+class LateralProfile(NamedTuple):
     """Offset from the route (positive to the right) as a function of the station.
 
     Attributes:
@@ -25,7 +25,7 @@ class Profile(NamedTuple):
 
 
 @kernel_in_place
-def offset_at(profile: Profile, station: float) -> float:
+def offset_at(profile: LateralProfile, station: float) -> float:
     """Return the offset at a station [m]: between start and end, a quintic without curvature at its ends."""
     if station >= profile.start + profile.length:
         return profile.last
@@ -38,12 +38,12 @@ def offset_at(profile: Profile, station: float) -> float:
 
 
 @kernel_in_place
-def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> Profile:
+def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> LateralProfile:
     """Return the profile of a change from the ego's position to another offset."""
-    return Profile(station, length, offset, min(max(slope, -0.5), 0.5), target)
+    return LateralProfile(station, length, offset, min(max(slope, -0.5), 0.5), target)
 
 
 @kernel_in_place
-def keep_profile(offset: float) -> Profile:
+def keep_profile(offset: float) -> LateralProfile:
     """Return the profile of an offset that is kept."""
-    return Profile(-math.inf, 0.0, offset, 0.0, offset)
+    return LateralProfile(-math.inf, 0.0, offset, 0.0, offset)

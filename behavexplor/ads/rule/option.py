@@ -20,11 +20,11 @@ from behavexplor.ads.rule.decision import (
     waits_for_ever,
 )
 from behavexplor.ads.rule.lane_choice import (
-    Ego,
+    EgoState,
     cuts_in,
     lane_wall,
 )
-from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.lateral import LateralProfile
 from behavexplor.ads.rule.memory import (
     CLEAR,
     DECISION,
@@ -43,7 +43,7 @@ from behavexplor.jit import kernel_in_place
 Floats = NDArray[np.float64]
 
 
-class World(NamedTuple):
+class Surroundings(NamedTuple):
     """Input of one decision apart from the memory, and working space.
 
     Attributes:
@@ -76,7 +76,7 @@ class Option(NamedTuple):
         limit: station up to which the ego may creep [m].
     """
 
-    profile: Profile
+    profile: LateralProfile
     plan: SpeedPlan
     yields: bool
     crosses: bool
@@ -84,7 +84,7 @@ class Option(NamedTuple):
 
 
 @kernel_in_place
-def plan_option(world: World, ego: Ego, profile: Profile, lane: int, memory: Floats) -> Option:
+def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Floats) -> Option:
     """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
     path, room, p = world.path, world.room, world.p
     blind = -math.inf

@@ -21,7 +21,7 @@ from behavexplor.ads.rule.memory import (
     SURVIVED,
     TRIGGERED,
 )
-from behavexplor.ads.rule.option import World
+from behavexplor.ads.rule.option import Surroundings
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed import empty_nodes
@@ -119,4 +119,4 @@ def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memory: Floats, p:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] == 0.0:
             continue
-        plan_once(World(path, graph, scenes[i], others, room, nodes, p), memory[i])
+        plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memory[i])

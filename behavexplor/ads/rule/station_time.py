@@ -10,7 +10,7 @@ from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.path import Path, project_on_path
 from behavexplor.ads.rule.boxes import Box, box_on_path
-from behavexplor.ads.rule.lateral import Profile
+from behavexplor.ads.rule.lateral import LateralProfile
 from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
@@ -73,11 +73,11 @@ def empty_station_time(n_npcs: int) -> StationTime:
     )
 
 
-class View(NamedTuple):
+class Projection(NamedTuple):
     """Input of the projection of an obstacle, apart from the obstacle; see `project_obstacles`."""
 
     path: Path
-    profile: Profile
+    profile: LateralProfile
     graph: LaneGraph
     scene: Floats
     station: float
@@ -88,7 +88,7 @@ class View(NamedTuple):
 @kernel_in_place
 def project_obstacles(
     path: Path,
-    profile: Profile,
+    profile: LateralProfile,
     graph: LaneGraph,
     scene: Floats,
     station: float,
@@ -110,7 +110,7 @@ def project_obstacles(
     """
     room.counts[:] = 0
     room.reaches[:, 0], room.reaches[:, 1] = math.inf, -math.inf
-    view = View(path, profile, graph, scene, station, p, room)
+    view = Projection(path, profile, graph, scene, station, p, room)
     for row in range(EGO + 1, len(scene)):
         if scene[row, PRESENT] == 0.0 or _ignored(view, row, blind):
             continue
@@ -129,7 +129,7 @@ def project_obstacles(
 
 
 @kernel_in_place
-def _ignored(view: View, row: int, blind: float) -> bool:
+def _ignored(view: Projection, row: int, blind: float) -> bool:
     """Return whether an NPC in the target lane is too far behind to be considered (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
         return False
@@ -147,7 +147,7 @@ def _steps(motion: Motion, p: Numbers) -> int:
 
 
 @kernel_in_place
-def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
+def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
     """Add one NPC's motion along one way, if it is seen. An NPC that follows the ego on its path is left out.
 
     Returns:
@@ -192,7 +192,7 @@ def _project(view: View, way: int, motion: Motion, seen: bool) -> bool:
 
 
 @kernel_in_place
-def _occupy(view: View, way: int, motion: Motion) -> tuple[int, int]:
+def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     """Compute the stretch of the ego's path that an NPC's box occupies at each step of its way.
 
     Returns:

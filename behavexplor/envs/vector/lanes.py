@@ -15,15 +15,15 @@ from behavexplor.jit import kernel
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-CURVED, X, Y, A, B, C, LENGTH, WIDTH = range(8)  # columns of `Network.lanes`
+CURVED, X, Y, A, B, C, LENGTH, WIDTH = range(8)  # columns of `LaneNetwork.lanes`
 # Straight lane: (X, Y) is its start; A and B are the x and y of its direction, and C is its heading.
 # Curved lane: (X, Y) is its center; A is its radius, B its phase at the start, and C its turn (1: to the right).
 
-ORIGIN, TARGET, FIRST, COUNT = range(4)  # columns of `Network.roads`: nodes, first lane, number of lanes
-ROAD, NUMBER = range(2)  # columns of `Network.route`: road, and number of the lane on it
+ORIGIN, TARGET, FIRST, COUNT = range(4)  # columns of `LaneNetwork.roads`: nodes, first lane, number of lanes
+ROAD, NUMBER = range(2)  # columns of `LaneNetwork.route`: road, and number of the lane on it
 
 
-class Network(NamedTuple):
+class LaneNetwork(NamedTuple):
     """The road network, and the ego's route through it.
 
     Attributes:
@@ -43,7 +43,7 @@ VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extend
 
 
 def lane_row(lane: AbstractLane) -> list[float]:
-    """Return a straight or circular lane as a row of `Network.lanes`."""
+    """Return a straight or circular lane as a row of `LaneNetwork.lanes`."""
     if isinstance(lane, CircularLane):
         return [1.0, *lane.center, lane.radius, lane.start_phase, lane.direction, lane.length, lane.width]
     return [0.0, *lane.start, *lane.direction, lane.heading, lane.length, lane.width]
@@ -132,7 +132,7 @@ def is_after_end(lanes: Floats, i: int, x: float, y: float) -> bool:
 
 
 @kernel
-def next_lane(network: Network, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
+def next_lane(network: LaneNetwork, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
     """Find the lane after the given one: along the route if it continues from there, else the closest lane.
 
     Args:

@@ -14,7 +14,7 @@ from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.vector.lanes import (
     COUNT,
     FIRST,
-    Network,
+    LaneNetwork,
     is_after_end,
     is_reachable,
     lane_coordinates,
@@ -56,7 +56,7 @@ def nearest_speed(speeds: Floats, speed: float) -> int:
 
 
 @kernel
-def changed_lane(network: Network, lane: int, maneuver: int, x: float, y: float) -> int:
+def changed_lane(network: LaneNetwork, lane: int, maneuver: int, x: float, y: float) -> int:
     """Return the target lane after a maneuver: `ControlledVehicle.act` with a meta-action."""
     if maneuver not in (LANE_LEFT, LANE_RIGHT):
         return lane
@@ -67,7 +67,7 @@ def changed_lane(network: Network, lane: int, maneuver: int, x: float, y: float)
 
 
 @kernel
-def follow_road(network: Network, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
+def follow_road(network: LaneNetwork, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
     """Return the target lane and the completed steps of the route: `ControlledVehicle.follow_road`.
 
     Near the end of a lane, the target is the next lane.

@@ -15,7 +15,7 @@ from behavexplor.data.roadmap import RoadMap
 from behavexplor.envs import driving
 from behavexplor.envs.network import MapNetwork, road_network
 from behavexplor.envs.npc import Routes, route_arrays
-from behavexplor.envs.vector.lanes import Network, lane_row
+from behavexplor.envs.vector.lanes import LaneNetwork, lane_row
 
 Floats = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class World(NamedTuple):
         target_speeds: target speeds of meta-actions, shape (speeds,) [m/s].
     """
 
-    network: Network
+    network: LaneNetwork
     rules: Rules
     npc_routes: Routes
     npc_ends: Floats
@@ -128,7 +128,7 @@ def _make_rules(env: driving.DrivingEnv) -> Rules:
     )
 
 
-def _make_network(network: MapNetwork, route: Sequence[LaneIndex]) -> Network:
+def _make_network(network: MapNetwork, route: Sequence[LaneIndex]) -> LaneNetwork:
     groups = {(origin, target): lanes for origin, to in network.graph.items() for target, lanes in to.items()}
     road_of = {ends: road for road, ends in enumerate(groups)}
     nodes: dict[str, int] = {}
@@ -138,7 +138,7 @@ def _make_network(network: MapNetwork, route: Sequence[LaneIndex]) -> Network:
         ends = [nodes.setdefault(node, len(nodes)) for node in (origin, target)]
         lane_road += [len(roads)] * len(lanes)
         roads.append([*ends, len(lane_road) - len(lanes), len(lanes)])
-    return Network(
+    return LaneNetwork(
         lanes=np.array([lane_row(lane) for lane in network.lanes_list()]),
         roads=np.array(roads),
         lane_road=np.array(lane_road),

@@ -9,7 +9,7 @@ from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
 from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
-from behavexplor.evaluation import evaluate
+from behavexplor.evaluation import estimate_rates
 from behavexplor.execution.simulation import Simulation
 from tests.ads.learned.scenes import LOGICALS
 
@@ -46,7 +46,7 @@ def test_without_traffic_the_good_one_arrives(name):
 
 @EVERYWHERE
 def test_the_good_one_is_told_from_the_undertrained_one(name):
-    good, poor = (evaluate(Simulation(name, f"learned:{name}{grade}"), 60, 7) for grade in ("", "-undertrained"))
+    good, poor = (estimate_rates(Simulation(name, f"learned:{name}{grade}"), 60, 7) for grade in ("", "-undertrained"))
     assert good.rate("arrived") > 0.7
     assert good.rate("arrived") > poor.rate("arrived")
     assert good.interval("arrived")[0] > card(name)["evaluation"]["rates"]["arrived"] - 0.2
@@ -56,7 +56,7 @@ def test_the_good_one_is_told_from_the_undertrained_one(name):
 @pytest.mark.parametrize("name", POLICIES)
 def test_the_cards_figures_are_seen_again(name):
     told = card(name)
-    found = evaluate(Simulation(told["training"]["env"], f"learned:{name}"), 1000, 0)
+    found = estimate_rates(Simulation(told["training"]["env"], f"learned:{name}"), 1000, 0)
     for outcome, rate in told["evaluation"]["rates"].items():
         assert found.rate(outcome) == pytest.approx(rate, abs=0.005)  # another processor may turn a decision or two
 

@@ -18,7 +18,7 @@ from behavexplor.ads.rule.decision import (
     passed,
     waiting_station,
 )
-from behavexplor.ads.rule.lane_choice import ABORT, CHANGE, KEEP, Ego
+from behavexplor.ads.rule.lane_choice import ABORT, CHANGE, KEEP, EgoState
 from behavexplor.ads.rule.memory import (
     DECISION,
     LANE,
@@ -52,7 +52,7 @@ def remembered(station=50.0, offset=0.0, speed=5.0, path=ROAD, **known):
     memory[STARTED] = 1.0
     for name, value in known.items():
         memory[COLUMNS[name]] = value
-    _remember(path, Ego(station, offset, speed, HALF, 1.03), memory)
+    _remember(path, EgoState(station, offset, speed, HALF, 1.03), memory)
     return memory
 
 

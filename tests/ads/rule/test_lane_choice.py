@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.lane_choice import (
-    Ego,
+    EgoState,
     beside_lane,
     change_length,
     choose_lane,
@@ -28,7 +28,7 @@ WIDTH = PATH.lane_width
 
 
 def ego_at(station, lane=0, speed=8.0):
-    return Ego(station, lane * WIDTH, speed, EGO_SIZE[0] / 2, EGO_SIZE[1] / 2)
+    return EgoState(station, lane * WIDTH, speed, EGO_SIZE[0] / 2, EGO_SIZE[1] / 2)
 
 
 def others(*cars, roadmap=ROAD):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.rule.lateral import Profile, change_profile, keep_profile, offset_at
+from behavexplor.ads.rule.lateral import LateralProfile, change_profile, keep_profile, offset_at
 
 CHANGES = [(0.0, 3.5, 0.0, 20.0), (3.5, 0.0, 0.0, 15.0), (1.2, 0.0, 0.25, 18.0), (-7.0, -3.5, -0.1, 40.0)]
 
@@ -31,4 +31,4 @@ def test_a_change_from_rest_never_leaves_the_span_between_its_ends():
 def test_an_offset_is_kept_everywhere_and_steep_slopes_are_bounded():
     assert {offset_at(keep_profile(-3.5), station) for station in (-100.0, 0.0, 300.0)} == {-3.5}
     assert change_profile(0.0, 0.0, 3.0, 3.5, 15.0).slope == 0.5
-    assert isinstance(keep_profile(0.0), Profile)
+    assert isinstance(keep_profile(0.0), LateralProfile)

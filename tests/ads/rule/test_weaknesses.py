@@ -6,7 +6,7 @@ import pytest
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.control import steer
-from behavexplor.ads.rule.lane_choice import Ego, accepts_gap, choose_lane, gap_share, wrong_side
+from behavexplor.ads.rule.lane_choice import EgoState, accepts_gap, choose_lane, gap_share, wrong_side
 from behavexplor.ads.rule.lateral import change_profile, keep_profile
 from behavexplor.ads.rule.memory import (
     LANE,
@@ -55,7 +55,7 @@ class Situation:
         self.scene = scene((*roadmap.ego_route.pose(station), speed), rows)
         self.others = np.empty((len(npcs), 6))
         locate(self.path, self.scene, self.others)
-        self.ego = Ego(station, 3.5 * lane, speed, EGO_SIZE[0] / 2, EGO_SIZE[1] / 2)
+        self.ego = EgoState(station, 3.5 * lane, speed, EGO_SIZE[0] / 2, EGO_SIZE[1] / 2)
         self.memory = np.zeros(N_MEMORIES)
         self.memory[[LANE, SINCE]] = lane, 10.0
         self.bits = np.zeros(2, np.int64)

@@ -1,0 +1,19 @@
+"""Contract tests for search methods, driving systems, specs and environments of other packages.
+
+Each function checks what behavexplor promises to its users about one interface, and raises a `ContractError` that says
+which promise is broken::
+
+    from behavexplor.testing import check_search_method
+
+    def test_my_search():
+        check_search_method("my_package.search:MySearch")
+"""
+
+from behavexplor.testing.contract import ContractError
+from behavexplor.testing.driving_system import check_ads
+from behavexplor.testing.environment import check_env
+from behavexplor.testing.search_method import check_search_method
+from behavexplor.testing.spec import check_spec
+from behavexplor.testing.synthetic import synthetic_trace
+
+__all__ = ["ContractError", "check_ads", "check_env", "check_search_method", "check_spec", "synthetic_trace"]

@@ -1,0 +1,49 @@
+"""Synthetic traces: a stand-in for a simulator with a driving system in it."""
+
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+
+Floats = NDArray[np.float64]
+
+RATE = 20  # frames per second
+
+
+def synthetic_trace(scenario: Scenario, logical: LogicalScenario) -> Trace:
+    """Return the trace of an ego that follows its route and never looks.
+
+    Its speed is drawn from the text of the scenario, so that equal scenarios have equal traces. The NPCs follow their
+    routes through their waypoints.
+
+    Args:
+        scenario: the concrete scenario.
+        logical: the logical scenario to which it belongs.
+    """
+    rng = np.random.default_rng(crc32(scenario.to_json().encode()))
+    roadmap, time = logical.roadmap, np.arange(rng.integers(300, 900)) / RATE
+    speed = np.clip(np.interp(time, np.linspace(0, 45, 10), rng.uniform(-3, 11, 10)), 0, None)
+    station = np.minimum(roadmap.ego_start + np.cumsum(speed) / RATE, roadmap.destination + rng.uniform(-2, 2))
+    poses = [roadmap.ego_route.pose(station)]
+    for npc in scenario.npcs:
+        positions = [point.position for point in npc.waypoints]
+        along = np.interp(time, np.linspace(0, 20, len(positions)), positions)
+        poses.append(roadmap.routes[npc.route].pose(along))
+    motion = np.stack([np.asarray(pose, dtype=float).reshape(-1, 3) for pose in poses], axis=1)
+    return Trace(
+        time=time,
+        position=motion[..., :2],
+        heading=motion[..., 2],
+        velocity=np.gradient(motion[..., :2], time, axis=0),
+        size=np.array([EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)], dtype=float),
+        actions=np.zeros((0, 1)),
+        action_frame=np.zeros(0, dtype=int),
+        route=roadmap.ego_route.polyline(roadmap.ego_start, roadmap.destination + 10),
+        destination=np.array(roadmap.destination_point, dtype=float),
+        illegal_lines=np.array(roadmap.illegal_lines, dtype=float).reshape(-1, 2, 2),
+        end="timeout",
+    )

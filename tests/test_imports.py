@@ -1,0 +1,16 @@
+"""What an import costs. Which module may import which is checked by import-linter, see pyproject.toml."""
+
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    "name", ["behavexplor", "behavexplor.fuzz", "behavexplor.fuzz.methods", "behavexplor.judge.specs"]
+)
+def test_import_is_light(name):
+    heavy = "{'torch', 'stable_baselines3', 'highway_env', 'sklearn', 'pandas', 'matplotlib', 'pygame', 'numba'}"
+    code = f"import sys, {name}; print(sorted({heavy} & set(sys.modules)))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
