@@ -1,7 +1,7 @@
-"""BehAVExplor: find out how a driving policy fails, by fuzzing it in traffic scenarios on highway-env.
+"""BehAVExplor: fuzz a driving policy in traffic scenarios on highway-env to find out how it fails.
 
-Importing this registers the environments `behavexplor/<functional scenario>-v0` with gymnasium, and nothing
-else; the simulator is imported when an environment is made.
+Importing this package only registers the environments `behavexplor/<functional scenario>-v0` with gymnasium. The
+simulator is imported when an environment is made.
 """
 
 import pkgutil
@@ -15,7 +15,7 @@ NAMESPACE = "behavexplor"
 
 
 def _functional_scenarios() -> dict[str, str]:
-    """The entry point of each functional scenario's environment by name: one for each file in `envs/functional`."""
+    """Return the entry points of the functional scenarios' environments by name, one for each file in its folder."""
     folder = Path(__file__).parent / "envs" / "functional"
     modules = sorted(module.name for module in pkgutil.iter_modules([str(folder)]))
     return {

@@ -1,4 +1,4 @@
-"""`python -m behavexplor`: all commands."""
+"""The command line interface: `python -m behavexplor`."""
 
 import sys
 

@@ -1,16 +1,16 @@
-"""The one exception that means "the input is wrong": a sentence for the user, never a traceback."""
+"""The exception for wrong input, which users see as one sentence instead of a traceback."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
 
-LONGEST: Final = 900  # characters of a sentence
+LONGEST: Final = 900  # greatest length of a message [characters]
 
 
 class InputError(ValueError):
-    """Something that the user gave cannot be used; the message says what is wrong and how to mend it.
+    """The user's input cannot be used. The message says what is wrong and how to fix it.
 
-    It is one line that a terminal can show, whatever of the input it repeats.
+    The message is always a single printable line, even if it quotes the input.
     """
 
     def __init__(self, message: str) -> None:
@@ -18,28 +18,28 @@ class InputError(ValueError):
 
 
 def sentence(text: str) -> str:
-    """A text as one line of at most `LONGEST` characters, all of them printable."""
+    """Return a text as one line of at most `LONGEST` printable characters."""
     line = " ".join(text.split())[: LONGEST + 1]
     shown = "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line)
     return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4].rstrip()} ..."
 
 
 def brief(value: object) -> str:
-    """A value for a sentence: the beginning of its `repr`."""
+    """Return a value for use in a message: the beginning of its `repr`."""
     try:
         return f"{value!r:.80}"
-    except (ValueError, RecursionError):  # a number of thousands of digits, or lists within lists
+    except (ValueError, RecursionError):  # an integer with thousands of digits, or deeply nested lists
         return f"a {type(value).__name__} that is too long to be shown"
 
 
 def missing_library(what: str, library: str | None, extra: str) -> InputError:
-    """The error for something that needs a library of one of this package's extras."""
+    """Return the error for a feature that needs a library of one of this package's extras."""
     command = f"pip install -c constraints.txt -e '.[{extra}]'"
-    return InputError(f"{what} needs {library}: install the extra {extra!r}, in a checkout with {command}")
+    return InputError(f"{what} needs {library}: install the extra {extra!r} (in a checkout: {command})")
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
-    """The error for a name that is not among `known`: it names the nearest, or else all of them."""
+    """Return the error for a name that is not among `known`. It suggests similar names, or else lists all of them."""
     known = sorted(known)
     begun = [other for other in known if len(name) > 2 and other.startswith(name)]
     close = begun or get_close_matches(name, known, n=1)

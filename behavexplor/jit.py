@@ -1,4 +1,4 @@
-"""How kernels, functions on plain arrays, are compiled to machine code, and kept."""
+"""Compilation of kernels, which are functions on plain arrays, to machine code that is cached on disk."""
 
 import hashlib
 import json
@@ -20,53 +20,54 @@ _IMPORT = re.compile(r"^(?:from|import) (behavexplor[.\w]*)(?: import (?:\(([^)]
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on plain arrays; the machine code is cached beside its source file.
+    """Compile a function on plain arrays. The machine code is cached beside its source file.
 
-    Neither `fastmath` nor parallel loops: results must not depend on the machine.
+    Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
     return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def kernel_in_place(function: Function) -> Function:
-    """Compile a function on plain arrays, as `kernel` does, that makes no array and returns none.
+    """Compile a function that neither creates nor returns an array; otherwise as `kernel`.
 
-    It counts no references to arrays. For small functions that take tuples of many arrays the counting took more than
-    half of their time. Numba refuses to compile one that makes an array; that none returns one, a test looks after.
+    The compiled function does not count references to arrays. For small functions that take tuples of many arrays, the
+    counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
+    checks that none of these functions returns one.
     """
     compiled = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # type: ignore[call-overload]
     return cast("Function", compiled)
 
 
 class _Notice(event.Listener):
-    """Says, once in a process, that kernels of this package are being compiled.
+    """Reports, once in each process, that kernels of this package are being compiled.
 
-    As a warning: nobody configures logging for a first look, and would else wait for seconds before a silent screen.
+    The report is a log message of level WARNING, so that it shows without any logging configuration.
     """
 
     def __init__(self) -> None:
         self._is_said = False
 
     def on_start(self, event: event.Event) -> None:
-        """A function is about to be compiled; what was kept on disk is not."""
+        """Report that a function is about to be compiled. Numba does not call this for cached functions."""
         module = event.data["dispatcher"].py_func.__module__
         if self._is_said or not module.startswith(__package__):
             return
         self._is_said = True
         logging.getLogger(__name__).warning(
-            "Compiling to machine code; this takes some seconds, and is kept for the next time ..."
+            "Compiling to machine code; this takes some seconds, and the result is cached for next time ..."
         )
 
     def on_end(self, event: event.Event) -> None:
-        """It has been compiled."""
+        """Do nothing; numba requires this method."""
 
 
 event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 
 def keep_no_code() -> None:
-    """Go on without the right to write: code that was kept is used, what is compiled from now on is not kept.
+    """Let numba work without the right to write: it uses cached code, but caches nothing from now on.
 
-    Numba would refuse to work with a folder that it cannot write to.
+    By default, numba raises an error if it cannot write to the cache folder.
     """
 
     @contextmanager
@@ -79,9 +80,9 @@ def keep_no_code() -> None:
 
 
 def drop_stale_code(package: Path = _PACKAGE) -> None:
-    """Delete the cached machine code of modules of which a source changed, directly or by what they import.
+    """Delete the cached machine code of modules whose source, or the source of a module that they import, has changed.
 
-    Numba itself notices a change in a kernel's own file only, not in the kernels and constants that it uses.
+    Numba itself only notices changes in a kernel's own file, not in the kernels and constants that the kernel uses.
     """
     digests = {str(path.relative_to(package)): _digest(path, package) for path in _modules_with_kernels(package)}
     stamp = package / "__pycache__" / "kernels.json"
@@ -94,7 +95,7 @@ def drop_stale_code(package: Path = _PACKAGE) -> None:
             if known.get(name) != digest:
                 _drop(package / name)
         stamp.write_text(json.dumps(digests))
-    except OSError:  # a read-only installation, which nobody edits
+    except OSError:  # a read-only installation, whose sources do not change
         return
 
 
@@ -105,12 +106,12 @@ def _modules_with_kernels(package: Path) -> list[Path]:
 def _read(stamp: Path) -> dict[str, str]:
     try:
         return dict(json.loads(stamp.read_text()))
-    except (FileNotFoundError, ValueError, TypeError):  # the first import, or a file cut short
+    except (FileNotFoundError, ValueError, TypeError):  # the first import, or a truncated file
         return {}
 
 
 def _digest(path: Path, package: Path) -> str:
-    """Of the sources of a module and of all modules of the package that it imports, and so on."""
+    """Return the digest of the sources of a module and of all modules of the package that it imports, recursively."""
     reached = {path}
     waiting = [path]
     while waiting:

@@ -1,1 +1,1 @@
-"""How fast everything is, as ratios to plain highway-env."""
+"""Benchmarks of speed, as ratios to plain highway-env."""

@@ -1,7 +1,7 @@
-"""Measures speed and prints tables: `python -m benchmarks [execution] [workers] [analysis] [startup]`.
+"""Measure speed and print tables: `python -m benchmarks [execution] [workers] [analysis] [startup]`.
 
-Everything is measured in one run on one machine, beside plain highway-env. Compare the ratios, not the milliseconds:
-machines differ, and are not always alone. CPU times are of one process; wall times are said to be such.
+All parts, and plain highway-env, are measured in one run on one machine. Compare the ratios, not the milliseconds,
+because machines differ and may be busy. Times are CPU times of one process, unless they are labeled as wall times.
 """
 
 import argparse
@@ -23,7 +23,7 @@ FIRST = "intersection-straight"
 
 
 def execution(count: int) -> list[Row]:
-    """Our drivers beside plain highway-env, and how many times as fast they are as its objects."""
+    """Speed of the drivers in comparison with plain highway-env."""
     with tempfile.TemporaryDirectory() as folder:
         stock = stock_rows(FIRST, max(count // 64, 4))
         rows = stock + lock_step_rows(FIRST, main_systems(FIRST, Path(folder)), count)
@@ -42,7 +42,7 @@ def workers(count: int) -> list[Row]:
 
 
 def arithmetic_rows() -> list[Row]:
-    """What a loop of plain arithmetic gains from a second process."""
+    """Return rows on how much a loop of plain arithmetic gains from a second process."""
     from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415 - only here
 
     rows = []
@@ -61,13 +61,13 @@ def _add_up(count: int) -> int:
 
 
 def analysis(count: int) -> list[Row]:
-    """What everything but execution costs as a campaign grows."""
+    """Cost of everything but execution as a campaign grows."""
     sizes = tuple(size for size in (100, 1000, 2000, 5000, 10_000) if size <= 20 * count)
     return analysis_rows(FIRST, "behavexplor", sizes)
 
 
 def startup(count: int) -> list[Row]:
-    """How long a user waits."""
+    """Waiting times of a user."""
     return startup_rows(750 if count >= 256 else 50)
 
 
@@ -80,10 +80,10 @@ PARTS: dict[str, Callable[[int], list[Row]]] = {
 
 
 def main() -> None:
-    """Measure, print, and write what was measured."""
+    """Measure, print the tables, and write the rows to a file if requested."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="all of them if none is named")
-    parser.add_argument("--scenarios", type=int, default=512, help="in each row")
+    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], help="parts to measure (default: all)")
+    parser.add_argument("--scenarios", type=int, default=512, help="number of scenarios for each row")
     parser.add_argument("--json", type=Path, help="file to write the rows to")
     arguments = parser.parse_args()
     measured = {}
@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def table(rows: list[Row]) -> str:
-    """Rows as a Markdown table."""
+    """Return rows as a Markdown table."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     lines = [names, ["---"] * len(names), *([_shown(row.get(name, "")) for name in names] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

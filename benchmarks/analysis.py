@@ -1,4 +1,4 @@
-"""What everything but execution costs as a campaign grows: search, judging and novelty, and memory."""
+"""Cost of everything but execution as a campaign grows: time for search, judging and novelty, and memory."""
 
 import resource
 import time
@@ -15,14 +15,19 @@ from behavexplor.judge.specs import SPECS, judge
 
 Row = dict[str, Any]
 
-POOL = 1000  # traces that are told again and again: the search is not steered, but has as much to do
+POOL = 1000  # number of traces, which are told repeatedly: they do not guide the search, but cost as much time
 
 
 def analysis_rows(env: str, method: str, sizes: tuple[int, ...]) -> list[Row]:
-    """CPU milliseconds for each execution around some numbers of executions, and the process's memory there.
+    """Return the CPU time per execution [ms] and the memory of the process [MiB] at several numbers of executions.
 
-    The traces are real, of scenarios drawn uniformly and driven by the rule planner. A campaign that finds behavior
-    new as often as on its first day has the most to do: here every trace counts as new as it was once.
+    The traces are real: the rule planner drives uniformly drawn scenarios. They are told repeatedly, so that the rate
+    of new behavior does not fall. This is the most expensive case for a campaign.
+
+    Args:
+        env: environment.
+        method: search method.
+        sizes: numbers of executions at which a row is made.
     """
     simulation = Simulation(env, "rule:hardened")
     generator = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""How fast scenarios are executed, beside plain highway-env on the same scenarios in the same run."""
+"""Speed of execution, in comparison with plain highway-env on the same scenarios in the same run."""
 
 import tempfile
 import time
@@ -22,7 +22,7 @@ BATCHES = (1, 8, 32, 256)
 
 
 class Cruiser:
-    """A trivial driver in Python: 10 m/s, whatever stands in its way."""
+    """A trivial driver in Python, which keeps a speed of 10 m/s and ignores traffic."""
 
     observation = {"type": "Scene"}  # noqa: RUF012 - the plainest way to write an ADS
     action = {"type": "ContinuousAction", "acceleration_range": [-8.0, 4.0], "steering_range": [-0.6, 0.6]}  # noqa: RUF012
@@ -35,27 +35,27 @@ class Cruiser:
 
 
 def cpu(run: Callable[[], Any]) -> float:
-    """CPU seconds of this process for a call."""
+    """Return the CPU time of this process for a call [s]."""
     start = time.process_time()
     run()
     return time.process_time() - start
 
 
 def scenarios_of(simulation: Simulation, count: int) -> list[Scenario]:
-    """Scenarios drawn uniformly, the same in every run."""
+    """Return uniformly drawn scenarios, the same in every run."""
     generator = np.random.default_rng(0)
     return [simulation.logical.sample(generator) for _ in range(count)]
 
 
 def untrained_policy(env: str, folder: Path) -> Path:
-    """A PPO model with Stable-Baselines3's default network for an environment's own observations."""
+    """Save a PPO model with Stable-Baselines3's default network for an environment's observations. Return its path."""
     model = PPO("MlpPolicy", gymnasium.make(environment_id(env), disable_env_checker=True), device="cpu", seed=0)
     model.save(folder / "untrained.zip")
     return folder / "untrained.zip"
 
 
 def stock_rows(env: str, count: int) -> list[Row]:
-    """Plain highway-env, for as long as the rule planner takes in the same scenarios."""
+    """Return rows for plain highway-env. Each scenario runs for as long as the rule planner takes in it."""
     simulation = Simulation(env, "rule")
     scenarios = scenarios_of(simulation, count)
     seconds = [trace.duration for _, trace in sorted(simulation.run_all(scenarios))]
@@ -77,7 +77,7 @@ def stock_rows(env: str, count: int) -> list[Row]:
 
 
 def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Iterable[int] = BATCHES) -> list[Row]:
-    """This package in one process, by driver and by how many scenarios run in lock-step."""
+    """Return rows for this package in one process, by driver and by number of scenarios in lock-step."""
     rows = []
     for name in systems:
         simulation = Simulation(env, name)
@@ -93,7 +93,7 @@ def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Iterab
 
 
 def worker_rows(env: str, ads: str, count: int, workers: Sequence[int]) -> list[Row]:
-    """Wall time with worker processes, and what two of them gain in plain arithmetic."""
+    """Return rows with wall times for several numbers of worker processes."""
     simulation = begin(env, ads)
     requests = [scenario.to_json().encode() for scenario in scenarios_of(simulation, count)]
     rows = []
@@ -122,7 +122,7 @@ def _row(env: str, ads: str, batch: int, workers: int, count: int, used: float, 
 
 
 def main_systems(env: str, folder: Path) -> list[str]:
-    """The drivers that are measured."""
+    """Return the names of the measured drivers."""
     torch.set_num_threads(1)
     shipped = f"learned:{env}"
     return ["constant", "benchmarks.execution:Cruiser", shipped, str(untrained_policy(env, folder)), "idm", "rule"]

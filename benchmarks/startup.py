@@ -1,4 +1,4 @@
-"""How long a user waits: for help, for the first execution, and for a whole campaign, with and without machine code."""
+"""Waiting times of a user: for help, for the first execution with and without cached kernels, and for a campaign."""
 
 import os
 import subprocess
@@ -12,10 +12,10 @@ Row = dict[str, Any]
 
 
 def startup_rows(budget: int) -> list[Row]:
-    """Wall seconds of commands from the shell.
+    """Return the wall times of shell commands [s].
 
     Args:
-        budget: executions of the campaign.
+        budget: number of executions of the campaign.
     """
     with tempfile.TemporaryDirectory() as folder:
         cold = {"NUMBA_CACHE_DIR": str(Path(folder, "machine-code"))}

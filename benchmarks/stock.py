@@ -1,7 +1,8 @@
-"""Plain highway-env on the same scenarios: what our figures are compared with.
+"""Plain highway-env on the same scenarios, as the reference for benchmarks.
 
-The road is ours, of highway-env's own lanes and network; the NPCs are highway-env's `IDMVehicle` with the routes and
-first speeds of the scenario, the ego is its `Vehicle` at a constant speed. Nothing of our engine is used.
+The road is the scenario's, built from highway-env's own lanes and network. The NPCs are highway-env's `IDMVehicle` with
+the routes and first speeds of the scenario. The ego is its `Vehicle` at a constant speed. This package's simulation
+engine is not used.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ FREQUENCY, DECISIONS = 20, 10  # [Hz]
 
 
 def stock_road(scenario: Scenario, roadmap: RoadMap) -> tuple[Road, Vehicle]:
-    """A scenario as highway-env's objects, and the ego among them."""
+    """Return a scenario as a road with highway-env's objects, and the ego."""
     ours = road_network(roadmap)
     network = RoadNetwork()
     network.graph = ours.graph
@@ -40,7 +41,7 @@ def stock_road(scenario: Scenario, roadmap: RoadMap) -> tuple[Road, Vehicle]:
 
 
 def drive_objects(scenario: Scenario, roadmap: RoadMap, seconds: float, policy: Any = None) -> None:
-    """Simulate a scenario for a time [s], without any observation; a policy is shown zeros ten times a second."""
+    """Simulate a scenario for a time [s] without observations. A policy is called with zeros ten times a second."""
     road, ego = stock_road(scenario, roadmap)
     for step in range(round(seconds * FREQUENCY)):
         if policy is not None and step % (FREQUENCY // DECISIONS) == 0:
@@ -51,14 +52,14 @@ def drive_objects(scenario: Scenario, roadmap: RoadMap, seconds: float, policy: 
 
 
 class StockEnv(AbstractEnv):  # type: ignore[misc]
-    """The same as a gymnasium environment with highway-env's own Kinematics observation."""
+    """The same scenarios as a gymnasium environment with highway-env's Kinematics observation."""
 
     scenario: Scenario
     roadmap: RoadMap
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
-        """highway-env's own, at our frequencies."""
+        """Return highway-env's default configuration with this package's frequencies."""
         own = {"simulation_frequency": FREQUENCY, "policy_frequency": DECISIONS}
         return {**super().default_config(), "action": {"type": "ContinuousAction"}, **own}
 

@@ -1,11 +1,11 @@
-"""How fast Stable-Baselines3's PPO trains on the vector environments, beside plain highway-env in the same run.
+"""Speed of training with Stable-Baselines3's PPO, in comparison with plain highway-env in the same run.
 
     python benchmarks/training.py [--steps 50000] [--envs 64] [--stock-steps 2048]
 
-Prints steps for each CPU second, collecting and learning together, and how many times faster that is than
-highway-env's own `intersection-v1`, both with PPO's default policy, batch size and epochs, and one thread. Compare the
-ratios, not the steps: machines differ, and are not always alone. The last columns are the mean return of the first
-and of the last fifth of the episodes.
+The script prints the steps per CPU second, including collecting and learning, and the ratio to highway-env's own
+`intersection-v1`. Both use PPO's default policy, batch size and epochs, and one thread. Compare the ratios, not the
+steps, because machines differ and may be busy. The last columns are the mean return of the first and of the last fifth
+of the episodes.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 import behavexplor
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 
-ROLLOUT = 8192  # steps of all environments together between two updates, with many environments
+ROLLOUT = 8192  # total steps of all environments between two updates
 
 
 class Returns(BaseCallback):
@@ -37,24 +37,24 @@ class Returns(BaseCallback):
         return True
 
     def fifths(self) -> tuple[float, float]:
-        """Mean of the first fifth of the episodes and of the last."""
+        """Return the mean returns of the first and of the last fifth of the episodes."""
         count = max(len(self.values) // 5, 1)
         return float(np.mean(self.values[:count])), float(np.mean(self.values[-count:]))
 
 
 def stock() -> VecEnv:
-    """highway-env's own intersection with continuous actions."""
+    """Return highway-env's own intersection with continuous actions."""
     return DummyVecEnv([lambda: gymnasium.make("intersection-v1", disable_env_checker=True)])
 
 
 def ours(name: str, count: int) -> VecEnv:
-    """One of our scenarios, many times in lock-step."""
+    """Return one of this package's scenarios with many environments in lock-step."""
     settings = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "SameStep"}
     return DrivingVecEnv(gymnasium.make_vec(f"{behavexplor.NAMESPACE}/{name}-v0", num_envs=count, **settings))
 
 
 def train(env: VecEnv, steps: int) -> tuple[float, Returns]:
-    """Steps for each CPU second of training, and what was earned."""
+    """Return the training steps per CPU second, and the returns of the episodes."""
     returns = Returns()
     n_steps = max(min(ROLLOUT, steps) // env.num_envs, 1)
     model = PPO("MlpPolicy", VecMonitor(env), n_steps=n_steps, seed=0, device="cpu")
@@ -66,14 +66,14 @@ def train(env: VecEnv, steps: int) -> tuple[float, Returns]:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=50_000)
     parser.add_argument("--envs", type=int, default=64)
     parser.add_argument("--stock-steps", type=int, default=2048)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    train(ours("lane-follow", arguments.envs), arguments.envs)  # compiles, where nothing is kept yet
+    train(ours("lane-follow", arguments.envs), arguments.envs)  # compiles the kernels, unless they are cached
     print(f"{'':32}{'steps per CPU second':>22}{'times faster':>14}{'return: first':>15}{'last':>9}")
     reference, returns = train(stock(), arguments.stock_steps)
     print(row("highway-env's intersection-v1", reference, reference, returns), flush=True)
@@ -83,7 +83,7 @@ def main() -> None:
 
 
 def row(name: str, rate: float, reference: float, returns: Returns) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     first, last = returns.fifths()
     return f"{name:32}{rate:22.0f}{rate / reference:14.1f}{first:15.2f}{last:9.2f}"
 

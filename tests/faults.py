@@ -50,7 +50,7 @@ FAULTS = (
     Fault("aborts, as a failed assertion in C does", "Aborting", "crash", "SIGABRT"),
     Fault("is killed, as by the system when memory is short", "Killed", "crash", "SIGKILL"),
     Fault("eats memory", "Eating", "memory", "out of memory"),
-    Fault("recurses for ever", "Recursing", "raised", "RecursionError"),
+    Fault("recurses without end", "Recursing", "raised", "RecursionError"),
     Fault("closes all its files, also those that are ours", "ClosingAll", "crash", "it closed the files"),
     Fault("closes all its files and hangs", "Vanishing", "hang", "no answer within"),
     Fault("writes to a file", "Writing", "raised", "PermissionError"),

@@ -74,7 +74,7 @@ def test_a_policys_file_is_fuzzed_from_the_command_line(trained, tmp_path, capsy
     flags = ["--env", "lane-follow", "--ads", policy, "--budget", "2", "--workers", "0", "--out", str(run)]
     assert main(["fuzz", *flags]) == OK
     assert main(["replay", str(run), "0"]) == OK
-    assert "Running it again gave the same trace" in capsys.readouterr().out
+    assert "running it again gave the same trace" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -117,13 +117,13 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
 def test_a_policy_of_another_environment_is_told_which(tmp_path):
     with gymnasium.make("behavexplor/lane-change-v0") as env:
         make_model("PPO", env.observation_space, env.action_space).save(tmp_path / "model")
-    with pytest.raises(InputError, match=r"It fits lane-change and lane-follow as it is: was --env forgotten\?"):
+    with pytest.raises(InputError, match=r"It fits lane-change and lane-follow as it is: is --env missing\?"):
         Simulation("intersection-straight", str(tmp_path / "model.zip"))
 
 
 def test_trust_in_something_that_is_no_digest_is_refused(capsys):
     assert main(["fuzz", "--trust", "yes"]) == BAD_INPUT
-    assert "must be sha256: and 64 hexadecimal digits" in capsys.readouterr().err
+    assert "must be sha256: and the 64 hexadecimal digits" in capsys.readouterr().err
 
 
 def test_a_policy_drives_alike_to_the_last_bit_in_any_company(tmp_path):

@@ -106,7 +106,7 @@ def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, m
     assert card["trained_by"].endswith("train --env lane-follow --algo ppo --steps 2000 --seed 0 --envs 3")
     assert card["evaluation"]["scenarios"] == 5
     assert main(["train", *flags, "--out", str(folder)]) == BAD_INPUT
-    assert "is not empty: go on with --resume" in capsys.readouterr().err
+    assert "is not empty: resume with --resume" in capsys.readouterr().err
     assert main(["train", "--resume", str(folder), "--quiet"]) == OK  # there is nothing left to learn
     assert yaml.safe_load((folder / "policy.yaml").read_text()) == card
 
@@ -116,7 +116,7 @@ def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, m
     [
         (["--env", "lane-folow"], "did you mean 'lane-follow'"),
         (["--algo", "sac"], "Unknown algorithm 'sac'"),
-        (["--resume", "nowhere"], "no folder of a training"),
+        (["--resume", "nowhere"], "is not a training folder"),
     ],
 )
 def test_wrong_flags_are_refused_and_leave_nothing(flags, message, tmp_path, capsys, monkeypatch):

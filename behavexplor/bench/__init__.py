@@ -1,1 +1,1 @@
-"""Experiments: search methods compared over environments, driving systems and seeds, and the tables that come of it."""
+"""Experiments: comparisons of search methods over environments, driving systems and seeds, with tables of results."""

@@ -20,18 +20,18 @@ from behavexplor.errors import InputError
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.service import Recipe, Service
 
-RUN: Final = "run"  # function of the service
+RUN: Final = "run"  # name of the service's function
 _PRELOAD: Final = ("behavexplor.bench.campaign_service", "behavexplor.envs.driving", "sklearn.cluster")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a campaign.
+    """Outcome of a campaign.
 
     Attributes:
-        finished: whether nothing is left to do.
-        failure: why the campaign failed, as a sentence; None if it did not.
-        warnings: what is wrong with the ADS, a sentence each.
+        finished: whether the campaign is complete.
+        failure: sentence on why the campaign failed; None if it did not.
+        warnings: warnings about the ADS, each of them a sentence.
     """
 
     finished: bool
@@ -40,7 +40,7 @@ class Outcome:
 
 
 class CampaignService(Service):
-    """Runs campaigns to their ends, one for each call, and stops them when it is told to."""
+    """Runs one whole campaign for each call, and stops it on request."""
 
     def __init__(self) -> None:
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
@@ -51,19 +51,20 @@ class CampaignService(Service):
         self._stopping = False
 
     def stop(self) -> None:
-        """End the campaign after the execution that is being told, also if it has not begun yet."""
+        """End the campaign after the current execution, or before the first one if it has not begun."""
         self._stopping = True
         if self._campaign is not None:
             self._campaign.stop()
 
     def run(self, request: bytes) -> bytes:
-        """Run a campaign, or go on with it.
+        """Run or resume a campaign.
 
         Args:
-            request: what `campaign_request` gives.
+            request: request made by `campaign_request`.
 
         Returns:
-            An `Outcome` as JSON, and the packed run folder behind a newline if the request had none of this machine.
+            An `Outcome` as JSON and a newline, followed by the packed run folder if the request has no folder on this
+            machine.
         """
         head, _, packed = request.partition(b"\n")
         values = json.loads(head)
@@ -77,10 +78,10 @@ class CampaignService(Service):
             return _to_json(outcome) + b"\n" + pack(folder)
 
     def run_in(self, config: CampaignConfig, folder: Path, workers: int) -> Outcome:
-        """Run a campaign in a run folder, or go on with it.
+        """Run or resume a campaign in a run folder.
 
         Args:
-            config: the campaign.
+            config: configuration of the campaign.
             folder: the run folder.
             workers: number of processes that execute its scenarios; 0 is this process.
         """
@@ -107,7 +108,7 @@ class CampaignService(Service):
 
 
 def campaign_recipe() -> Recipe:
-    """Return how worker processes make the service. Each process runs a single campaign."""
+    """Return the recipe by which worker processes make the service. Each process runs a single campaign."""
     name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
     return Recipe(name, preload=_PRELOAD, long_calls=True)
 
@@ -116,11 +117,11 @@ def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remo
     """Return the request for `CampaignService.run`.
 
     Args:
-        config: the campaign.
+        config: configuration of the campaign.
         folder: its run folder on this machine.
         workers: number of processes that execute its scenarios; 0 is the campaign's own process.
-        remote: whether the campaign runs on a machine that may not see this folder. What the folder holds is sent along
-            then.
+        remote: whether the campaign may run on a machine without access to this folder. The contents of the folder are
+            then part of the request.
     """
     place = None if remote else str(folder.resolve())
     head = {"config": {**asdict(config)}, "folder": place, "workers": workers}
@@ -128,7 +129,7 @@ def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remo
 
 
 def take_outcome(answer: bytes, folder: Path) -> Outcome:
-    """Return the outcome in an answer, and replace the run folder by the packed one if the answer has one."""
+    """Return the outcome in an answer. If the answer has a packed run folder, write its files to the run folder."""
     head, _, packed = answer.partition(b"\n")
     if packed:
         unpack(packed, folder)
@@ -148,7 +149,7 @@ def pack(folder: Path) -> bytes:
 
 
 def unpack(packed: bytes, folder: Path) -> None:
-    """Write the files of a packed run folder, each of them whole or not at all."""
+    """Write the files of a packed run folder, each file atomically."""
     if not packed:
         return
     folder.parent.mkdir(parents=True, exist_ok=True)

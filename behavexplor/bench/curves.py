@@ -1,4 +1,4 @@
-"""Discovery curves: how many failures, and how many classes of them, a campaign has found by when."""
+"""Discovery curves: number of failures, and of their classes, over the number of executions."""
 
 import csv
 import io
@@ -11,7 +11,7 @@ from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate, estimate
 from behavexplor.bench.summaries import Summary, all_classified, all_signed
 
-POINTS: Final = 50  # of a curve
+POINTS: Final = 50  # approximate number of points of a curve
 FAILURES, UNIQUE, WEAKNESSES = "failures", "unique violations", "weaknesses of the planner"
 
 _COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
@@ -19,15 +19,15 @@ _COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", 
 
 @dataclass(frozen=True)
 class Curve:
-    """The mean over campaigns of what was found by a number of executions.
+    """The mean over campaigns of a count of findings, by number of executions.
 
     Attributes:
-        figure: "failures", "unique violations" or "weaknesses of the planner".
+        figure: counted findings: "failures", "unique violations" or "weaknesses of the planner".
         env: environment.
-        ads: system under test.
-        method: its name in the experiment.
-        executions: numbers of executions, rising to the budget.
-        found: for each of them.
+        ads: driving system under test.
+        method: name of the search method in the experiment.
+        executions: numbers of executions, increasing up to the budget.
+        found: estimates of the count, one for each number of executions.
     """
 
     figure: str
@@ -39,7 +39,11 @@ class Curve:
 
 
 def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
-    """All curves of an experiment; those of classes and weaknesses only if all failures have one."""
+    """Return all curves of an experiment.
+
+    Curves of unique violations are left out unless every failure has a class, and curves of weaknesses unless every
+    failure has a signature.
+    """
     figures: list[tuple[str, Callable[[Summary, int], int]]] = [(FAILURES, _failed_by)]
     if all_classified(summaries):
         figures.append((UNIQUE, lambda summary, count: len(summary.kinds(before=count))))
@@ -61,7 +65,7 @@ def _failed_by(summary: Summary, count: int) -> int:
 
 
 def curves_csv(found: Sequence[Curve]) -> str:
-    """Every point of every curve, a row each."""
+    """Return the curves as CSV, with a row for each point."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_COLUMNS)
@@ -75,9 +79,9 @@ def curves_csv(found: Sequence[Curve]) -> str:
 
 
 def curves_svg(found: Sequence[Curve]) -> str | None:
-    """The curves as a figure, a panel for each environment and ADS; None without matplotlib."""
+    """Return the curves as an SVG figure with a panel for each environment and ADS; None without matplotlib."""
     try:
-        import matplotlib as mpl  # noqa: PLC0415 - heavy, and a figure is worth having only where it is
+        import matplotlib as mpl  # noqa: PLC0415 - heavy and optional
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ModuleNotFoundError:
         return None
@@ -102,7 +106,7 @@ def curves_svg(found: Sequence[Curve]) -> str | None:
 
 
 def _draw(panel: Any, curve: Curve) -> None:
-    """One curve with its interval."""
+    """Draw a curve with its confidence interval."""
     means = [point.mean for point in curve.found]
     (line,) = panel.plot(curve.executions, means, label=curve.method)
     low, high = ([getattr(point, end) for point in curve.found] for end in ("low", "high"))

@@ -13,9 +13,9 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, unknown_name
 
-EXPERIMENT: Final = "experiment.yaml"  # in an experiment's folder
+EXPERIMENT: Final = "experiment.yaml"  # file in an experiment's folder
 MOST_RUNS: Final = 100_000
-_FROM_CONFIG: Final = ("method", "options")  # all that an experiment takes from a campaign's file
+_FROM_CONFIG: Final = ("method", "options")  # keys that an experiment accepts in a campaign's configuration
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class MethodChoice:
     """A search method of an experiment.
 
     Attributes:
-        method: its name, as a campaign's `method`.
-        options: of it.
+        method: name of the method, as in a campaign's `method`.
+        options: options of the method.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -35,7 +35,11 @@ class MethodChoice:
 
 @dataclass(frozen=True)
 class _MethodEntry(MethodChoice):
-    """The same as it stands in a file, where a campaign's file or preset may be named instead."""
+    """A search method in an experiment's file, which may name a campaign's configuration file or preset instead.
+
+    Attributes:
+        config: configuration file or preset; None if the entry itself gives the method and its options.
+    """
 
     config: str | None = None
 
@@ -45,24 +49,25 @@ class Experiment:
     """Every search method in every environment with every ADS, once with each seed.
 
     Attributes:
-        name: of the experiment, and of its folder.
-        methods: search methods by the name that the tables call them.
-        envs: environments, as a campaign's `env`.
-        ads: systems under test, as a campaign's `ads`.
-        seeds: how many times each is repeated; the seeds are `first_seed`, `first_seed` + 1, ... for all alike.
+        name: name of the experiment and of its folder.
+        methods: search methods by their names in the tables.
+        envs: environments, as in a campaign's `env`.
+        ads: driving systems under test, as in a campaign's `ads`.
+        seeds: number of repetitions. Their seeds are `first_seed`, `first_seed` + 1, ..., the same for all campaigns.
         first_seed: seed of the first repetition.
-        budget: executions of each campaign; a time is none, for results would depend on the machine.
-        batch: as a campaign's `batch`.
-        workers: processes that execute the scenarios of one campaign; 0 is the campaign's own, without limits of
-            time and memory.
-        trust: as a campaign's `trust`.
-        specs: requirements of the user, as a campaign's `specs`.
-        reference: the method that is compared with each other one; the first by default.
-        baseline: the method that each other one is compared with, if any.
-        groups: tables of some methods only, by name, beside the one of all.
+        budget: number of executions of each campaign. A running time is not allowed, because results would depend on
+            the machine.
+        batch: number of candidates in flight, as in a campaign's `batch`.
+        workers: number of processes that execute the scenarios of one campaign. 0 is the campaign's own process,
+            without limits of time and memory.
+        trust: digests of trusted policy files, as in a campaign's `trust`.
+        specs: user-defined requirements, as in a campaign's `specs`.
+        reference: method that is compared with each other method; by default the first one.
+        baseline: method that each other method is compared with; empty for none.
+        groups: names of additional tables, each with the methods that it shows.
 
     Raises:
-        InputError: if a value is out of range, or a name is not that of a method.
+        InputError: if a value is out of range, or if a named method is not in the experiment.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -101,16 +106,16 @@ class Experiment:
                 raise unknown_name("method of the experiment", name, self.methods)
         count = len(self.envs) * len(self.ads) * len(self.methods) * self.seeds
         if count > MOST_RUNS:
-            raise InputError(f"The experiment has {count} campaigns: more than {MOST_RUNS} are surely a mistake")
+            raise InputError(f"The experiment has {count} campaigns: at most {MOST_RUNS} are allowed")
         self.runs()
 
     @property
     def compared(self) -> str:
-        """The name of the reference."""
+        """Name of the reference method."""
         return self.reference or next(iter(self.methods))
 
     def runs(self) -> list["PlannedRun"]:
-        """All campaigns: seed by seed, so that whatever part of them has run is balanced."""
+        """Return all campaigns seed by seed, so that an unfinished experiment is balanced."""
         campaigns = [
             (env, ads, method, self._campaign(env, ads, choice))
             for env in self.envs
@@ -124,14 +129,14 @@ class Experiment:
         ]
 
     def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
-        """All campaigns of a method in one place but for their seeds."""
+        """Return the configuration of a method's campaigns in one environment with one ADS, with the default seed."""
         values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
         return campaign_config(
             {**values, "budget": self.budget, "batch": self.batch, "trust": self.trust, "specs": self.specs}
         )
 
     def to_yaml(self) -> str:
-        """The whole experiment, its methods with their options."""
+        """Return the whole experiment as YAML, with the options of its methods."""
         values = asdict(self)
         values |= {key: list(values[key]) for key in ("envs", "ads", "trust", "specs")}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}
@@ -144,10 +149,10 @@ class PlannedRun:
 
     Attributes:
         env: environment.
-        ads: system under test.
+        ads: driving system under test.
         method: name of the method in the experiment.
-        seed: of the campaign.
-        config: the campaign.
+        seed: seed of the campaign.
+        config: configuration of the campaign.
     """
 
     env: str
@@ -158,41 +163,41 @@ class PlannedRun:
 
     @property
     def folder(self) -> Path:
-        """Its run folder, below the experiment's."""
+        """Path of the run folder, relative to the experiment's folder."""
         return Path("runs", slug(self.env), slug(self.ads), slug(self.method), str(self.seed))
 
     def __str__(self) -> str:
-        """What the cell is, for people."""
+        """Return a description of the campaign for messages."""
         return f"{self.method} on {self.env} with {self.ads}, seed {self.seed}"
 
 
 def slug(name: str) -> str:
-    """A name as that of a folder."""
+    """Return a name as a folder name."""
     return re.sub(r"[^\w.+~-]+", "-", name).strip(".-") or "-"
 
 
 def read_experiment(name: str) -> Experiment:
-    """The experiment in a file.
+    """Read an experiment from a file.
 
     Args:
-        name: path of a YAML file, or the name of one in `configs/experiments/`, such as "quick".
+        name: path of a YAML file, or name of a file in `configs/experiments/`, such as "quick".
 
     Raises:
-        InputError: if there is no such file, or anything in it is wrong.
+        InputError: if there is no such file, or if it holds no valid experiment.
     """
     path, shipped = Path(name), preset_folder() / "experiments"
     if not path.is_file() and "/" not in name and (shipped / f"{name}.yaml").is_file():
         path = shipped / f"{name}.yaml"
     if not path.is_file():
-        raise unknown_name("experiment (neither a file nor one that is shipped)", name, _stems(shipped))
+        raise unknown_name("experiment (neither a file nor a shipped experiment)", name, _stems(shipped))
     return experiment_config({"name": path.stem, **read_yaml(path)})
 
 
 def experiment_config(values: Mapping[str, Any]) -> Experiment:
-    """An experiment from plain values.
+    """Return an experiment from plain values.
 
     Raises:
-        InputError: naming the first value that is unknown, of a wrong type or out of range.
+        InputError: if a value is unknown, of a wrong type or out of range; the message names the first such value.
     """
     methods = values.get("methods")
     if not isinstance(methods, Mapping) or not methods:
@@ -202,19 +207,19 @@ def experiment_config(values: Mapping[str, Any]) -> Experiment:
 
 
 def _choice(name: str, entry: Any) -> MethodChoice:
-    """A method as its file names it, or as the campaign's file does that it names."""
+    """Return a method from its entry in the experiment, or from the campaign's configuration that the entry names."""
     what = f"method {name!r} of the experiment"
     if not isinstance(entry, Mapping) or not entry:
-        raise InputError(f"The {what} must say `method: NAME`, or `config: PRESET`")
+        raise InputError(f"The {what} must have the key `method: NAME` or `config: PRESET`")
     read = checked(_MethodEntry, entry, what)
     if read.config is None:
         return MethodChoice(read.method, read.options)
     if len(entry) > 1:
-        raise InputError(f"The {what} has a config: give method and options there, or else no config")
+        raise InputError(f"The {what} has a config: give either the config alone, or method and options without it")
     values = read_config(read.config)
     foreign = [key for key in values if key not in _FROM_CONFIG]
     if foreign:
-        raise InputError(f"The {what} has a config that sets {foreign[0]!r}: the experiment itself says that")
+        raise InputError(f"The {what} has a config that sets {foreign[0]!r}: set that for the whole experiment instead")
     return checked(MethodChoice, values, f"config {read.config!r} of the {what}")
 
 
@@ -224,12 +229,12 @@ def _check_distinct(key: str, values: Sequence[str]) -> None:
     slugs = [slug(value) for value in values]
     for i in range(len(slugs)):
         if slugs[i] in slugs[:i]:
-            raise InputError(f"{key} of the experiment: {values[i]!r} would have the folder of another: change a name")
+            raise InputError(f"{key} of the experiment: {values[i]!r} and another entry share a folder: change a name")
 
 
 def _check_name(what: str, name: str) -> None:
     if not re.fullmatch(r"[\w.+-]{1,100}", name) or name.startswith("."):
-        raise InputError(f"The {what}, {name!r}, must be letters, digits, '-', '_', '+' or '.': files are called so")
+        raise InputError(f"The {what}, {name!r}, must consist of letters, digits, '-', '_', '+' or '.', as a file name")
 
 
 def _stems(folder: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""How long an experiment will take, as far as can be told before."""
+"""Estimates of the running time of an experiment."""
 
 import time
 from collections.abc import Sequence
@@ -12,15 +12,20 @@ from behavexplor.bench.runs import run_state
 from behavexplor.bench.timing import read_timing
 from behavexplor.execution.simulation import Simulation
 
-TRIAL: Final = 10  # executions that are timed
-_WARMING: Final = 2  # executions before, in which what is compiled is compiled
+TRIAL: Final = 10  # number of timed executions
+_WARMING: Final = 2  # number of executions before them, which compile kernels
 
 
 def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
-    """Return the time that the unfinished runs will take [s].
+    """Return the estimated time for the unfinished runs [s].
 
-    What a method needs for its own thinking counts where a campaign of it has been measured already; else it is a
-    few executions, timed here and now, that are taken for all.
+    The estimate uses the measured time per execution of finished campaigns with the same environment, ADS and method.
+    Without such a campaign, a few executions are timed now, and the time of the search method itself is left out.
+
+    Args:
+        experiment: the experiment.
+        root: the experiment's folder.
+        jobs: number of campaigns at a time.
 
     Raises:
         InputError: if an ADS or an environment cannot be used.
@@ -40,7 +45,7 @@ def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
 
 
 def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], float]:
-    """Seconds an execution by environment, ADS and method, where any was measured."""
+    """Return the mean measured time per execution by environment, ADS and method [s]."""
     found: dict[tuple[str, ...], list[float]] = {}
     for run in runs:
         timing = read_timing(root / run.folder)
@@ -51,7 +56,13 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
 
 
 def trial(env: str, ads: str, batch: int, trust: Sequence[str]) -> float:
-    """Seconds that an execution takes, from a few; as many of them at a time as a campaign has candidates in flight.
+    """Return the mean time of a few executions [s].
+
+    Args:
+        env: environment.
+        ads: driving system under test.
+        batch: number of scenarios that run at a time, as a campaign's `batch`.
+        trust: digests of trusted policy files.
 
     Raises:
         InputError: if the ADS or the environment cannot be used.

@@ -1,4 +1,4 @@
-"""The runs of an experiment: how far each has come, and running those that are not finished."""
+"""The runs of an experiment: their states, and the runner for the unfinished ones."""
 
 import math
 import time
@@ -21,16 +21,16 @@ from behavexplor.execution.executor import Executor
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.start import start_on_cluster
 
-_LOOK_SECONDS: Final = 0.5  # between two looks at the run folders
+_LOOK_SECONDS: Final = 0.5  # interval at which the run folders are checked [s]
 
 
 @dataclass(frozen=True)
 class RunState:
-    """How far a run has come.
+    """State of a run.
 
     Attributes:
         executions: number of stored executions.
-        finished: whether nothing is left to do.
+        finished: whether the run is complete.
     """
 
     executions: int
@@ -39,16 +39,16 @@ class RunState:
 
 @dataclass(frozen=True)
 class ExperimentProgress:
-    """How far an experiment has come.
+    """Progress of an experiment.
 
     Attributes:
         runs: number of runs.
         finished: number of finished runs.
-        failed: reasons of failed runs.
+        failed: failed runs, each with its reason.
         executions: number of stored executions of all runs.
-        total: number of executions of all runs in the end.
-        left: estimated time until then [s]; None if unknown.
-        warnings: what is wrong with the driving systems, a sentence each.
+        total: number of executions of all runs at the end.
+        left: estimated remaining time [s]; None if unknown.
+        warnings: warnings about the driving systems, each of them a sentence.
     """
 
     runs: int
@@ -61,21 +61,21 @@ class ExperimentProgress:
 
 
 def run_state(run: PlannedRun, root: Path) -> RunState:
-    """Return how far a run has come.
+    """Return the state of a run.
 
     Args:
         run: the run.
         root: the experiment's folder.
 
     Raises:
-        InputError: if its folder holds another campaign, or cannot be read.
+        InputError: if the run folder holds another campaign, or cannot be read.
     """
     folder = root / run.folder
     if not (folder / DATABASE).is_file():
         return RunState(0, finished=False)
     stored = stored_config(folder)
     if replace(stored, budget=run.config.budget) != run.config:
-        raise InputError(f"{folder} holds another campaign than the experiment's now: choose another --out")
+        raise InputError(f"{folder} holds a campaign with a different configuration: choose another --out")
     count, budget = _stored_executions(folder), int(run.config.budget)
     if count > budget:
         raise InputError(f"{folder} has {count} executions, more than the budget {budget}: choose another --out")
@@ -91,14 +91,18 @@ def _stored_executions(folder: Path) -> int:
 
 
 class ExperimentRunner:
-    """Runs what is not finished of an experiment.
+    """Runs the unfinished runs of an experiment.
 
     Args:
         runs: all runs of the experiment, in the order in which they are run.
         root: the experiment's folder.
-        jobs: number of runs at a time; on a cluster the number of nodes, 0 for one node a core.
+        jobs: number of runs at a time; on a cluster the number of nodes, 0 for one node for each core.
         workers: number of processes that execute the scenarios of one run; 0 is the run's own process.
-        cluster: see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+
+    Attributes:
+        progress: progress of the experiment.
+        stopping: whether `stop` has been called.
 
     Raises:
         InputError: see `run_state`.
@@ -118,14 +122,17 @@ class ExperimentRunner:
         self.stopping = False
 
     def stop(self) -> None:
-        """End the campaigns that are running after the execution that each of them is at."""
+        """End the running campaigns, each after its current execution."""
         self.stopping = True
 
     def run(self, observe: Callable[[ExperimentProgress], None]) -> ExperimentProgress:
-        """Run until all is finished or has failed, or until `stop` is called.
+        """Run until every run is finished or has failed, or until `stop` is called.
 
         Args:
-            observe: called again and again with the progress.
+            observe: function that is called regularly with the progress.
+
+        Returns:
+            The progress at the end.
         """
         if not self._waiting:
             return self.progress
@@ -136,7 +143,7 @@ class ExperimentRunner:
                 if self.stopping and not told:
                     executor.stop()
                     told = True
-                    if self._cluster:  # a node keeps its campaign until it is finished
+                    if self._cluster:  # a campaign on a node cannot be stopped early
                         break
                 self._fill(executor, at_a_time)
                 for future in wait(self._running, timeout=_LOOK_SECONDS, return_when=FIRST_COMPLETED).done:
@@ -148,7 +155,7 @@ class ExperimentRunner:
         return self.progress
 
     def _start_executor(self) -> tuple[Executor, int]:
-        """Start what runs the campaigns, and return it with the number of campaigns that it runs at a time."""
+        """Start the executor of the campaigns. Return it and the number of campaigns that it runs at a time."""
         recipe, without_limit = campaign_recipe(), math.inf
         if not self._cluster:
             return WorkerPool(self._jobs, recipe, without_limit, without_limit), self._jobs
@@ -163,7 +170,7 @@ class ExperimentRunner:
             self._running[executor.submit("run", request)] = run
 
     def _end(self, run: PlannedRun, future: Future[bytes]) -> None:
-        """Take in what became of a run."""
+        """Record the outcome of a run."""
         if future.cancelled():
             return
         folder, error = self._root / run.folder, future.exception()
@@ -181,8 +188,8 @@ class ExperimentRunner:
             self._open[run] = 0
 
     def _look(self, run: PlannedRun) -> None:
-        """Count what a run has stored by now; its folder may be being made right now."""
-        with suppress(InputError):
+        """Count the stored executions of a run."""
+        with suppress(InputError):  # the run folder may not be complete yet
             self._executions[run] = _stored_executions(self._root / run.folder)
             self._open[run] = int(run.config.budget) - self._executions[run]
 

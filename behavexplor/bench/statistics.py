@@ -1,7 +1,7 @@
-"""Means with their intervals, and whether two methods can be told apart.
+"""Means with confidence intervals, and statistical comparisons of two methods.
 
-Mann-Whitney U asks whether they can, Vargha and Delaney's A12 how far they are apart, Holm's correction keeps a table
-of many comparisons from finding something by chance.
+The Mann-Whitney U test shows whether two methods differ, and Vargha and Delaney's A12 is the size of the difference.
+Holm's correction accounts for the number of comparisons in a table.
 """
 
 import math
@@ -12,21 +12,21 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-LEVEL: Final = 0.05  # of significance, for a whole family of comparisons
-MOST_ARRANGEMENTS: Final = 20_000  # beyond them the distribution of a U with ties is approximated
+LEVEL: Final = 0.05  # significance level for a whole family of comparisons
+MOST_ARRANGEMENTS: Final = 20_000  # greatest number of arrangements for which U with ties is computed exactly
 
-_SIZES: Final = ((0.21, "large"), (0.14, "medium"), (0.06, "small"))  # of |A12 - 0.5|, Vargha and Delaney 2000
+_SIZES: Final = ((0.21, "large"), (0.14, "medium"), (0.06, "small"))  # least |A12 - 0.5|, Vargha and Delaney 2000
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and its 95 % interval.
+    """A mean and its 95 % confidence interval.
 
     Attributes:
         n: number of values.
-        mean: of them.
-        low: lower end of the interval; as the upper one, nan if there is only one value.
-        high: upper end.
+        mean: mean of the values.
+        low: lower end of the interval; nan with a single value.
+        high: upper end of the interval; nan with a single value.
     """
 
     n: int
@@ -36,7 +36,7 @@ class Estimate:
 
 
 def estimate(values: Sequence[float]) -> Estimate:
-    """The mean of values, with Student's t interval."""
+    """Return the mean of values with its Student's t interval."""
     n, mean = len(values), float(np.mean(values))
     if n < 2:
         return Estimate(n, mean, math.nan, math.nan)
@@ -45,29 +45,29 @@ def estimate(values: Sequence[float]) -> Estimate:
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
-    """The probability that a value of the first exceeds one of the second, ties counting half.
+    """Return the probability that a value of the first sample exceeds one of the second, where ties count half.
 
-    Source: Vargha and Delaney 2000. The samples need not be of one size.
+    Source: Vargha and Delaney 2000. The samples may differ in size.
     """
     apart = np.subtract.outer(np.asarray(first, float), np.asarray(second, float))
     return float(np.mean((apart > 0) + 0.5 * (apart == 0)))
 
 
 def size(effect: float) -> str:
-    """An A12 in words."""
+    """Return the size of an A12 effect in words."""
     return next((word for least, word in _SIZES if round(abs(effect - 0.5), 9) >= least), "negligible")
 
 
 def mann_whitney(first: Sequence[float], second: Sequence[float]) -> float:
-    """The two-sided p of Mann and Whitney's U.
+    """Return the two-sided p-value of the Mann-Whitney U test.
 
-    It is exact, but for samples with ties that can be arranged in more than `MOST_ARRANGEMENTS` ways. A sample of one
-    value tells nothing: p is 1.
+    The value is exact, except for samples with ties that can be arranged in more than `MOST_ARRANGEMENTS` ways. If a
+    sample has fewer than two values, p is 1.
     """
     together = np.concatenate([np.asarray(first, float), np.asarray(second, float)])
     distinct = len(np.unique(together))
     if distinct == 1 or min(len(first), len(second)) < 2:
-        return 1.0  # where nothing is apart the test has no variance to work with
+        return 1.0  # the test needs variance
     method: object = "exact"
     if distinct < len(together):
         exact = math.comb(len(together), len(first)) <= MOST_ARRANGEMENTS
@@ -76,12 +76,16 @@ def mann_whitney(first: Sequence[float], second: Sequence[float]) -> float:
 
 
 def least_p(n: int, m: int) -> float:
-    """The least p that samples of these sizes can have at all."""
+    """Return the least p-value that samples of these sizes can have."""
     return 2 / math.comb(n + m, n) if min(n, m) > 1 else 1.0
 
 
 def holm(ps: Sequence[float]) -> list[float]:
-    """The p of a family of comparisons, corrected after Holm 1979: the i-th least of m times m - i, and monotone."""
+    """Return the p-values of a family of m comparisons with Holm's correction.
+
+    The i-th smallest value, counted from 0, is multiplied by m - i. The results are made monotone and at most 1.
+    Source: Holm 1979.
+    """
     order = sorted(range(len(ps)), key=lambda i: ps[i])
     corrected, worst = [0.0] * len(ps), 0.0
     for rank, i in enumerate(order):
@@ -92,14 +96,14 @@ def holm(ps: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two samples compared.
+    """A comparison of two samples.
 
     Attributes:
-        n: sizes of both.
-        means: of both.
-        effect: A12 of the first over the second.
-        p: of Mann and Whitney's U.
-        corrected: the same within its family; see `holm`.
+        n: sizes of the samples.
+        means: means of the samples.
+        effect: A12 of the first sample over the second.
+        p: p-value of the Mann-Whitney U test.
+        corrected: p-value with Holm's correction within its family; see `holm`.
     """
 
     n: tuple[int, int]
@@ -110,14 +114,14 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """What the comparison says, in words."""
+        """Result of the comparison in words."""
         if self.corrected >= LEVEL:
             return "not distinguishable"
         return f"{'more' if self.effect > 0.5 else 'fewer'}, {size(self.effect)}"
 
 
 def compare(pairs: Sequence[tuple[Sequence[float], Sequence[float]]]) -> list[Comparison]:
-    """Compare pairs of samples, corrected as one family."""
+    """Compare pairs of samples, with the correction for one family."""
     ps = [mann_whitney(first, second) for first, second in pairs]
     return [
         Comparison(

@@ -1,4 +1,4 @@
-"""What one campaign found, in figures: made from its run folder alone, and again at any time."""
+"""Summaries of campaigns in figures, computed from their run folders alone."""
 
 import csv
 import io
@@ -20,9 +20,9 @@ from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import NPC_CAUSED
 from behavexplor.triage.signatures import signature
 
-LABELS: Final = {**REQUIREMENTS, ERROR: "error"}  # what tables call the specs; a user's spec goes by its name
+LABELS: Final = {**REQUIREMENTS, ERROR: "error"}  # labels of the specs in tables; a user's spec keeps its name
 UNEXPLAINED: Final = "unexplained"
-_LEAST_PAIRS: Final = 3  # of a correlation
+_LEAST_PAIRS: Final = 3  # least number of pairs for a correlation
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,12 @@ class Failure:
     """A failed execution.
 
     Attributes:
-        number: of the execution, counted from 0.
-        label: "R1", "R2", "R3" or the name of a user's spec, the first spec that it violates; or "error".
-        npc_caused: whether it is a collision that an NPC caused, as far as its trace alone tells.
-        kind: its class of violations, if it has been classified.
-        signature: the weakness of the rule planner that its decision log hints at, or "environment" or "unexplained";
-            None for a driver without that log.
+        number: number of the execution, counted from 0.
+        label: most severe spec that it violates: "R1", "R2", "R3" or the name of a user's spec; or "error".
+        npc_caused: whether it is a collision that an NPC caused, judged from the trace alone.
+        kind: class of the violation; None if it has not been classified.
+        signature: weakness of the rule planner that the decision log indicates, or "environment" or "unexplained"; None
+            for a driver without that log.
     """
 
     number: int
@@ -47,22 +47,22 @@ class Failure:
 
 @dataclass(frozen=True)
 class Summary:
-    """What one campaign found.
+    """Summary of one campaign.
 
     Attributes:
         env: environment.
-        ads: system under test.
-        method: its name in the experiment.
-        seed: of the campaign.
-        executions: how many there were.
-        failures: all that failed, in order.
-        novelty_rate: share of executions that showed a behavior that was new to the campaign.
+        ads: driving system under test.
+        method: name of the search method in the experiment.
+        seed: seed of the campaign.
+        executions: number of executions.
+        failures: all failures in order.
+        novelty_rate: share of executions with a behavior that was new to the campaign.
         executing: time spent on executions [s].
-        analysing: time spent on all else [s].
-        r: Pearson's correlation of violation degree and behavior distance (the paper's r_BF), where the method
-            measures that distance.
-        r_p: its p.
-        labels: what tables call the specs, in their order: "R1", "R2", "R3", specs of the user, and "error".
+        analysing: time spent on everything else [s].
+        r: Pearson's correlation of violation degree and behavior distance (the paper's r_BF); None if the method does
+            not measure that distance.
+        r_p: p-value of the correlation; None without it.
+        labels: labels of the specs in tables, in order: "R1", "R2", "R3", the user's specs, and "error".
     """
 
     env: str
@@ -79,15 +79,25 @@ class Summary:
     labels: tuple[str, ...] = tuple(LABELS.values())
 
     def total(self, label: str | None = None) -> int:
-        """How many failed, of one label or of all."""
+        """Return the number of failures with a label, or of all failures."""
         return sum(label in (None, failure.label) for failure in self.failures)
 
     def kinds(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """The classes of the failures of one label, or of all, up to an execution: the unique violations."""
+        """Return the unique violations: the classes of the failures.
+
+        Args:
+            label: label of the failures; None for all.
+            before: number of the execution before which failures count; None for no limit.
+        """
         return frozenset(failure.kind for failure in self._failed(label, before) if failure.kind is not None)
 
     def weaknesses(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """The weaknesses of the rule planner that the signatures of these failures name."""
+        """Return the weaknesses of the rule planner in the signatures of the failures.
+
+        Args:
+            label: label of the failures; None for all.
+            before: number of the execution before which failures count; None for no limit.
+        """
         signatures = {failure.signature for failure in self._failed(label, before)} - {ENVIRONMENT, UNEXPLAINED}
         return frozenset(name for name in signatures if name is not None)
 
@@ -98,25 +108,25 @@ class Summary:
 
     @property
     def classified(self) -> bool:
-        """Whether every failure has a class."""
+        """True if every failure has a class."""
         return all(failure.kind is not None for failure in self.failures)
 
     @property
     def signed(self) -> bool:
-        """Whether every failure has a signature."""
+        """True if every failure has a signature."""
         return all(failure.signature is not None for failure in self.failures)
 
     @property
     def npc_caused(self) -> int:
-        """How many collisions NPCs caused."""
+        """Number of collisions that NPCs caused."""
         return sum(failure.npc_caused for failure in self.failures)
 
 
 def summarize(run: PlannedRun, root: Path) -> Summary:
-    """What the campaign of a run found.
+    """Return the summary of a run from its run folder.
 
     Args:
-        run: whose run folder is read.
+        run: the run.
         root: the experiment's folder.
 
     Raises:
@@ -161,7 +171,7 @@ def _failure(record: Record) -> Failure:
 
 
 def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]:
-    """The failures with their signatures, as they are if the driver keeps no log of its weaknesses."""
+    """Return the failures with their signatures, or unchanged if the driver keeps no log of its weaknesses."""
     signed = []
     for failure in failures:
         execution = store.execution(failure.number)
@@ -174,7 +184,7 @@ def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]
 
 
 def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
-    """Pearson's r of pairs and its p; None where one side does not vary, or there are hardly any."""
+    """Return Pearson's r of pairs and its p-value; None if a side does not vary or there are too few pairs."""
     values = np.asarray(pairs, dtype=float).reshape(-1, 2)
     if len(values) < _LEAST_PAIRS or not np.ptp(values, axis=0).all():
         return None, None
@@ -183,29 +193,32 @@ def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, flo
 
 
 def all_classified(summaries: Sequence[Summary]) -> bool:
-    """Whether every failure of an experiment has a class, so that unique violations can be counted."""
+    """Return whether every failure of an experiment has a class, so that unique violations can be counted."""
     return bool(summaries) and all(summary.classified for summary in summaries)
 
 
 def all_signed(summaries: Sequence[Summary]) -> bool:
-    """Whether every failure of an experiment has a signature, and some of them a weakness."""
+    """Return whether every failure of an experiment has a signature, and at least one of them names a weakness."""
     return all(summary.signed for summary in summaries) and any(summary.weaknesses() for summary in summaries)
 
 
 def all_labels(summaries: Sequence[Summary]) -> tuple[str, ...]:
-    """Return the labels of all specs of an experiment, in their order, "error" last."""
+    """Return the labels of all specs of an experiment, in order, with "error" last."""
     named = dict.fromkeys(label for summary in summaries for label in summary.labels)
     return (*(label for label in named if label != LABELS[ERROR]), LABELS[ERROR])
 
 
 def summary_rows(summaries: Sequence[Summary]) -> list[dict[str, object]]:
-    """The columns of each campaign by name; what not all failures of the experiment have is left out."""
+    """Return a row for each campaign, as values by column name.
+
+    Columns of classes or signatures are left out unless all failures of the experiment have them.
+    """
     unique, signed, labels = all_classified(summaries), all_signed(summaries), all_labels(summaries)
     return [_row(summary, labels, unique=unique, signed=signed) for summary in summaries]
 
 
 def summaries_csv(summaries: Sequence[Summary]) -> str:
-    """A row for each campaign, as CSV."""
+    """Return the rows of all campaigns as CSV."""
     rows = summary_rows(summaries)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]) if rows else ["env"], lineterminator="\n")

@@ -1,4 +1,4 @@
-"""The tables of an experiment, as values: how they are written is another matter (`behavexplor.bench.writing`)."""
+"""The tables of an experiment as values. `behavexplor.bench.writing` converts them to text."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -12,10 +12,10 @@ from behavexplor.campaign.record import ERROR
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
 
-_STRONG_P = 0.001  # what the paper reports of its correlations
+_STRONG_P = 0.001  # significance level that the paper reports for its correlations
 _SIGNATURES = (
-    "Signatures follow from a failure's trace and decision log alone; `triage` says how often they equal the cause "
-    "that replays show."
+    "Signatures are derived from a failure's trace and decision log alone; `triage` reports how often they agree with "
+    "the cause that replays show."
 )
 
 
@@ -24,11 +24,11 @@ class Column:
     """A column of a table.
 
     Attributes:
-        name: its head.
-        digits: behind the decimal point.
-        interval: whether estimates are shown with theirs; the CSV file has it in any case.
+        name: heading of the column.
+        digits: number of digits after the decimal point.
+        interval: whether estimates are shown with their intervals. The CSV file always has the intervals.
         best: whether the greatest estimate of each block is marked.
-        only_csv: whether it is too wide for anything but the CSV file.
+        only_csv: whether the column is only in the CSV file, because it is too wide for other formats.
     """
 
     name: str
@@ -43,12 +43,12 @@ class Table:
     """A table.
 
     Attributes:
-        name: of its files.
-        title: what it shows.
-        columns: of it.
-        rows: a value for each column.
-        blocks: how many rows belong together, in order.
-        notes: sentences below it.
+        name: name of its files.
+        title: title of the table.
+        columns: columns of the table.
+        rows: rows, each with a value for each column.
+        blocks: numbers of rows in consecutive blocks, which are set apart.
+        notes: sentences below the table.
     """
 
     name: str
@@ -63,11 +63,11 @@ Group = tuple[str, str, str]  # environment, ADS, method
 
 
 def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """All tables that the campaigns of an experiment give.
+    """Return all tables of an experiment.
 
     Args:
-        experiment: what was to be run.
-        summaries: of the campaigns that are finished.
+        experiment: the experiment.
+        summaries: summaries of its finished campaigns.
     """
     made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
     for name, methods in experiment.groups.items():
@@ -85,7 +85,7 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
 def violations(
     name: str, title: str, experiment: Experiment, summaries: Sequence[Summary], methods: Sequence[str]
 ) -> Table:
-    """Total and unique violations by requirement, means over the seeds (the paper's RQ1, RQ2 and RQ3)."""
+    """Return the table of total and unique violations by spec, means over the seeds (the paper's RQ1, RQ2 and RQ3)."""
     columns: list[tuple[Column, Figure]] = [
         *((Column(label), _total(label)) for label in _labels(summaries)),
         (Column("Sum", interval=True, best=True), _total(None)),
@@ -110,16 +110,18 @@ def violations(
         blocks.append(len(block))
     heads = (*_place_columns(experiment), Column("Method"), Column("n"), *(column for column, _ in columns))
     notes = (
-        f"Means over n campaigns of {experiment.budget} executions; in brackets the 95 % interval (Student's t).",
-        "A failure counts once, for the first requirement that it violates.",
+        "Question: how many failures does each method find, and of how many kinds? (RQ1 of the paper for different "
+        "methods, RQ2 for an ablation, RQ3 for windows)",
+        f"Means over n campaigns of {experiment.budget} executions, with the 95 % interval in brackets (Student's t).",
+        "Each failure is counted under its most severe type.",
         "R1 by NPC: collisions in which an NPC drove into the back of the ego, or into a standing ego.",
-        *(("Weaknesses: different ones of the planner's sixteen. " + _SIGNATURES,) if all_signed(summaries) else ()),
+        *(("Weaknesses: number of the planner's sixteen. " + _SIGNATURES,) if all_signed(summaries) else ()),
     )
     return Table(name, title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
 
 
 def distinct(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
-    """Unique violations over all environments and repetitions together (the paper's table of diversity)."""
+    """Return the table of unique violations over all environments and seeds (the paper's table of diversity)."""
     labels = _labels(summaries)
     rows: list[tuple[Value, ...]] = []
     for method in experiment.methods:
@@ -131,12 +133,15 @@ def distinct(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
         rows.append((method, len(found), *map(len, by_label), len(kinds), ", ".join(sorted(kinds))))
     heads = (Column("Method"), Column("Campaigns"), *map(Column, labels), Column("Sum"))
     heads += (Column("Details", only_csv=True),)
-    notes = ("Classes of violations that any of the campaigns found; more campaigns find more.",)
+    notes = (
+        "Question: how many kinds of failures does each method find in all its campaigns? (the paper's diversity)",
+        "Classes of violations that at least one campaign found; more campaigns find more classes.",
+    )
     return Table("distinct", "Distinct violations over all campaigns", heads, tuple(rows), (len(rows),), notes)
 
 
 def weaknesses(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
-    """In how many campaigns each weakness of the rule planner was found (the paper's table of diversity)."""
+    """Return the table of weaknesses: the number of campaigns that found each (the paper's table of diversity)."""
     known = sorted(frozenset[str]().union(*(summary.weaknesses() for summary in summaries)))
     rows: list[tuple[Value, ...]] = []
     for method in experiment.methods:
@@ -147,14 +152,15 @@ def weaknesses(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
         rows.append((method, len(found), *counts, sum(count > 0 for count in counts)))
     heads = tuple(map(Column, ("Method", "Campaigns", *known, "Distinct")))
     notes = (
-        "Number of campaigns with a failure whose signature is that weakness, all scenarios together.",
+        "Question: which weaknesses of the planner does each method reveal? (the paper's diversity)",
+        "Number of campaigns in all scenarios with a failure whose signature is that weakness.",
         _SIGNATURES,
     )
     return Table("weaknesses", "Weaknesses of the planner found", heads, tuple(rows), (len(rows),), notes)
 
 
 def times(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
-    """Where the time of a campaign goes (the paper's table of performance)."""
+    """Return the table of execution and analysis times (the paper's table of performance)."""
     rows: list[tuple[Value, ...]] = []
     for method in experiment.methods:
         found = [s for s in summaries if s.method == method and not math.isnan(s.executing + s.analysing)]
@@ -166,12 +172,15 @@ def times(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
         rows.append((method, len(found), executing, analysing, 100 * analysing.mean / max(together, 1e-9), rate))
     names = ("Method", "Campaigns", "Executing [s]", "Analysing [s]", "Analysing %", "Executions per s")
     heads = tuple(map(Column, names))
-    notes = ("Means over the campaigns of all environments, each on one core that others may have shared.",)
+    notes = (
+        "Question: what does each method cost? (the paper's performance)",
+        "Means over the campaigns of all environments. Each ran on one core, possibly shared with other processes.",
+    )
     return Table("times", "Time of a campaign", heads, tuple(rows), (len(rows),), notes)
 
 
 def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
-    """The correlation of violation degree and behavior distance (the paper's r_BF)."""
+    """Return the table of correlations of violation degree and behavior distance (the paper's r_BF)."""
     rows: list[tuple[Value, ...]] = []
     blocks = []
     for env, ads in _places(experiment):
@@ -185,8 +194,9 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     heads = (*_place_columns(experiment), Column("Method"), Column("n"), Column("r_BF", digits=2, interval=True))
     heads += (Column(f"p < {_STRONG_P:g}"),)
     notes = (
+        "Question: does new behavior come nearer to a violation?",
         "Pearson's r of the violation degree of a mutant and its distance to the known behaviors, in each campaign.",
-        "The lower the degree, the nearer to a violation: a negative r says that new behavior came nearer to one.",
+        "A lower degree is nearer to a violation, so a negative r means that new behavior came nearer to one.",
     )
     title = "Correlation of violation degree and behavior distance"
     return Table("correlations", title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
@@ -199,7 +209,10 @@ def _correlation(found: Sequence[Summary]) -> tuple[Value, ...]:
 
 
 def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """The reference against each other method, and each against the baseline: a table for each and each figure."""
+    """Return tables that compare the reference with each other method, and each method with the baseline.
+
+    There is one table for each of the two and each figure: failures, unique violations and weaknesses.
+    """
     figures: list[tuple[str, str, Figure]] = [("failures", "failures", _total(None))]
     if all_classified(summaries):
         figures.append(("unique", "unique violations", _unique(None)))
@@ -224,7 +237,10 @@ Sample = tuple[str, str, str, str, list[float], list[float]]
 def _samples(
     experiment: Experiment, summaries: Sequence[Summary], pairs: Sequence[tuple[str, str]], figure: Figure
 ) -> list[Sample]:
-    """Environment, ADS, two methods, and what their campaigns gave there."""
+    """Return the samples of each pair of methods, for each environment and ADS in which both have finished campaigns.
+
+    A sample is the environment, the ADS, the names of both methods, and the values of a figure in their campaigns.
+    """
 
     def values(env: str, ads: str, method: str) -> list[float]:
         return [figure(summary) for summary in _of(summaries, (env, ads, method))]
@@ -238,7 +254,7 @@ def _samples(
 
 
 def _compared(name: str, title: str, experiment: Experiment, samples: Sequence[Sample]) -> Table:
-    """A table of comparisons, which are one family."""
+    """Return a table of comparisons, which form one family for the correction."""
     found = compare([(first, second) for *_, first, second in samples])
     rows: list[tuple[Value, ...]] = [
         (*_place(experiment, env, ads), one, other, *c.n, *c.means, c.effect, _p(c.p), _p(c.corrected), c.verdict)
@@ -250,8 +266,9 @@ def _compared(name: str, title: str, experiment: Experiment, samples: Sequence[S
     heads += (Column("Mean"), Column("Mean against"), Column("A12", digits=2), Column("p"), Column("p Holm"))
     heads += (Column("Verdict"),)
     notes = [
-        f"Two-sided Mann-Whitney U, Holm's correction over the {len(found)} comparisons here, level {LEVEL:g}.",
-        "A12: probability that a campaign of the method gives more than one it is held against; 0.5 is no difference.",
+        "Question: does the method find more than the one that it is compared with, beyond chance?",
+        f"Two-sided Mann-Whitney U test with Holm's correction for {len(found)} comparisons, level {LEVEL:g}.",
+        "A12: probability that a campaign of the method finds more than one of the other method; 0.5: no difference.",
     ]
     least = min(least_p(*c.n) for c in found) * len(found)
     if least >= LEVEL:
@@ -280,7 +297,7 @@ def _mean(found: Sequence[Summary], figure: Figure) -> Estimate:
 
 
 def _labels(summaries: Sequence[Summary]) -> list[str]:
-    """Return the labels of all specs, and that of errors if there were any."""
+    """Return the labels of all specs, with "error" only if there were errors."""
     seen = {failure.label for summary in summaries for failure in summary.failures}
     return [label for label in all_labels(summaries) if label != LABELS[ERROR] or label in seen]
 
@@ -294,7 +311,7 @@ def _places(experiment: Experiment) -> list[tuple[str, str]]:
 
 
 def _place(experiment: Experiment, env: str, ads: str) -> tuple[str, ...]:
-    """What a row says of where it was; the ADS only where there are several."""
+    """Return the first cells of a row: the environment, and the ADS if the experiment has several."""
     return (env, ads) if len(experiment.ads) > 1 else (env,)
 
 

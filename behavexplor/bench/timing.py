@@ -1,4 +1,4 @@
-"""How long the executions of a campaign took, and all else that it did, over any number of interruptions."""
+"""Timing of a campaign: time spent on executions and on everything else, across interruptions."""
 
 import json
 import time
@@ -10,19 +10,19 @@ from behavexplor.campaign.progress import Progress
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
-TIMING: Final = "timing.json"  # in the run folder of an experiment's run
-WRITE_SECONDS: Final = 5.0  # between two times that it is written [s]
+TIMING: Final = "timing.json"  # file in the run folder of an experiment's run
+WRITE_SECONDS: Final = 5.0  # interval at which the file is written [s]
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What was measured of a campaign, and whether its search has come to its end.
+    """Time measurements of a campaign.
 
     Attributes:
-        executions: how many were measured; after a power cut some are not.
+        executions: number of measured executions; after a power cut some may be missing.
         executing: time spent on them [s].
-        analysing: time spent on all else: choosing, judging, learning, storing [s].
-        ended: why the search ended before its budget, if it did.
+        analysing: time spent on everything else: choosing, judging, learning and storing [s].
+        ended: reason why the search ended before its budget was used up; None if it did not.
     """
 
     executions: int = 0
@@ -32,10 +32,10 @@ class Timing:
 
 
 def read_timing(folder: Path) -> Timing:
-    """What was measured in a run folder; nothing if there is no record of it.
+    """Return the timing in a run folder; zeros if the folder has none.
 
     Raises:
-        InputError: if the record is damaged.
+        InputError: if the file is damaged.
     """
     try:
         values = json.loads((folder / TIMING).read_text())
@@ -44,18 +44,21 @@ def read_timing(folder: Path) -> Timing:
     except (OSError, ValueError) as error:
         raise InputError(f"{folder / TIMING} cannot be read: {error}") from None
     if not isinstance(values, dict):
-        raise InputError(f"{folder / TIMING} is damaged: delete it to go on without what was measured")
+        raise InputError(f"{folder / TIMING} is damaged: delete it to continue without its measurements")
     return checked(Timing, values, f"timing in {folder}")
 
 
 class Stopwatch:
-    """Adds up where a campaign's time goes, and keeps it in its folder.
+    """Measures the time of a campaign, and stores it in the run folder.
 
-    Stored executions that a resumed campaign only looks at again are not measured: they were when they ran.
+    Stored executions that a resumed campaign reads again are not measured, because they were measured when they ran.
 
     Args:
-        folder: of the campaign.
-        elapsed: running time of the campaign when it begins [s].
+        folder: run folder.
+        elapsed: running time of the campaign at the beginning [s].
+
+    Attributes:
+        timing: the timing so far.
     """
 
     def __init__(self, folder: Path, elapsed: float) -> None:
@@ -66,7 +69,7 @@ class Stopwatch:
         self.timing = self._earlier
 
     def observe(self, progress: Progress) -> None:
-        """Take in how far the campaign has come."""
+        """Update the timing from the progress of the campaign."""
         fresh = progress.executions - progress.resumed
         if not fresh:
             self._base = progress.elapsed
@@ -83,11 +86,11 @@ class Stopwatch:
             self.write()
 
     def end(self, ended: str | None) -> None:
-        """Keep why the search ended before its budget, if it did."""
+        """Record why the search ended before its budget was used up; None if it did not."""
         self.timing = replace(self.timing, ended=ended)
 
     def write(self) -> None:
-        """Bring it to disk."""
+        """Write the timing to disk."""
         self._written = time.monotonic()
         partial = self._folder / f"{TIMING}.part"
         partial.write_text(json.dumps(asdict(self.timing)))

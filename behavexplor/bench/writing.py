@@ -1,4 +1,4 @@
-"""Tables as text that other programs read: CSV with every digit, LaTeX to be printed."""
+"""Export of tables as CSV with full precision, and as LaTeX."""
 
 import csv
 import io
@@ -21,7 +21,7 @@ _ESCAPES: Final = str.maketrans(
 
 
 def shown(value: Value, column: Column) -> str:
-    """A value as people read it."""
+    """Return a value as text for display."""
     if isinstance(value, Estimate):
         mean = f"{value.mean:.{column.digits}f}"
         if not column.interval or math.isnan(value.low):
@@ -33,9 +33,9 @@ def shown(value: Value, column: Column) -> str:
 
 
 def marked(table: Table) -> set[tuple[int, int]]:
-    """Rows and columns of the values that are the greatest of their block, where that is a merit.
+    """Return row and column of the greatest values of each block, for columns in which the greatest is the best.
 
-    Those that look the same as the greatest are marked, too; none is where all do.
+    Values that equal the greatest after rounding are marked, too. If all values of a block are equal, none is marked.
     """
     found = set()
     for index, column in enumerate(table.columns):
@@ -56,7 +56,7 @@ def marked(table: Table) -> set[tuple[int, int]]:
 
 
 def table_csv(table: Table) -> str:
-    """The table as CSV; an estimate fills four columns."""
+    """Return a table as CSV. An estimate takes four columns."""
     estimates = [any(isinstance(row[i], Estimate) for row in table.rows) for i in range(len(table.columns))]
     head = []
     for column, is_estimate in zip(table.columns, estimates, strict=True):
@@ -80,7 +80,7 @@ def _plain(value: Value) -> list[object]:
 
 
 def table_latex(table: Table) -> str:
-    r"""The table for LaTeX with the package booktabs; the best of each block is bold."""
+    r"""Return a table for LaTeX with the package booktabs. The best value of each block is bold."""
     columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
     numbers = [bool(table.rows) and not isinstance(table.rows[0][i], str) for i in columns]
     best = marked(table)
@@ -112,5 +112,5 @@ def _latex(value: Value, column: Column, *, bold: bool) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text as LaTeX prints it."""
+    """Return a text with LaTeX's special characters escaped."""
     return text.translate(_ESCAPES)

@@ -1,1 +1,1 @@
-"""Campaigns: ask, execute, judge, tell and store, in a run folder that can be resumed."""
+"""Campaigns: the loop of ask, execute, judge, tell and store, with a run folder from which it can be resumed."""

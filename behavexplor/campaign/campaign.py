@@ -1,8 +1,8 @@
-"""The campaign: a search method asks, scenarios are executed and judged, the method is told, all is stored.
+"""The campaign loop: ask a search method for scenarios, execute and judge them, tell the method, store the results.
 
-Results are told in the order in which they were asked for, and candidate i is asked for when exactly the
-results up to i - batch have been told. So a campaign is the same whatever executes it, and going on after an
-interruption is nothing but running it again with the stored traces in place of executions.
+Results are told in the order in which their candidates were asked for. Candidate i is asked for when exactly the
+results up to i - batch have been told. A campaign therefore does not depend on how its scenarios are executed.
+Resuming a campaign means running it again with the stored traces in place of executions.
 """
 
 import re
@@ -34,27 +34,31 @@ from behavexplor.judge.events import R1, REQUIREMENTS
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.specs import SPECS, Spec, Verdict, judge
 
-COMMIT_ROWS = 50  # executions that are brought to disk together at most
-COMMIT_SECONDS = 0.25  # and how long one waits for the others at most [s]
+COMMIT_ROWS = 50  # greatest number of executions in one commit
+COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
-_ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # of an object: it differs from run to run
+_ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which differs from run to run
 
 
 class ExecutionError(Exception):
-    """An execution could not be carried out, though not for anything that the ADS did: no finding."""
+    """An execution could not be carried out for a reason other than the ADS, so that it is not a failure of the ADS."""
 
 
 class Campaign:
     """One campaign in its run folder.
 
     Args:
-        config: what it is.
-        method: asks for scenarios, see `search_method`.
-        logical: which scenarios are possible.
-        store: where its executions go; what it holds already is not executed again.
-        executor: executes scenarios, see `behavexplor.execution.evaluator.Evaluator`.
+        config: configuration of the campaign.
+        method: search method, see `search_method`.
+        logical: logical scenario, which defines the possible scenarios.
+        store: store of the executions. Executions that it already holds are not repeated.
+        executor: executor of scenarios, see `behavexplor.execution.evaluator.Evaluator`.
         specs: requirements that judge each execution.
+
+    Attributes:
+        progress: progress of the campaign.
+        stopping: whether `stop` has been called.
     """
 
     def __init__(
@@ -74,7 +78,7 @@ class Campaign:
         self._executor = executor
         self._specs = specs
         self._archive = NoveltyArchive()
-        self._stored = store.end  # candidates before this one have been executed, unless the store has lost them
+        self._stored = store.end  # earlier candidates have been executed, but the store may have lost some of them
         self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
@@ -83,21 +87,21 @@ class Campaign:
         self.stopping = False
 
     def stop(self) -> None:
-        """End the campaign after the execution that is being told."""
+        """End the campaign after the current execution."""
         self.stopping = True
 
     def run(self, observe: Callable[[Progress], None]) -> str | None:
-        """Run to the end of the budget, or until stopped.
+        """Run until the budget is used up or `stop` is called.
 
         Args:
-            observe: called whenever executions have been stored.
+            observe: function that is called with the progress whenever executions have been stored.
 
         Returns:
-            Why the search ended before its budget, as a sentence; None if it did not.
+            A sentence on why the search ended before its budget was used up; None if it did not.
 
         Raises:
-            ExecutionError: if the ADS or its environment failed.
-            InputError: if the stored executions are not those of this configuration.
+            ExecutionError: if an execution could not be carried out.
+            InputError: if the stored executions do not match this configuration.
         """
         ended = None
         try:
@@ -113,11 +117,11 @@ class Campaign:
 
     @property
     def elapsed(self) -> float:
-        """Running time, also before an interruption [s]."""
+        """Running time, including the time before an interruption [s]."""
         return time.monotonic() - self._start
 
     def _ask_all(self) -> str | None:
-        """Fill the batch; why the method could not, if so."""
+        """Ask until the batch is full. Return why the search ended, if it did."""
         while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
             try:
                 candidate = self._method.ask()
@@ -139,7 +143,7 @@ class Campaign:
                 return self._submit(candidate)
         if stored.scenario != candidate.scenario:
             raise InputError(
-                f"The run cannot be resumed: execution {candidate.number} would be another scenario now, so the "
+                f"The run cannot be resumed: execution {candidate.number} would now be a different scenario, so the "
                 f"configuration or the program has changed"
             )
         return stored
@@ -147,7 +151,7 @@ class Campaign:
     def _submit(self, candidate: Candidate) -> Future[bytes]:
         try:
             return self._executor.submit(EXECUTE, candidate.scenario.to_json().encode())
-        except RuntimeError as error:  # a worker has died, and the others with it
+        except RuntimeError as error:  # the executor has been shut down
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
 
     def _tell(self, candidate: Candidate, result: Future[bytes] | Execution) -> None:
@@ -168,7 +172,7 @@ class Campaign:
 
     @contextmanager
     def _waiting(self) -> Iterator[None]:
-        """Count the time inside as spent on executions."""
+        """Count the time in this context as time spent on executions."""
         before = time.monotonic()
         yield
         self.progress = replace(self.progress, executing=self.progress.executing + time.monotonic() - before)
@@ -176,13 +180,13 @@ class Campaign:
     def _told(
         self, candidate: Candidate, data: bytes, failure: dict[str, str] | None, stored: Execution | None
     ) -> None:
-        """Judge an execution, tell the method, and store the record unless it was stored before."""
+        """Judge an execution, tell the method, and store the record unless it is already stored."""
         record = self._record(candidate, Trace.from_bytes(data), failure)
         if stored is None:
             self._store.add(Execution(record, data, self.elapsed))
         elif not stored.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
             raise InputError(
-                f"The run cannot be resumed: execution {candidate.number} is judged otherwise now, so the "
+                f"The run cannot be resumed: execution {candidate.number} is now judged differently, so the "
                 f"configuration or the program has changed"
             )
         else:
@@ -217,10 +221,10 @@ class Campaign:
             return judge(trace, self._specs)
         except InputError as error:
             place = f"in execution {candidate.number} of {self._store.folder}"
-            raise InputError(f"{error}, {place}: mend the spec, then go on with fuzz --resume") from error
+            raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:
-        """Bring what was told to disk if it is enough or waited long enough, then count it."""
+        """Commit the pending executions if there are enough or they have waited long enough, and count them."""
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
@@ -264,15 +268,15 @@ def _fault(trace: Trace, verdict: Verdict) -> str | None:
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:
-    """What an ADS did, for the record: the same whenever it does it again."""
+    """Return an ADS failure for its record, without memory addresses, so that a reproduced failure compares equal."""
     return {"kind": error.kind, "message": _ADDRESS.sub("0x...", error.message)}
 
 
 def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMethod:
-    """The search method of a campaign.
+    """Return the search method of a campaign.
 
     Raises:
-        InputError: if there is none of its name, or its options are wrong.
+        InputError: if there is no method of that name, or if its options are invalid.
     """
     kind = load_method(config.method)
     options: Any = checked(kind.Options, config.options, f"options of {config.method}")
@@ -280,7 +284,7 @@ def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMet
 
 
 def run_folder(config: CampaignConfig, root: Path) -> Path:
-    """A new folder for a campaign below `root`, named after what it is and when it began."""
+    """Return an unused folder below `root` for a campaign, named after its configuration and the current time."""
     names = [
         re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1]) for name in (config.env, config.ads, config.method)
     ]

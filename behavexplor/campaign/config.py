@@ -1,4 +1,4 @@
-"""What a campaign is: read from a file and from flags, checked, and written into its run folder."""
+"""Configuration of a campaign: read from a file and flags, validated, and written to the run folder."""
 
 import re
 from collections.abc import Mapping
@@ -14,18 +14,18 @@ from behavexplor.data.untrusted import parse_yaml
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, unknown_name
 
-CONFIG = "config.yaml"  # in a run folder
-MAX_FILE_SIZE = 100_000  # bytes; a campaign's file has a few hundred
+CONFIG = "config.yaml"  # file in a run folder
+MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How long a campaign runs: a number of executions, or a time.
+    """Budget of a campaign: a number of executions, or a running time.
 
     Attributes:
-        executions: None where it is a time.
-        seconds: None where it is a number of executions.
+        executions: number of executions; None if the budget is a time.
+        seconds: running time [s]; None if the budget is a number of executions.
     """
 
     executions: int | None = None
@@ -33,10 +33,10 @@ class Budget:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read "750", "30m" or "1h30m".
+        """Parse a budget such as "750", "30m" or "1h30m".
 
         Raises:
-            InputError: if the text is neither, or nothing at all could be executed.
+            InputError: if the text is neither a number nor a time, or if it is zero.
         """
         if re.fullmatch(r"\d{1,9}", text) and int(text) > 0:
             return cls(executions=int(text))
@@ -56,21 +56,21 @@ class CampaignConfig:
 
     Attributes:
         env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
-        ads: system under test: "rule", a policy's file, or "package.module:attribute" of anything with a
-            `predict` method.
+        ads: driving system under test: "rule", a policy file, or "package.module:attribute" of an object or class with
+            a `predict` method.
         method: search method, see `behavexplor.fuzz.methods`, or "package.module:attribute".
-        budget: executions, such as "750", or a time, such as "30m".
-        seed: the same seed gives the same campaign.
-        batch: candidates in flight: candidate i is chosen knowing the results up to i - batch. 1 is the
-            paper's sequential loop.
-        time_limit: of one execution [s]; an ADS that takes longer is in a hang.
-        memory_limit: of one worker process [GiB], where the system can set it.
-        unconfined: whether an ADS that is not shipped with this package may write files and use the network. Else
-            its worker processes may not, where the system can prevent it.
-        trust: digests ("sha256:...") of policies' files that may run code of their own while they are loaded.
-        specs: requirements of the user beside R1, R2 and R3, each as "package.module:attribute"; see
+        budget: number of executions, such as "750", or running time, such as "30m".
+        seed: seed of the campaign. The same seed gives the same campaign.
+        batch: number of candidates in flight. Candidate i is chosen with the results up to i - batch; 1 is the paper's
+            sequential loop.
+        time_limit: time limit of one execution [s]. An ADS that takes longer counts as a hang.
+        memory_limit: memory limit of one worker process [GiB], where the system can set it.
+        unconfined: whether an ADS that is not shipped with this package may write files and use the network. By
+            default its worker processes may not, where the system can prevent it.
+        trust: digests ("sha256:...") of policy files that may run code while they are loaded.
+        specs: user-defined requirements in addition to R1, R2 and R3, each as "package.module:attribute"; see
             `behavexplor.judge.robustness`.
-        options: of the search method; see its `Options`.
+        options: options of the search method; see its `Options`.
 
     Raises:
         InputError: if a value is out of range.
@@ -102,38 +102,38 @@ class CampaignConfig:
                 raise InputError(f"{name} {limit} must be greater than 0")
         for digest in self.trust:
             if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
-                raise InputError(f"--trust {digest!r} must be sha256: and 64 hexadecimal digits, of a policy's file")
+                raise InputError(f"--trust {digest!r} must be sha256: and the 64 hexadecimal digits of a policy file")
 
     @property
     def target(self) -> Target:
-        """The driving system in its environment, with the limits of its processes."""
+        """The driving system and its environment, with the limits of the worker processes."""
         return Target(self.env, self.ads, self.trust, self.unconfined, self.time_limit, self.memory_limit)
 
     def to_yaml(self) -> str:
-        """The whole configuration; a campaign that is given this file is the same campaign."""
+        """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file."""
         return yaml.safe_dump({**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}, sort_keys=False)
 
 
 def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
-    """A configuration from plain values.
+    """Return a configuration from plain values.
 
     Raises:
-        InputError: naming the first value that is unknown, of a wrong type or out of range.
+        InputError: if a value is unknown, of a wrong type or out of range; the message names the first such value.
     """
     budget = values.get("budget")
-    if isinstance(budget, int) and not isinstance(budget, bool):  # as YAML reads `budget: 750`
+    if isinstance(budget, int) and not isinstance(budget, bool):  # YAML reads `budget: 750` as a number
         values = {**values, "budget": str(budget)}
     return checked(CampaignConfig, values, "configuration")
 
 
 def read_config(name: str) -> dict[str, Any]:
-    """The values in a campaign's file.
+    """Read the values in the configuration file of a campaign.
 
     Args:
-        name: path of a YAML file, or the name of a preset in `configs/`, such as "paper".
+        name: path of a YAML file, or name of a preset in `configs/`, such as "paper".
 
     Raises:
-        InputError: if there is no such file, or it holds no mapping.
+        InputError: if there is no such file, or if it holds no mapping.
     """
     path = Path(name)
     if not path.is_file() and "/" not in name and (preset := preset_folder() / f"{name}.yaml").is_file():
@@ -145,30 +145,30 @@ def read_config(name: str) -> dict[str, Any]:
 
 
 def stored_config(run: Path) -> CampaignConfig:
-    """The configuration of the campaign in a run folder.
+    """Return the configuration of the campaign in a run folder.
 
     Raises:
         InputError: if it is missing or damaged.
     """
     path = run / CONFIG
     if not path.is_file():
-        raise InputError(f"{run} is not a run folder, or has lost its {CONFIG}: put that back, or begin another run")
+        raise InputError(f"{run} is not a run folder, or its {CONFIG} is missing: restore the file or start a new run")
     values = read_yaml(path)
     if not values:
-        raise InputError(f"{path} is empty: the configuration of the run is lost")
+        raise InputError(f"{path} is empty, so the configuration of the run is lost: restore it or start a new run")
     return campaign_config(values)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The keys and values in a YAML file.
+    """Read the keys and values in a YAML file.
 
     Raises:
-        InputError: if it cannot be read, is too long, or holds no mapping.
+        InputError: if the file cannot be read, is too long, or holds no mapping.
     """
     try:
         data = path.read_bytes()
         if len(data) > MAX_FILE_SIZE:
-            raise InputError(f"{path} has {len(data)} bytes: no campaign's configuration is that long")
+            raise InputError(f"{path} has {len(data)} bytes, but a configuration has at most {MAX_FILE_SIZE}")
         values = parse_yaml(data.decode())
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
@@ -177,12 +177,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if values is None:
         return {}
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise InputError(f"{path} must hold keys and values, such as `env: intersection-straight`")
+        raise InputError(f"{path} must contain keys and values, such as `env: intersection-straight`")
     return values
 
 
 def preset_folder() -> Path:
-    """The folder of presets: beside the package in a checkout, inside it when it was installed."""
+    """Return the folder of presets: beside the package in a checkout, or inside an installed package."""
     package = Path(__file__).parent.parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"

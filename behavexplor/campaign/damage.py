@@ -1,4 +1,4 @@
-"""What a run folder has lost, in words."""
+"""Reports on data that a run folder has lost."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,11 +11,11 @@ DATABASE, FAILURES = "campaign.db", "failures"
 
 @dataclass
 class Losses:
-    """What a run folder has lost.
+    """Data that a run folder has lost.
 
     Attributes:
         damaged: numbers of executions that are damaged or missing.
-        cut_off: whether nobody can say how many there were after the last of them.
+        cut_off: whether an unknown number of executions after the last of them is lost, too.
         files: numbers of failed executions whose file is missing.
     """
 
@@ -24,20 +24,20 @@ class Losses:
     files: list[int] = field(default_factory=list)
 
     def sentences(self, folder: Path) -> list[str]:
-        """What was lost, a sentence for each kind of loss."""
+        """Return a sentence for each kind of loss."""
         said = []
         if self.damaged:
-            numbers = _ranges(self.damaged) + (" and whatever came after" if self.cut_off else "")
+            numbers = _ranges(self.damaged) + (" and everything after" if self.cut_off else "")
             said.append(f"Damaged or missing in {folder / DATABASE}: {numbers}; fuzz --resume executes that again")
         if self.files:
             said.append(f"Missing in {folder / FAILURES}: files of {_ranges(self.files)}; fuzz --resume writes them")
         if not (folder / CONFIG).is_file():
-            said.append(f"{folder / CONFIG} is missing: without it the run can neither be replayed nor resumed")
+            said.append(f"{folder / CONFIG} is missing: restore it, or the run can neither be replayed nor resumed")
         return said
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """Increasing numbers in words: "execution 3", "executions 3, 5 to 9"."""
+    """Return increasing numbers in words, such as "execution 3" or "executions 3, 5 to 9"."""
     ranges: list[list[int]] = []
     for number in numbers:
         if ranges and number == ranges[-1][1] + 1:

@@ -1,6 +1,6 @@
-"""The SQLite file of a run folder: what stands in it, how it is opened, and how what is left of a damaged one is read.
+"""The SQLite database of a run folder: its schema, how it is opened, and how a damaged one is read and rebuilt.
 
-Every row carries two checksums, so that a record can be checked without its trace.
+Every row has two checksums, so that a record can be checked without its trace.
 """
 
 import os
@@ -13,12 +13,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-FORMAT = 2  # 1: rows had one checksum, of record and trace together
+FORMAT = 2  # in format 1, rows had a single checksum of record and trace
 READABLE = (1, 2)
-MAX_VALUE = 100_000_000  # bytes of one stored value; a trace has some thousand
-_LEAST_ROW = 64  # bytes that a row takes at least
+MAX_VALUE = 100_000_000  # greatest size of a stored value [bytes]; a trace has some thousand
+_LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
-_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last for JSON that is none
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last for invalid JSON
 
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
@@ -49,13 +49,13 @@ _INSERT = (
 
 @dataclass(frozen=True)
 class Row:
-    """One execution as it is stored.
+    """A row of the database: one stored execution.
 
     Attributes:
-        id: its number.
-        record: JSON.
-        trace: npz; empty where it was not asked for.
-        elapsed: [s].
+        id: number of the execution.
+        record: record as JSON.
+        trace: trace as npz; empty if it was not read.
+        elapsed: running time of the campaign up to the execution [s].
     """
 
     id: int
@@ -65,21 +65,21 @@ class Row:
 
 
 class DamagedError(Exception):
-    """A row is there, and is not what was written; or cannot be read."""
+    """A row cannot be read, or differs from what was written."""
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
     """Open a database.
 
     Args:
-        path: of the file.
-        mode: "ro" to read it, "rw" to write it, "rwc" to make it where it is missing.
+        path: path of the file.
+        mode: "ro" to read, "rw" to read and write, "rwc" to also create a missing file.
 
     Raises:
-        sqlite3.Error: if it cannot be opened.
+        sqlite3.Error: if the file cannot be opened.
     """
     if mode == "ro" and not os.access(path.parent, os.W_OK) and not _wal(path).exists():
-        mode = "ro&immutable=1"  # nobody can write it, and SQLite cannot make the files that it would need beside it
+        mode = "ro&immutable=1"  # in a folder that cannot be written, SQLite cannot create its auxiliary files
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=30)
     try:
         _set_up(connection, is_reader=mode.startswith("ro"))
@@ -91,34 +91,34 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 
 def _set_up(connection: sqlite3.Connection, *, is_reader: bool) -> None:
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
-    connection.text_factory = bytes  # damaged text is found by its checksum, not by its encoding
+    connection.text_factory = bytes  # checksums detect damaged text; decoding must not fail first
     if is_reader:
         connection.execute("PRAGMA trusted_schema = OFF")
-        connection.execute("PRAGMA writable_schema = ON")  # reads a file that was cut off as far as it goes
+        connection.execute("PRAGMA writable_schema = ON")  # read as much as possible of a truncated file
     else:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
 
 
 def begin(connection: sqlite3.Connection) -> None:
-    """Make the tables, all or none."""
+    """Create the tables in one transaction."""
     connection.executescript(_BEGINNING)
 
 
 def is_empty(connection: sqlite3.Connection) -> bool:
-    """Whether a database has no tables yet: its making was interrupted.
+    """Return whether a database has no tables, because its creation was interrupted.
 
     Raises:
-        sqlite3.Error: if it cannot be read.
+        sqlite3.Error: if the database cannot be read.
     """
     return bool(connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0] == 0)
 
 
 def read_format(connection: sqlite3.Connection) -> str:
-    """The format that a database says it has, "none" if it does not say.
+    """Return the format that a database declares; "none" if it declares none.
 
     Raises:
-        sqlite3.Error: if it cannot be read.
+        sqlite3.Error: if the database cannot be read.
     """
     kinds = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name IN ('meta', 'executions')"
     if connection.execute(kinds).fetchone()[0] != 2:
@@ -128,7 +128,7 @@ def read_format(connection: sqlite3.Connection) -> str:
 
 
 def written_format(path: Path) -> str | None:
-    """The format of a file that is only looked at; None if it does not say, or cannot be read."""
+    """Return the format that a file declares, without changing the file; None if it declares none or is unreadable."""
     try:
         with closing(connect(path, "ro")) as connection:
             found = read_format(connection)
@@ -138,12 +138,12 @@ def written_format(path: Path) -> str | None:
 
 
 def upgrade(connection: sqlite3.Connection) -> None:
-    """Bring a database of format 1 to this version's, all or nothing."""
+    """Upgrade a database of format 1 to this version's format in one transaction."""
     connection.executescript(_UPGRADE)
 
 
 def insert(connection: sqlite3.Connection, rows: list[Row]) -> None:
-    """Bring rows to disk, all or none; a row of the same number is replaced."""
+    """Write rows to disk in one transaction, replacing rows with the same number."""
     with connection:
         connection.executemany(
             _INSERT,
@@ -158,9 +158,9 @@ class ExecutionTable:
     """The executions in a database.
 
     Args:
-        path: of the file.
-        connection: to it.
-        stored_format: that it has.
+        path: path of the file.
+        connection: connection to the database.
+        stored_format: format of the database.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection, stored_format: str) -> None:
@@ -171,10 +171,10 @@ class ExecutionTable:
         self._brief = _SELECT.format(trace="NULL", record_checksum=extra)
 
     def row(self, number: int) -> Row | None:
-        """One row with its trace; None if there is none.
+        """Return a row with its trace; None if there is no such row.
 
         Raises:
-            DamagedError: if it is damaged.
+            DamagedError: if the row is damaged.
         """
         try:
             found = self._connection.execute(f"{self._whole} WHERE id = ?", (number,)).fetchone()
@@ -183,12 +183,12 @@ class ExecutionTable:
         return None if found is None else _checked(found)
 
     def rows(self, *, traces: bool) -> Iterator[tuple[int, Row | None]]:
-        """All numbers in order, each with its row, or None where that is damaged or missing.
+        """Yield all numbers in order, each with its row, or with None for a damaged or missing row.
 
-        Where nobody can say how many rows there were, the last number is the first of those that are lost.
+        If the number of rows is unknown, the last number is that of the first row that is lost at the end.
 
         Args:
-            traces: whether they are read, too.
+            traces: whether to read the traces, too.
         """
         lost: list[int] = []
         for number, found in self._found(self._whole if traces else self._brief):
@@ -204,7 +204,7 @@ class ExecutionTable:
 
     @property
     def last(self) -> int | None:
-        """The greatest number; -1 without any row, None if nobody can say."""
+        """Greatest number of a row; -1 without any row, None if it is unknown because of damage."""
         try:
             return int(self._connection.execute("SELECT coalesce(max(id), -1) FROM executions").fetchone()[0])
         except sqlite3.DatabaseError:
@@ -212,14 +212,14 @@ class ExecutionTable:
 
     def _row(self, found: tuple[Any, ...] | None) -> Row | None:
         try:
-            if found is not None and found[2] is None and found[5] is None:  # only its trace tells whether it is whole
+            if found is not None and found[2] is None and found[5] is None:  # format 1: the checksum needs the trace
                 return self.row(found[0])
             return None if found is None else _checked(found)
         except DamagedError:
             return None
 
     def _found(self, query: str) -> Iterator[tuple[int, tuple[Any, ...] | None]]:
-        """What is in the table for each number from 0, None if it is missing or cannot be read."""
+        """Yield each number from 0 with its unchecked row, or with None if the row is missing or unreadable."""
         number = 0
         try:
             for found in self._connection.execute(f"{query} WHERE id >= 0 ORDER BY id"):
@@ -232,7 +232,7 @@ class ExecutionTable:
                 return
         except sqlite3.DatabaseError:  # a page is damaged
             pass
-        yield from self._one_by_one(query, number)  # rows in other pages can be found so
+        yield from self._one_by_one(query, number)  # this finds rows in undamaged pages
 
     def _one_by_one(self, query: str, first: int) -> Iterator[tuple[int, tuple[Any, ...] | None]]:
         last = self.last
@@ -244,16 +244,16 @@ class ExecutionTable:
 
     @property
     def _most(self) -> int:
-        """How many rows there can be at most in files of that size."""
+        """Greatest number of rows that files of this size can hold."""
         files = (self._path, _wal(self._path))
         return sum(file.stat().st_size for file in files if file.exists()) // _LEAST_ROW
 
 
 def is_whole(path: Path) -> bool:
-    """Whether the structure of a database is in order; its rows' checksums tell of the rest.
+    """Return whether the structure of a database is intact. The contents of its rows have checksums of their own.
 
     Raises:
-        sqlite3.Error: if that cannot be found out.
+        sqlite3.Error: if the check fails for another reason than damage.
     """
     try:
         with closing(connect(path, "rw")) as connection:
@@ -265,14 +265,14 @@ def is_whole(path: Path) -> bool:
 
 
 def rebuild(path: Path) -> tuple[int, Path]:
-    """Bring what can be read of a damaged database into a new one, and keep the damaged file.
+    """Copy the readable rows of a damaged database into a new one, and keep the damaged file under another name.
 
     Returns:
-        How many rows could be read, and where the damaged file is now.
+        The number of rows that could be read, and the new path of the damaged file.
 
     Raises:
         OSError: if the folder cannot be written.
-        sqlite3.Error: likewise.
+        sqlite3.Error: if the new database cannot be written.
     """
     new, kept = path.with_name(path.name + ".part"), _free_name(path)
     for leftover in (new, _wal(new)):
@@ -293,7 +293,7 @@ def rebuild(path: Path) -> tuple[int, Path]:
 
 
 def _readable(path: Path) -> Iterator[Row]:
-    """The undamaged rows of a database."""
+    """Yield the undamaged rows of a database."""
     try:
         connection = connect(path, "ro")
     except sqlite3.DatabaseError:
@@ -313,21 +313,21 @@ def _readable(path: Path) -> Iterator[Row]:
 
 
 def _free_name(path: Path) -> Path:
-    """Where a damaged file is kept beside those that were damaged before."""
+    """Return an unused path for a damaged file, beside damaged files of earlier times."""
     taken = len(list(path.parent.glob(f"{path.name}.damaged*")))
     return path.with_name(f"{path.name}.damaged{taken + 1 if taken else ''}")
 
 
 def _wal(path: Path) -> Path:
-    """The file in which SQLite keeps what was committed last."""
+    """Return the path of SQLite's write-ahead log, which holds the latest commits."""
     return path.with_name(path.name + "-wal")
 
 
 def _checked(found: tuple[Any, ...]) -> Row:
-    """A row whose checksums are right.
+    """Return a row after checking its checksums.
 
     Raises:
-        DamagedError: if one is not.
+        DamagedError: if a checksum is wrong.
     """
     number, record, trace, elapsed, checksum, record_checksum = found
     if not isinstance(record, bytes) or not isinstance(trace, bytes | None) or not isinstance(elapsed, float):

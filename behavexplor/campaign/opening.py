@@ -1,4 +1,4 @@
-"""A campaign made ready to run: its ADS loaded, its run folder open, what executes it started; and all of it closed."""
+"""Setup and teardown of a campaign: its search method, executor, ADS check and run folder."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -16,12 +16,12 @@ from behavexplor.judge.robustness import load_specs
 
 @dataclass(frozen=True)
 class Ready:
-    """A campaign that can be run now, and what it stands on.
+    """A campaign that is ready to run.
 
     Attributes:
-        campaign: not yet run.
-        store: its run folder.
-        warnings: what is wrong with the ADS, a sentence each.
+        campaign: the campaign.
+        store: store of its run folder.
+        warnings: warnings about the ADS, each of them a sentence.
     """
 
     campaign: Campaign
@@ -39,16 +39,19 @@ def opened(
     cluster: str = "",
     patience: AbstractContextManager[object] | None = None,
 ) -> Iterator[Ready]:
-    """Make a campaign ready, and release all of it afterwards.
+    """Prepare a campaign, and release its resources afterwards.
 
     Args:
-        config: what it is.
-        folder: its run folder, new or empty unless it is resumed.
-        workers: processes that execute scenarios; 0 is this one, or on a cluster as many as it has cores.
-        resume: go on with what the folder holds.
-        cluster: where the processes are, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this
-            machine.
-        patience: entered while the ADS is loaded and tried.
+        config: configuration of the campaign.
+        folder: run folder, new or empty unless the campaign is resumed.
+        workers: number of processes that execute scenarios. 0 means this process, or on a cluster one node for each
+            core.
+        resume: whether to resume the campaign in the folder.
+        cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        patience: context manager that is entered while the ADS is loaded and checked.
+
+    Yields:
+        The campaign, ready to run.
 
     Raises:
         InputError: if the ADS, the environment, the search method, a spec, the cluster or the run folder cannot be
@@ -67,7 +70,11 @@ def opened(
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:
-    """The store of a run that has no more executions than the budget allows."""
+    """Return the store of a run to resume.
+
+    Raises:
+        InputError: if the run has more executions than the budget allows.
+    """
     store = Store.reopen(run)
     try:
         _check_budget(run, config, len(store))
@@ -80,7 +87,10 @@ def _reopened(run: Path, config: CampaignConfig) -> Store:
 
 
 def _is_shorter(budget: str, stored: str) -> bool:
-    """Whether a budget is a smaller one of the same kind: that only ends the run earlier this time."""
+    """Return whether a budget is smaller than the stored one, and of the same kind.
+
+    A smaller budget ends the run earlier this time, but does not replace the stored budget.
+    """
     new, old = Budget.parse(budget), Budget.parse(stored)
     if new.executions is not None and old.executions is not None:
         return new.executions < old.executions
@@ -90,4 +100,4 @@ def _is_shorter(budget: str, stored: str) -> bool:
 def _check_budget(run: Path, config: CampaignConfig, count: int) -> None:
     executions = Budget.parse(config.budget).executions
     if executions is not None and executions < count:
-        raise InputError(f"--budget {executions} is less than the {count} executions that {run} has already")
+        raise InputError(f"--budget {executions} is less than the {count} executions that {run} already has")

@@ -1,4 +1,4 @@
-"""Progress of a campaign, as figures."""
+"""Progress of a campaign in figures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,21 +6,21 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a campaign has come; every execution counted here is on disk.
+    """Progress of a campaign. Every execution that is counted here is on disk.
 
     Attributes:
-        executions: how many are stored.
-        failed: how many of them violate a spec.
-        violations: failures by the first spec that they violate, R1 before R2 before R3: a collision keeps
-            the ego from its destination, too; and "error", what else an ADS did than driving.
-        classes: failures by their class, see `behavexplor.judge.classes`; one for each unique violation.
-        novel: how many showed a behavior that was new to the campaign.
-        elapsed: running time, also before an interruption [s].
-        earlier: part of it before the interruption [s].
-        executing: part of the rest spent waiting for executions [s].
-        resumed: executions that had been stored by an earlier run.
+        executions: number of stored executions.
+        failed: number of failed executions.
+        violations: numbers of failures by the most severe spec that they violate. R1 comes before R2 and R3, because a
+            collision also keeps the ego from its destination. "error" counts failures of the ADS itself.
+        classes: numbers of failures by their class, see `behavexplor.judge.classes`. Each class is a unique violation.
+        novel: number of executions with a behavior that was new to the campaign.
+        elapsed: running time, including the time before an interruption [s].
+        earlier: running time before the interruption [s].
+        executing: time since then that was spent waiting for executions [s].
+        resumed: number of executions that were taken from an earlier run.
         method: figures of the search method by name.
-        last: the latest execution that was "novel", of a new "class", or counts for a spec, by that name.
+        last: number of the latest execution that was "novel", had a new "class", or counts for a spec, by these names.
     """
 
     executions: int = 0

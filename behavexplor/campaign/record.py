@@ -1,4 +1,4 @@
-"""Record: what a campaign keeps of one execution beside its trace, as one JSON object."""
+"""Record: the figures that a campaign stores for one execution in addition to its trace, as one JSON object."""
 
 import json
 from dataclasses import dataclass, field
@@ -20,12 +20,13 @@ class Record:
 
     Attributes:
         id: number of the execution, counted from 0 in the order in which the search asked for them.
-        origin: how the search made the scenario, such as "initial" or the kind of a mutation.
+        origin: origin of the scenario in the search, such as "initial" or the kind of a mutation.
         parent: number of the execution whose scenario was mutated; None without a parent.
-        end: how the episode ended, see `behavexplor.data.trace.ENDS`.
-        error: "kind" and "message" of the failure of an ADS that did not drive; None if it drove.
+        end: end of the episode, see `behavexplor.data.trace.ENDS`.
+        error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.rollout.ADSError`; None if it
+            drove.
         duration: simulated time [s].
-        violated: names of the violated specs, the most severe first; ("error",) if the ADS did not drive.
+        violated: names of the violated specs, the most severe first; ("error",) if the ADS itself failed.
         violation_class: class of the violation, see `behavexplor.judge.classes`; None for a passed execution.
         fault: fault for a collision, see `behavexplor.judge.fault`; None without one.
         degree: sum of the violation degrees (the paper's O).
@@ -56,7 +57,7 @@ class Record:
 
     @property
     def failed(self) -> bool:
-        """Whether the execution violated a spec."""
+        """True if the execution violated a spec."""
         return bool(self.violated)
 
     def load_scenario(self) -> Scenario:

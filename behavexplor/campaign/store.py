@@ -1,8 +1,8 @@
-"""A campaign's run folder: one SQLite file with every execution, the configuration, and the failures to replay.
+"""The run folder of a campaign: an SQLite file with every execution, the configuration, and a file for each failure.
 
-What `commit` has returned from is on disk, against a power cut too. The file can be read while a campaign
-writes it, by any SQLite reader: `pandas.read_sql("SELECT * FROM executions", sqlite3.connect(path))`.
-A damaged folder is read as far as it goes, and what a damaged one has lost is executed again on resuming.
+Committed executions survive a power cut. Any SQLite reader can read the file while a campaign writes it:
+`pandas.read_sql("SELECT * FROM executions", sqlite3.connect(path))`. A damaged folder is read as far as possible, and
+lost executions are repeated when the campaign is resumed.
 """
 
 import json
@@ -44,7 +44,7 @@ except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
 LOCK = "campaign.lock"
-_UNFINISHED = {LOCK, f"{CONFIG}.part"}  # what a run may leave that was ended before it had begun
+_UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it begins
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class Execution:
     """One stored execution.
 
     Attributes:
-        record: its figures.
-        trace: as bytes, see `behavexplor.data.trace.Trace.from_bytes`.
-        elapsed: running time of the campaign up to it [s].
+        record: figures of the execution.
+        trace: trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`.
+        elapsed: running time of the campaign up to the execution [s].
     """
 
     record: Record
@@ -63,27 +63,27 @@ class Execution:
 
     @property
     def id(self) -> int:
-        """Its number."""
+        """Number of the execution."""
         return self.record.id
 
     @property
     def scenario(self) -> Scenario:
-        """What was executed."""
+        """The executed scenario."""
         return self.record.load_scenario()
 
     def load_trace(self) -> Trace:
-        """What happened."""
+        """Return the trace."""
         return Trace.from_bytes(self.trace)
 
 
 class Store:
     """The executions of one run folder.
 
-    Use `create`, `reopen` or `read`. Rows that were added count only once they are committed.
+    Use `create`, `reopen` or `read` to make one. Added executions only count once they are committed.
 
     Attributes:
         folder: the run folder.
-        repaired: what was found damaged and has been mended when it was reopened, as a sentence; None if nothing was.
+        repaired: sentence on the damage that was repaired when the run was reopened; None without damage.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Store:
         self.repaired = repaired
         self._connection = connection
         self._table = ExecutionTable(folder / DATABASE, connection, read_format(connection))
-        self._lock = lock  # of the one who writes
+        self._lock = lock  # None for readers
         self._pending: list[Execution] = []
 
     @classmethod
@@ -101,11 +101,11 @@ class Store:
         """Begin a run in an empty or new folder.
 
         Args:
-            folder: is made if it does not exist.
-            config: the campaign's configuration as YAML.
+            folder: run folder, which is created if it does not exist.
+            config: configuration of the campaign as YAML.
 
         Raises:
-            InputError: if the folder cannot be written, or holds something already.
+            InputError: if the folder cannot be written, or is not empty.
         """
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -119,10 +119,10 @@ class Store:
 
     @classmethod
     def reopen(cls, folder: Path) -> Self:
-        """Go on with a run, also with one that was ended before it had begun, or was damaged.
+        """Reopen a run to resume it, even if it was interrupted before its first execution, or is damaged.
 
         Raises:
-            InputError: if the folder holds no run that this version can go on with.
+            InputError: if the folder holds no run that this version can resume.
         """
         if not (folder / CONFIG).is_file() and not (folder / DATABASE).is_file():
             raise InputError(f"{folder} is not a run folder: it has neither {CONFIG} nor {DATABASE}")
@@ -130,7 +130,7 @@ class Store:
 
     @classmethod
     def _locked(cls, folder: Path, config: str | None) -> Self:
-        """Open a folder to write it."""
+        """Lock a folder and open it for writing."""
         try:
             lock = _lock(folder)
         except OSError as error:
@@ -150,7 +150,7 @@ class Store:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Look at a run, also while a campaign writes it.
+        """Open a run for reading, possibly while a campaign writes it.
 
         Raises:
             InputError: if the folder holds no run that this version can read.
@@ -173,10 +173,10 @@ class Store:
             raise
 
     def write_config(self, config: str) -> None:
-        """Replace the configuration: a resumed campaign may have a larger budget.
+        """Replace the configuration, because a resumed campaign may have a larger budget.
 
         Raises:
-            InputError: if it cannot be written.
+            InputError: if the configuration cannot be written.
         """
         try:
             write_durably(self.folder / CONFIG, config)
@@ -184,17 +184,17 @@ class Store:
             raise _unwritable(self.folder, error) from None
 
     def __len__(self) -> int:
-        """How many executions are committed."""
+        """Return the number of committed executions."""
         return int(self._ask("SELECT count(*) FROM executions"))
 
     @property
     def end(self) -> int:
-        """The number after the greatest that is committed."""
+        """Number of the last committed execution plus 1."""
         return int(self._ask("SELECT coalesce(max(id), -1) FROM executions")) + 1
 
     @property
     def elapsed(self) -> float:
-        """Running time of the campaign when the last execution was told [s]."""
+        """Running time of the campaign up to the last committed execution [s]."""
         return float(self._ask("SELECT coalesce(max(elapsed), 0.0) FROM executions"))
 
     def _ask(self, query: str) -> Any:
@@ -204,19 +204,19 @@ class Store:
             raise InputError(f"{self.folder / DATABASE} is damaged: {error}") from None
 
     def add(self, execution: Execution) -> None:
-        """Take an execution in; it counts from the next `commit`."""
+        """Add an execution, which counts from the next `commit` on."""
         self._pending.append(execution)
 
     @property
     def pending(self) -> int:
-        """How many were added since the last `commit`."""
+        """Number of executions that were added since the last `commit`."""
         return len(self._pending)
 
     def commit(self) -> list[Execution]:
-        """Bring what was added to disk, each failure also as a file of its own.
+        """Write the added executions to disk, and each failure also to a file of its own.
 
         Returns:
-            What is on disk now and was not before.
+            The executions that were written.
         """
         rows = []
         for execution in self._pending:
@@ -229,17 +229,17 @@ class Store:
         return committed
 
     def failure_path(self, number: int) -> Path:
-        """The file of a failed execution."""
+        """Return the path of the file of a failed execution."""
         return self.folder / FAILURES / f"{number:06d}.json"
 
     def _write_failure(self, execution: Execution) -> None:
         write_durably(self.failure_path(execution.id), json.dumps(execution.record.to_dict(), indent=1) + "\n")
 
     def executions(self) -> Iterator[Execution]:
-        """All committed executions in order.
+        """Yield all committed executions in order.
 
         Raises:
-            InputError: if one is damaged; those before it have been given.
+            InputError: if an execution is damaged, after all earlier ones were yielded.
         """
         for number, row in self._table.rows(traces=True):
             if row is None:
@@ -247,13 +247,14 @@ class Store:
             yield self._checked(row)
 
     def records(self, losses: Losses | None = None) -> Iterator[Record]:
-        """The records of all committed executions in order; no trace is read.
+        """Yield the records of all committed executions in order, without reading traces.
 
         Args:
-            losses: takes in what is lost, and the records go on after it.
+            losses: collects the losses of a damaged folder, so that damaged records are skipped; None to raise an error
+                instead.
 
         Raises:
-            InputError: if one is damaged and there are no `losses` to say it in.
+            InputError: if a record is damaged and `losses` is None.
         """
         for number, row in self._table.rows(traces=False):
             record = None
@@ -270,21 +271,21 @@ class Store:
                 losses.cut_off = self._table.last is None
 
     def failures(self) -> Iterator[tuple[int, str, str | None]]:
-        """Each execution that violates a spec, in order: its number, the first spec that it violates, and its class.
+        """Yield the number, the most severe violated spec, and the class of each failed execution, in order.
 
-        Old runs have no classes.
+        The class is None in runs of early versions.
         """
-        first = "json_extract(record, '$.violated[0]')"  # readers do not trust columns that are computed in the file
+        first = "json_extract(record, '$.violated[0]')"  # readers do not trust generated columns of the file
         columns = f"id, {first}, json_extract(record, '$.class')"
         query = f"SELECT {columns} FROM executions WHERE {first} IS NOT NULL ORDER BY id"  # noqa: S608 - all our own
         for number, name, kind in self._connection.execute(query):
             yield number, name.decode(), kind and kind.decode()
 
     def execution(self, number: int) -> Execution:
-        """One execution.
+        """Return an execution.
 
         Raises:
-            InputError: if there is none of that number, or it is damaged.
+            InputError: if there is no execution of that number, or if it is damaged.
         """
         try:
             row = self._table.row(number) if abs(number) < 2**63 else None
@@ -301,9 +302,9 @@ class Store:
             raise self._damaged(row.id) from None
 
     def recall(self, number: int) -> Execution | None:
-        """An execution for the campaign that goes on; None if it must be executed again.
+        """Return an execution for a resumed campaign; None if it must be executed again.
 
-        The file of a failure that has been lost is written again.
+        If the file of a failure is missing, it is written again.
         """
         try:
             row = self._table.row(number)
@@ -322,9 +323,9 @@ class Store:
         )
 
     def close(self) -> None:
-        """Release the file; what was written is then a single one, which needs no writing to be read."""
+        """Close the database. After writing, merge it into a single file that can be read from a read-only folder."""
         if self._lock is not None:
-            with suppress(sqlite3.Error):  # somebody reads it right now
+            with suppress(sqlite3.Error):  # another process is reading it
                 self._connection.execute("PRAGMA journal_mode = DELETE")
             self._lock.close()
         self._connection.close()
@@ -338,7 +339,7 @@ def _record(row: Row) -> Record:
     """Return the record in a row.
 
     Raises:
-        DamagedError: if there is none, or that of another execution.
+        DamagedError: if the row holds no valid record, or the record of another execution.
     """
     try:
         record = Record.from_json(row.record)
@@ -350,20 +351,20 @@ def _record(row: Row) -> Record:
 
 
 def _repaired(folder: Path) -> str | None:
-    """Mend the structure of a damaged database; what was lost, as a sentence."""
+    """Repair the structure of a damaged database. Return a sentence on the repair; None if none was needed."""
     path = folder / DATABASE
     if not path.is_file():
         return None
     if (found := written_format(path)) is not None:
-        _check_format(path, found)  # before anything is changed
+        _check_format(path, found)  # must come before any change
     if is_whole(path):
         return None
     count, kept = rebuild(path)
-    return f"{path} was damaged: {count} executions were saved, the others run again; the old file is now {kept.name}"
+    return f"{path} was damaged: {count} executions were saved, the rest run again; the damaged file is now {kept.name}"
 
 
 def _prepared(folder: Path) -> sqlite3.Connection:
-    """A connection that writes, to a database of this version's format."""
+    """Open a database for writing. Create its tables, or upgrade them to this version's format, if necessary."""
     path = folder / DATABASE
     connection = connect(path, "rwc")
     try:
@@ -381,7 +382,7 @@ def _prepared(folder: Path) -> sqlite3.Connection:
 
 def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
     if is_empty(connection):
-        raise InputError(f"{path} is empty: the run has not begun; fuzz --resume begins it")
+        raise InputError(f"{path} is empty because the run has not begun: fuzz --resume begins it")
     _check_format(path, read_format(connection))
 
 
@@ -390,8 +391,8 @@ def _check_format(path: Path, found: str) -> None:
         return
     known = " and ".join(map(str, READABLE))
     newer = re.fullmatch(r"[1-9]\d{0,8}", found) and int(found) > FORMAT
-    mend = "a newer behavexplor has written it" if newer else "it is no campaign's, or damaged"
-    raise InputError(f"{path} has format {found:.20}, this version reads {known}: {mend}")
+    mend = "it was written by a newer behavexplor" if newer else "it is damaged, or not a campaign's database"
+    raise InputError(f"{path} has format {found:.20}, but this version reads {known}: {mend}")
 
 
 def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:
@@ -400,10 +401,10 @@ def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:
 
 
 def _lock(folder: Path) -> IO[str]:
-    """Keep other campaigns out of a run folder until the file that is returned is closed.
+    """Lock a run folder against other campaigns until the returned file is closed.
 
     Raises:
-        InputError: if another campaign is in it.
+        InputError: if another campaign holds the lock.
     """
     file = (folder / LOCK).open("w")
     if fcntl is not None:
@@ -411,12 +412,12 @@ def _lock(folder: Path) -> IO[str]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.close()
-            raise InputError(f"{folder} is being written by another campaign: wait for its end, or stop it") from None
+            raise InputError(f"{folder} is in use by another campaign: wait until it ends, or stop it") from None
     return file
 
 
 def write_durably(path: Path, text: str) -> None:
-    """Write a whole file or none: a crash leaves no half of one."""
+    """Write a file atomically and flush it to disk, so that a crash leaves no partial file."""
     partial = path.with_name(path.name + ".part")
     with partial.open("w") as file:
         file.write(text)

@@ -1,7 +1,7 @@
-"""The commands. Only here are arguments parsed and is anything printed.
+"""The command line interface. Only this package parses arguments and prints.
 
-Exit codes: 0 the budget was used (violations are the product), 1 a check failed, 2 the input is wrong, 3 the ADS or
-its environment failed, 70 a bug of ours, 130 interrupted.
+Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wrong input, 3 an execution could not be
+carried out or the run folder could not be written, 70 a bug in this package, 130 interrupted.
 """
 
 import os
@@ -18,7 +18,7 @@ from behavexplor.errors import InputError, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-COMMANDS = ("fuzz", "replay", "records", "triage", "report", "evaluate", "bench", "train")  # each a module of its name
+COMMANDS = ("fuzz", "replay", "records", "triage", "report", "evaluate", "bench", "train")  # also the module names
 
 _DESCRIPTION = "Find out how a driving policy fails."
 
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command, such as `behavexplor fuzz`.
 
     Args:
-        arguments: without the program's name; those of this process by default.
+        arguments: command line arguments without the program name; by default those of this process.
 
     Returns:
         The exit code.
@@ -37,20 +37,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"behavexplor {version('behavexplor')}")
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
-    import tyro  # noqa: PLC0415 - a library user of this package never needs it
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
+    import tyro  # noqa: PLC0415 - only the command line needs it
 
-    if "" not in sys.path and not sys.flags.safe_path:  # modules of the user's lie in the working directory
+    if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory
         sys.path.insert(0, "")
     try:
-        if given and given[0] in COMMANDS:  # the others need not be imported, some of them take their time
+        if given and given[0] in COMMANDS:  # importing only this command is faster
             code: int = tyro.cli(_command(given[0]), prog=f"{program()} {given[0]}", args=given[1:])
         else:
             commands = {name: _command(name) for name in COMMANDS}
             code = tyro.extras.subcommand_cli_from_dict(commands, prog=program(), args=given, description=_DESCRIPTION)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
+    except BrokenPipeError:  # the reader of the output, such as `head`, has exited
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except Exception as error:
@@ -64,16 +64,16 @@ def _command(name: str) -> Callable[..., Any]:
 
 
 def _failed(error: Exception) -> int:
-    """Say what went wrong: a sentence for the user's input, which a file's name or rights are, too; the exit code."""
+    """Report an error and return the exit code. Wrong input, including bad file names and rights, gets one sentence."""
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
     traceback.print_exception(error)
-    print(f"{program()}: This is a bug in behavexplor or in an extension of it; please report it.", file=sys.stderr)
+    print(f"{program()}: This is a bug in behavexplor or in one of its extensions; please report it.", file=sys.stderr)
     return INTERNAL_ERROR
 
 
 def program() -> str:
-    """How the user calls this program."""
+    """Return the name by which the user called this program."""
     called = os.environ.get("BEHAVEXPLOR_PROGRAM") or Path(sys.argv[0]).name
     return called if not called.endswith(".py") else "python -m behavexplor"

@@ -1,4 +1,4 @@
-"""`behavexplor bench`: an experiment, from its file to its tables."""
+"""`behavexplor bench`: run an experiment and write its tables."""
 
 import sys
 from collections.abc import Sequence
@@ -35,28 +35,25 @@ _MAX_JOBS = 1024
 def bench(
     experiment: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")],
     *,
-    out: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ and its name)")
-    ] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/NAME)")] = None,
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the available cores)")] = None,
     cluster: Annotated[str, tyro.conf.arg(metavar="ray|dask[:ADDRESS]", help_behavior_hint="")] = "",
     dry_run: bool = False,
     tables_only: bool = False,
     quiet: bool = False,
 ) -> int:
-    """Run search methods in environments with driving systems, over and over with other seeds, and compare them.
+    """Compare search methods: run each with several seeds in every environment and with every driving system.
 
-    What is finished is not run again: after an interruption the same command goes on.
+    Finished campaigns are not repeated. After an interruption, the same command continues the experiment.
 
     Args:
-        experiment: File of the experiment, or the name of one that is shipped: "quick", "methods", "windows", "paper".
+        experiment: YAML file of the experiment, or name of a shipped one: "quick", "methods", "windows" or "paper".
         out: Folder of the experiment.
-        jobs: Campaigns that run at a time, each on one core; with --cluster the number of nodes.
-        cluster: Run the campaigns on a cluster of Ray or Dask (see docs/robustness.md). Without an address, one is
-            started on this machine.
-        dry_run: Only say how many campaigns there are and how long they will take.
-        tables_only: Run nothing; make the tables of what is finished.
-        quiet: Only the tables.
+        jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
+        cluster: Run the campaigns on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
+        dry_run: Only show the number of campaigns and how long they will take.
+        tables_only: Only write the tables of the finished campaigns.
+        quiet: Print only the tables.
     """
     chosen = read_experiment(experiment)
     jobs = _checked_jobs(jobs, cluster)
@@ -71,9 +68,9 @@ def bench(
     finished = [run for run in chosen.runs() if run_state(run, root).finished]
     if finished:
         _report(chosen, root, _summaries(finished, root, quiet=quiet))
-    print(f"{len(finished)} of {len(chosen.runs())} campaigns are finished; everything is kept in {root}")
+    print(f"{len(finished)} of {_counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
     if finished:
-        print(f"As a page: {root / PAGE}")
+        print(f"Report: {root / PAGE}")
     return code
 
 
@@ -89,27 +86,39 @@ def _checked_jobs(jobs: int | None, cluster: str) -> int:
 
 
 def _plan(experiment: Experiment, root: Path, jobs: int) -> str:
-    """What would be run, in words."""
+    """Describe the campaigns that would be run."""
     runs = experiment.runs()
     states = [run_state(run, root) for run in runs]
     finished = sum(found.finished for found in states)
     left = sum(experiment.budget - found.executions for found in states if not found.finished)
-    parts = f"{len(experiment.envs)} environments, {len(experiment.ads)} ADS, {len(experiment.methods)} methods"
+    parts = ", ".join(
+        [
+            _counted(len(experiment.envs), "environment"),
+            _counted(len(experiment.ads), "driving system"),
+            _counted(len(experiment.methods), "method"),
+            _counted(experiment.seeds, "seed"),
+        ]
+    )
     seconds = forecast(experiment, root, jobs or available_cores())
     return (
-        f"{len(runs)} campaigns of {experiment.budget} executions: {parts}, {experiment.seeds} seeds\n"
-        f"{finished} are finished; {left} executions are left, about {clock(seconds)} with {jobs} at a time"
+        f"{_counted(len(runs), 'campaign')} of {_counted(experiment.budget, 'execution')}: {parts}\n"
+        f"{finished} finished; {_counted(left, 'execution')} left, about {clock(seconds)} with {jobs} at a time"
     )
 
 
+def _counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as "1 environment" or "4 environments"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def _prepare(experiment: Experiment, root: Path) -> None:
-    """Refuse at once what no campaign could do, then make the folder.
+    """Check the whole experiment before its first campaign, and create its folder.
 
     Raises:
-        InputError: if an environment, an ADS, a method or a spec cannot be used, or the folder is another's.
+        InputError: if an environment, an ADS, a method, a spec or the folder cannot be used.
     """
     if root.is_dir() and any(root.iterdir()) and not (root / EXPERIMENT).is_file():
-        raise InputError(f"{root} is not empty and no experiment's folder: choose another --out")
+        raise InputError(f"{root} is neither empty nor an experiment folder: choose another --out")
     load_specs(experiment.specs)
     unlike: dict[tuple[str, str], list[PlannedRun]] = {}
     for run in experiment.runs():
@@ -124,11 +133,11 @@ def _prepare(experiment: Experiment, root: Path) -> None:
         root.mkdir(parents=True, exist_ok=True)
         (root / EXPERIMENT).write_text(experiment.to_yaml())
     except OSError as error:
-        raise InputError(f"The experiment's folder {root} cannot be written: {error.strerror}") from None
+        raise InputError(f"The experiment folder {root} cannot be written: {error.strerror}") from None
 
 
 def _run(experiment: Experiment, root: Path, jobs: int, cluster: str, *, quiet: bool) -> int:
-    """Run what is left, and return the exit code."""
+    """Run the unfinished campaigns, and return the exit code."""
     running = ExperimentRunner(experiment.runs(), root, jobs, experiment.workers, cluster)
     total = len(experiment.runs()) * experiment.budget
     with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
@@ -138,7 +147,7 @@ def _run(experiment: Experiment, root: Path, jobs: int, cluster: str, *, quiet: 
     for run, failure in ended.failed.items():
         print(f"{program()}: {run}: {failure}", file=sys.stderr)
     if running.stopping:
-        print("Interrupted; the same command goes on", file=sys.stderr)
+        print("Interrupted; the same command continues the experiment", file=sys.stderr)
         return INTERRUPTED
     return EXECUTION_FAILED if ended.failed else OK
 
@@ -146,11 +155,11 @@ def _run(experiment: Experiment, root: Path, jobs: int, cluster: str, *, quiet: 
 def _words(progress: ExperimentProgress) -> str:
     failed = f", {len(progress.failed)} failed" if progress.failed else ""
     left = f", about {clock(progress.left)} left" if progress.left is not None else ""
-    return f"{progress.finished} of {progress.runs} campaigns{failed}{left}"
+    return f"{progress.finished} of {_counted(progress.runs, 'campaign')}{failed}{left}"
 
 
 def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> list[Summary]:
-    """What each campaign found; of a large experiment with many failures that takes a minute or two."""
+    """Summarize each campaign, which takes a minute or two for a large experiment with many failures."""
     with Meter(sys.stderr, len(runs), "campaigns read", quiet=quiet) as meter:
         found = []
         for run in runs:
@@ -160,7 +169,11 @@ def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> list[S
 
 
 def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) -> None:
-    """Print the tables, and write them with all else that can be made of the summaries."""
+    """Print the tables, and write the tables, curves, summaries and report page to the experiment folder.
+
+    Raises:
+        InputError: if a file cannot be written.
+    """
     made = tables(experiment, summaries)
     printed = "\n\n".join(map(text, made)) + "\n"
     drawn = curves(experiment, summaries)
@@ -186,7 +199,7 @@ def _files(table: Table) -> dict[str, str]:
 def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:
     def stop() -> None:
         runner.stop()
-        print("Stopping after the executions that are running; once more to stop at once.", file=sys.stderr)
+        print("Stopping after the current executions; press Ctrl-C again to stop at once.", file=sys.stderr)
 
     return stopped_by_signals(stop, _interrupt)
 

@@ -1,4 +1,4 @@
-"""What a running campaign shows: a live screen on a terminal, plain lines elsewhere, and the summary."""
+"""Output of a campaign: a live screen on a terminal or plain lines elsewhere, and the summary."""
 
 import shlex
 import time
@@ -18,18 +18,18 @@ from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 
-LINE_SECONDS = 10.0  # between two plain lines [s]
-_LISTED_FAILURES = 3  # of each spec in the summary
-_LISTED_CLASSES = 8  # of failures
+LINE_SECONDS = 10.0  # interval between plain lines [s]
+_LISTED_FAILURES = 3  # number of listed failures for each spec
+_LISTED_CLASSES = 8  # number of listed classes
 
 
 class Display:
     """Shows the progress of a campaign.
 
     Args:
-        stream: where to; a terminal gets a live screen, anything else a line now and then.
-        budget: of the campaign.
-        quiet: show nothing.
+        stream: output stream. A terminal shows a live screen; any other stream gets a line every few seconds.
+        budget: budget of the campaign.
+        quiet: whether to show nothing.
     """
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
@@ -46,7 +46,7 @@ class Display:
 
     @contextmanager
     def patience(self, sentence: str, after: float = 5.0) -> Iterator[None]:
-        """Print a line if what happens inside takes longer than `after` seconds."""
+        """Print a line if the code in this context takes longer than `after` seconds."""
         timer = Timer(after, self.say, [sentence])
         timer.start()
         try:
@@ -68,7 +68,7 @@ class Display:
             self._live.__exit__(kind, error, trace)
 
     def show(self, progress: Progress) -> None:
-        """Show how far the campaign has come."""
+        """Show the progress of the campaign."""
         if self._live is not None:
             self._live.update(self._screen(progress), refresh=True)
             return
@@ -123,25 +123,27 @@ class Display:
 
 
 def summary(progress: Progress, store: Store, program: str) -> str:
-    """What a campaign found, where it lies, and how to look at it."""
+    """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
     lines = [
         f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
         f"{share(progress.novel, progress)} of them with new behavior"
     ]
     if not progress.failed:
-        return "\n".join([*lines, "None failed.", f"Everything is kept in {store.folder}"])
+        command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
+        lines += [f"None failed. All results are in {store.folder}", f"Search with a larger budget: {command}"]
+        return "\n".join(lines)
     failures = [_Failure(*row) for row in store.failures()]
     kinds = {failure.kind for failure in failures if failure.kind is not None}
     unique = f" in {class_count(len(kinds))}" if kinds else ""
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
-    lines += [f"{failed}; each counts once, for the first of these:"]
+    lines += [f"{failed}; each failure is counted under its most severe type:"]
     lines += [_line_of(name, [one for one in failures if one.spec == name]) for name in progress.violations]
     lines += _listed_classes(failures)
-    lines += [f"Everything is kept in {store.folder}, the failures in its folder failures"]
+    lines += [f"All results are in {store.folder}, with a file for each failure in its folder failures"]
     folder = shlex.quote(str(store.folder))
     lines += [
-        f"Look at the first failure: {program} replay {folder} {failures[0].number}",
-        f"Write a page on all of it: {program} report {folder}",
+        f"Replay the first failure: {program} replay {folder} {failures[0].number}",
+        f"Write a report on the run: {program} report {folder}",
     ]
     return "\n".join(line for line in lines if line)
 
@@ -153,7 +155,7 @@ class _Failure(NamedTuple):
 
 
 def _line_of(spec: str, failures: list[_Failure]) -> str:
-    """How often a spec was violated, and where first; empty if it never was."""
+    """Return a line with the number of violations of a spec and the first of them; empty if there are none."""
     if not failures:
         return ""
     more = ", ..." if len(failures) > _LISTED_FAILURES else ""
@@ -162,12 +164,12 @@ def _line_of(spec: str, failures: list[_Failure]) -> str:
 
 
 def class_count(number: int) -> str:
-    """So many classes, in words."""
+    """Return a number of classes in words, such as "1 class"."""
     return f"{number} class{'' if number == 1 else 'es'}"
 
 
 def _listed_classes(failures: list[_Failure]) -> list[str]:
-    """The most frequent classes, a line each."""
+    """Return the most frequent classes, one line each, with a title."""
     counts = Counter(failure.kind for failure in failures if failure.kind is not None)
     if not counts:
         return []
@@ -179,24 +181,24 @@ def _listed_classes(failures: list[_Failure]) -> list[str]:
 
 
 def clock(seconds: float) -> str:
-    """A time span as 1:02:03 or 2:03."""
+    """Return a time span as 1:02:03 or 2:03."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 def rate(progress: Progress) -> float:
-    """Executions per second of running time."""
+    """Return the number of executions per second of running time."""
     return progress.executions / progress.elapsed if progress.elapsed else 0.0
 
 
 def share(count: int, progress: Progress) -> str:
-    """A count of executions in percent of all."""
+    """Return a number of executions as a percentage of all executions."""
     return f"{count / max(progress.executions, 1):.1%}"
 
 
 def _ago(progress: Progress, mark: str) -> str:
-    """How many executions ago something happened last, in words."""
+    """Return how many executions ago something last happened, in words; empty if it never happened."""
     if mark not in progress.last:
         return ""
     ago = progress.executions - 1 - progress.last[mark]

@@ -1,4 +1,4 @@
-"""`behavexplor evaluate`: how well a driving system drives."""
+"""`behavexplor evaluate`: measure how well a driving system drives."""
 
 import json
 import sys
@@ -30,16 +30,16 @@ def evaluate(
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
     quiet: bool = False,
 ) -> int:
-    """Drive scenarios drawn uniformly and tell how often the destination was reached and each spec violated.
+    """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
 
     Args:
-        env: Environment: a functional scenario, or a gymnasium id.
-        ads: System under test, as for fuzz.
-        scenarios: How many.
-        seed: Of the draw.
-        trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
-        json_file: Write counts here, too.
-        quiet: Only the table.
+        env: Functional scenario, or gymnasium id of an environment that runs concrete scenarios.
+        ads: Driving system under test, as for fuzz.
+        scenarios: Number of scenarios.
+        seed: Seed of the sampled scenarios.
+        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        json_file: Also write the counts to this JSON file.
+        quiet: Print only the table.
     """
     if not 1 <= scenarios <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
@@ -68,7 +68,7 @@ def _write(path: Path, values: Mapping[str, object]) -> None:
 
 
 def table(evaluations: Mapping[str, Evaluation]) -> str:
-    """Rates in percent with their 95 % intervals, a column for each evaluation by its name."""
+    """Return a table of rates in percent with their 95 % intervals, with a column for each evaluation."""
     grid = Table(box=None, pad_edge=False)
     grid.add_column("")
     for name, found in evaluations.items():

@@ -1,4 +1,4 @@
-"""`behavexplor fuzz`: run a campaign."""
+"""`behavexplor fuzz`: search for failures of a driving system."""
 
 import signal
 import sqlite3
@@ -27,24 +27,27 @@ from behavexplor.fuzz.methods import METHODS, describe_method
 
 _DEFAULTS = CampaignConfig()
 _MAX_WORKERS = 64
-_ENVS = f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}, or a gymnasium id."
-_SYSTEMS = (
-    f"System under test: {', '.join(SYSTEMS)} (docs/policies.md), a policy's file, or package.module:attribute of "
-    "anything with a predict method."
+_ENVS = (
+    f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}, or the gymnasium id of an environment that runs concrete "
+    "scenarios."
 )
-_WAITING = "Waiting for the ADS: one that is compiled takes its time once, up to a minute ..."
-_WAITING_FOR_NODE = "Waiting for a node of the cluster that has loaded the ADS ..."
+_SYSTEMS = (
+    f"Driving system under test (ADS): {', '.join(SYSTEMS)} (docs/policies.md), a policy file, or "
+    "package.module:attribute of an object or class with a predict method."
+)
+_WAITING = "Loading the driver; first-time compilation can take a minute ..."
+_WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
 
 
 def _flag(metavar: str, default: object, text: str | None = None) -> Any:
-    """A flag that may be left to the configuration."""
+    """Return the argument settings of a flag that overrides the configuration."""
     return tyro.conf.arg(
         metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "", help=text
     )
 
 
 def _methods() -> str:
-    """The search methods, a line each."""
+    """Return a help text with one line for each search method."""
     lines = [f"{name}: {describe_method(name)}" for name in METHODS]
     return "\n".join(["Search method, or package.module:attribute of your own:", *lines])
 
@@ -68,29 +71,25 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     quiet: bool = False,
     fail_on_violation: bool = False,
 ) -> int:
-    """Search for scenarios in which a driving system fails, and keep all that happened in a run folder.
+    """Search for scenarios in which a driving system fails, and store every execution in a run folder.
 
     Args:
         env: Environment.
-        ads: System under test.
+        ads: Driving system under test.
         method: Search method.
-        config: Campaign as a YAML file, or the name of a preset such as "paper"; flags override it.
-        budget: Executions (750), or a time (90s, 30m, 1h30m).
-        seed: The same seed gives the same records.
-        batch: Candidates in flight: each is chosen without the results of that many before it.
-        workers: Processes that execute scenarios; the records do not depend on it. 0 is this process, where
-            nothing limits or confines the ADS.
-        cluster: Have the workers on a cluster of Ray's or Dask's (see docs/robustness.md); without an address one is
-            started on this machine.
-        trust: Let the policy's file of this digest ("sha256:...") run code of its own while it is loaded.
-        spec: A requirement of your own beside R1, R2 and R3: a function of a trace that returns its signed robustness
-            (docs/specs.md). May be given several times; adds to those of --config.
+        config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
+        budget: Number of executions (750), or running time (90s, 30m, 1h30m).
+        seed: Random seed. The same seed gives the same records.
+        batch: Number of scenarios in flight. Each is chosen before the results of that many earlier ones are known.
+        workers: Number of worker processes (no effect on the records). 0: this process, with no limits for the ADS.
+        cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
+        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
         out: Run folder, new or empty.
-        resume: Go on with the campaign in this run folder; a larger --budget extends it, a smaller one ends it earlier
-            this time.
-        unconfined: Let an ADS of yours write files and use the network.
-        quiet: Only the summary.
-        fail_on_violation: Exit with code 1 if any spec was violated, as a check in CI wants it.
+        resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
+        unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network.
+        quiet: Print only the summary.
+        fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None}
@@ -98,7 +97,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     workers = _checked_workers(workers, cluster)
     if resume and (config or out or spec):
         raise InputError(
-            "--config, --spec and --out cannot be given with --resume: the run folder has its configuration"
+            "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
         )
     chosen = _resumed_config(resume, given) if resume else _new_config(given, spec, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
@@ -119,7 +118,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(f"Warning: {warning}")
         code = _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
         if code == OK and 0 < ready.campaign.progress.executions == ready.campaign.progress.resumed:
-            display.say("There was nothing left to do: a larger --budget extends the run.")
+            display.say("The run was already complete: a larger --budget extends it.")
         return code
 
 
@@ -131,7 +130,7 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
         except ExecutionError as error:
             code, failure = EXECUTION_FAILED, str(error)
         except (sqlite3.Error, OSError) as error:
-            code, failure = EXECUTION_FAILED, f"The run folder cannot be written any more: {error}"
+            code, failure = EXECUTION_FAILED, f"The run folder can no longer be written: {error}"
         else:
             failure = ended
     if campaign.progress.executions:
@@ -139,7 +138,7 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
     if failure:
         print(f"{program()}: {failure}", file=sys.stderr)
     if campaign.stopping:
-        print(f"Interrupted; go on with: {program()} fuzz --resume {store.folder}", file=sys.stderr)
+        print(f"Interrupted; resume with: {program()} fuzz --resume {store.folder}", file=sys.stderr)
         return INTERRUPTED
     if code == OK and fail_on_violation and campaign.progress.failed:
         return CHECK_FAILED
@@ -147,7 +146,11 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
 
 
 def _checked_workers(workers: int | None, cluster: str | None) -> int:
-    """How many; see `behavexplor.campaign.opening.opened`."""
+    """Return the number of workers for `behavexplor.campaign.opening.opened`.
+
+    Raises:
+        InputError: if the number is out of range.
+    """
     if cluster is None:
         least, most, default = 0, _MAX_WORKERS, min(available_cores(), _MAX_WORKERS)
     else:
@@ -167,17 +170,21 @@ def _new_config(given: dict[str, Any], specs: Sequence[str], file: str | None) -
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
-    """The configuration in a run folder; only its budget may be changed."""
+    """Return the configuration in a run folder, possibly with another budget.
+
+    Raises:
+        InputError: if a flag would change anything but the budget.
+    """
     stored = stored_config(run)
     for name, value in given.items():
         if name != "budget" and value != getattr(stored, name):
-            raise InputError(f"--{name} cannot be changed on --resume: the run has {getattr(stored, name)!r}")
+            raise InputError(f"--{name} cannot be changed with --resume: the run has {getattr(stored, name)!r}")
     return replace(stored, budget=given.get("budget", stored.budget))
 
 
 def _stoppable(campaign: Campaign, display: Display) -> AbstractContextManager[None]:
     def stop() -> None:
         campaign.stop()
-        display.say("Stopping after the execution that is running; once more to stop at once.")
+        display.say("Stopping after the current execution; press Ctrl-C again to stop at once.")
 
     return stopped_by_signals(stop, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""What Ctrl-C does to a command that runs for long."""
+"""Handling of Ctrl-C in long-running commands."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -10,11 +10,11 @@ Handler = Callable[[int, FrameType | None], object] | signal.Handlers
 
 @contextmanager
 def stopped_by_signals(stop: Callable[[], None], again: Handler) -> Iterator[None]:
-    """The first Ctrl-C (or SIGTERM) ends what runs inside cleanly, the second at once.
+    """Make the first Ctrl-C (or SIGTERM) stop the code in this context cleanly, and the second one at once.
 
     Args:
-        stop: called for the first.
-        again: handles the second.
+        stop: function that is called on the first signal.
+        again: handler of the second signal.
     """
 
     def first(number: int, _frame: FrameType | None) -> None:

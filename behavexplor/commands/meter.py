@@ -1,4 +1,4 @@
-"""How far something is that takes its time: a bar on a terminal, a line now and then elsewhere."""
+"""Progress display of long tasks: a bar on a terminal, and otherwise a line every few seconds."""
 
 import time
 from types import TracebackType
@@ -7,17 +7,17 @@ from typing import Self, TextIO
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-LINE_SECONDS = 10.0  # between two plain lines [s]
+LINE_SECONDS = 10.0  # interval between plain lines [s]
 
 
 class Meter:
-    """Shows how many of a number of things are done.
+    """Shows how many items of a task are done.
 
     Args:
-        stream: where to; a terminal gets a bar, anything else a line now and then.
-        total: how many there are.
-        things: what they are called.
-        quiet: show nothing.
+        stream: output stream. A terminal shows a bar; any other stream gets a line every few seconds.
+        total: total number of items.
+        things: name of the items, such as "executions".
+        quiet: whether to show nothing.
     """
 
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
@@ -38,12 +38,12 @@ class Meter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the bar as it is."""
+        """Stop the bar and leave its last state visible."""
         if self._bar is not None:
             self._bar.stop()
 
     def show(self, done: int, text: str = "") -> None:
-        """Show how many are done, and what else there is to say."""
+        """Show the number of finished items, followed by a text."""
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=done, description=text)
         elif time.monotonic() - self._last_line >= LINE_SECONDS:

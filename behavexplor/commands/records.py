@@ -13,9 +13,9 @@ from behavexplor.commands import BAD_INPUT, OK, program
 
 
 def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:
-    """Print one JSON object per execution, in order; equal campaigns print equal lines.
+    """Print the record of each execution as one line of JSON, in order. Equal campaigns print equal lines.
 
-    Of a damaged run those that can be read are printed; what is lost is said, and the exit code is 2.
+    From a damaged run, all readable records are printed, losses are reported on stderr, and the exit code is 2.
 
     Args:
         run: The run folder.

@@ -1,4 +1,4 @@
-"""`behavexplor replay`: look at one execution, and check that it happens again."""
+"""`behavexplor replay`: draw one execution, and check that it is reproducible."""
 
 import sys
 from pathlib import Path
@@ -42,15 +42,15 @@ def replay(
     ] = None,
     avoided: bool = False,
 ) -> int:
-    """Draw one execution as an animation (GIF) and its decisive moment (PNG), and run it again.
+    """Draw one execution as an animation (GIF) and its decisive frame (PNG), and run it again.
 
-    The exit code is 1 if running it again gives another trace than the recorded one.
+    The exit code is 1 if the repeated execution differs from the recorded one.
 
     Args:
         run: The run folder.
-        number: The execution, as `records` numbers them.
-        out: Where the pictures go.
-        avoided: Draw instead how the ego could have avoided the collision, after `triage` has found out.
+        number: Number of the execution, as in `records`.
+        out: Folder for the pictures.
+        avoided: Draw how the ego could have avoided the collision instead, if `triage` has called it preventable.
     """
     store = Store.read(run)
     execution = store.execution(number)
@@ -67,14 +67,14 @@ def replay(
 
 
 def _show(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
-    """Draw an execution if it is one of this environment, on a disk that has the room.
+    """Draw an execution.
 
     Raises:
-        InputError: if not.
+        InputError: if the execution does not belong to this environment, or the pictures cannot be written.
     """
-    foreign = f"Execution {execution.id} is none of a campaign in this environment"
+    foreign = f"Execution {execution.id} does not belong to the environment of this run"
     if len(execution.load_trace().illegal_lines) != len(roadmap.line_kinds):
-        raise InputError(f"{foreign}: its trace has other lines")
+        raise InputError(f"{foreign}: its trace has different illegal lines")
     try:
         _draw(execution, roadmap, folder)
     except (KeyError, TypeError, AttributeError) as error:
@@ -82,22 +82,27 @@ def _show(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
 
 
 def _draw(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
-    """Make the pictures, and say what they show."""
+    """Write the pictures and print a description."""
     trace, caption = execution.load_trace(), _verdict(execution)
     frame = decisive_frame(trace, execution.record.violated)
     degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record.degrees.items())
     animation, picture = _save(trace, roadmap, frame, caption, folder / f"{execution.id:06d}")
-    print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s; violation degrees: {degrees}")
-    print(f"Animation: {animation}\nDecisive moment, at {trace.time[frame]:.2f} s: {picture}")
+    print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
+    print(f"Violation degrees (lower is nearer to a violation): {degrees}")
+    print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
 def _save(trace: Trace, roadmap: RoadMap, frame: int, caption: str, path: Path) -> tuple[Path, Path]:
-    """Write an animation of a trace and a picture of one frame, on a disk that has the room; their paths."""
+    """Write an animation of a trace and a picture of one frame, and return their paths.
+
+    Raises:
+        InputError: if they cannot be written.
+    """
     animation, picture = path.with_suffix(".gif"), path.with_suffix(".png")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"The folder {path.parent} cannot be made: {error.strerror}") from None
+        raise InputError(f"The folder {path.parent} cannot be created: {error.strerror}") from None
     try:
         draw(trace, roadmap, frame, caption).save(picture)
         save_animation(animation, trace, roadmap, caption)
@@ -107,7 +112,7 @@ def _save(trace: Trace, roadmap: RoadMap, frame: int, caption: str, path: Path) 
 
 
 def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path) -> int:
-    """Drive and draw the witness that triage keeps against a collision.
+    """Drive and draw the avoidance of a collision that triage has stored.
 
     Raises:
         InputError: if there is none.
@@ -115,17 +120,17 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
     file = witness_path(run, execution.id)
     if not file.is_file():
         raise InputError(
-            f"There is no witness against execution {execution.id}: `behavexplor triage {run}` keeps one for each "
+            f"No avoidance is stored for execution {execution.id}: `behavexplor triage {run}` stores one for each "
             "collision that it calls preventable"
         )
     witness, recorded = read_witness(file), execution.load_trace()
-    simulation = Simulation(config.env, "constant")  # whichever: the witness drives
+    simulation = Simulation(config.env, "constant")  # any ADS will do, because the witness drives
     try:
         trace = replay_witness(simulation, execution.scenario, witness)
     finally:
         simulation.close()
     if not avoids(trace, recorded, witness.begin):
-        print(f"The witness in {file} does NOT avoid the collision.", file=sys.stderr)
+        print(f"The maneuver in {file} does NOT avoid the collision.", file=sys.stderr)
         return CHECK_FAILED
     frame = min(len(recorded.time), len(trace.time)) - 1
     caption = f"{witness.name} from {witness.begin:.2f} s on"
@@ -137,24 +142,24 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
 
 
 def _compare(execution: Execution, config: CampaignConfig) -> int:
-    """Run an execution again, in a process of its own for whatever its ADS may do."""
+    """Run an execution again, in a separate process, and return the exit code of the comparison."""
     with start_executor(config.target, 1) as executor:
         try:
             again = executor.submit(EXECUTE, execution.scenario.to_json().encode()).result()
         except ADSError as error:
             if execution.record.error == ads_failure(error):
-                print("Running it again, it failed in the same way.")
+                print("The failure was reproduced: running it again, the ADS failed in the same way.")
                 return OK
-            print(f"Running it again, {error}", file=sys.stderr)
+            print(f"The execution was NOT reproduced: running it again, {error}", file=sys.stderr)
             return CHECK_FAILED
     if again != execution.trace:
-        print("Running it again gave ANOTHER trace than the recorded one.", file=sys.stderr)
+        print("The execution was NOT reproduced: running it again gave a different trace.", file=sys.stderr)
         return CHECK_FAILED
-    print("Running it again gave the same trace.")
+    print("The execution was reproduced: running it again gave the same trace.")
     return OK
 
 
 def _verdict(execution: Execution) -> str:
-    """What an execution did, after its number."""
+    """Describe the outcome of an execution, to follow its number."""
     violated = " and ".join(execution.record.violated) or "nothing"
     return f"violates {violated}, ended by {_ENDED_BY[execution.record.end]}"

@@ -6,11 +6,11 @@ from rich.table import Table as Grid
 from behavexplor.bench.tables import Table
 from behavexplor.bench.writing import marked, shown
 
-_WIDTH = 10_000  # as wide as need be: lines are not broken
+_WIDTH = 10_000  # wide enough that no line is broken
 
 
 def text(table: Table) -> str:
-    """A table in plain characters, the best of each block with a star."""
+    """Return a table as plain text, with a star at the best value of each block."""
     best = marked(table)
     columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
     grid = Grid(box=None, pad_edge=False)

@@ -21,8 +21,8 @@ from behavexplor.execution.simulation import Simulation
 if TYPE_CHECKING:
     from behavexplor.training import Learned, TrainingConfig
 
-CARD = "policy.yaml"  # beside the network
-EVALUATED = 1000  # scenarios
+CARD = "policy.yaml"  # file beside the network
+EVALUATED = 1000  # number of scenarios in the final evaluation
 
 
 def train(
@@ -38,17 +38,17 @@ def train(
     resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None,
     quiet: bool = False,
 ) -> int:
-    """Train a driving policy on one functional scenario, and say how well it drives.
+    """Train a driving policy on one functional scenario, and evaluate it.
 
     Args:
         env: Functional scenario.
-        algo: "ppo", "a2c" or "trpo".
-        steps: Decisions to learn from, 0.2 s of driving each.
-        seed: The same seed gives the same policy on the same kind of machine.
-        envs: Environments in lock-step.
-        out: Where models and logs go, new or empty.
-        resume: Go on with the training in this folder.
-        quiet: Only the result.
+        algo: Algorithm: "ppo", "a2c" or "trpo".
+        steps: Number of training steps, each 0.2 s of driving.
+        seed: Random seed. The same seed gives the same policy on the same kind of machine.
+        envs: Number of environments in lock-step.
+        out: Folder for models and logs, new or empty.
+        resume: Resume the training in this folder.
+        quiet: Print only the result.
     """
     try:
         from behavexplor import training  # noqa: PLC0415 - torch is heavy, and need not be installed
@@ -58,7 +58,7 @@ def train(
         raise InputError("--out cannot be given with --resume")
     if resume:
         if not (resume / training.CONFIG).is_file():
-            raise InputError(f"{resume} is no folder of a training: it has no {training.CONFIG}")
+            raise InputError(f"{resume} is not a training folder: it has no {training.CONFIG}")
         config = checked(training.TrainingConfig, read_yaml(resume / training.CONFIG), "training")
         folder = resume
     else:
@@ -73,21 +73,25 @@ def train(
             found = estimate_rates(simulation, EVALUATED, 0, meter.show)
             simulation.close()
     except KeyboardInterrupt:
-        print(f"Interrupted; go on with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        print(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
     (folder / CARD).write_text(_card(config, found))
     print(table({config.env: found}))
     name = shlex.quote(str(network))
-    print(f"The policy is {name}; search for its failures: {program()} fuzz --env {config.env} --ads {name}")
+    print(f"The policy is in {name}. Search for its failures: {program()} fuzz --env {config.env} --ads {name}")
     return OK
 
 
 def _begin(folder: Path, name: str, config: "TrainingConfig") -> None:
-    """Make a training's folder."""
+    """Create the folder of a training with its configuration.
+
+    Raises:
+        InputError: if the folder is not empty, or cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            raise InputError(f"{folder} is not empty: go on with --resume {folder}, or give another --out")
+            raise InputError(f"{folder} is not empty: resume with --resume {folder}, or choose another --out")
         (folder / name).write_text(config.to_yaml())
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None
@@ -99,7 +103,7 @@ def _line(learned: "Learned") -> str:
 
 
 def _card(config: "TrainingConfig", found: Evaluation) -> str:
-    """What a user of the policy should know."""
+    """Return the model card of a policy: how it was trained, and how well it drives."""
     command = ["behavexplor", "train", "--env", config.env, "--algo", config.algo, "--steps", str(config.steps)]
     rates = {name: round(found.rate(name), 4) for name in found.counts}
     card: dict[str, Any] = {

@@ -1,9 +1,8 @@
-"""Confinement: a process gives up, for good, its right to write files and to use the network.
+"""Confinement: a process permanently gives up its right to write files and to use the network.
 
-For driving systems that are programs of somebody else: they may read what the user may, compute, and answer. Linux
-alone can do this for a process without rights of its own: Landlock (https://docs.kernel.org/userspace-api/landlock.html)
-refuses to write, and a seccomp filter refuses to make sockets. Both hold for all threads and processes that are begun
-afterwards.
+It is meant for driving systems that are third-party code. They may read what the user may read, compute, and answer.
+Only Linux offers this to an unprivileged process: Landlock (https://docs.kernel.org/userspace-api/landlock.html) blocks
+writing, and a seccomp filter blocks new sockets. Both apply to all threads and processes that are started afterwards.
 """
 
 import errno
@@ -11,19 +10,19 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-# What arithmetic on a GPU, shared memory of threads, and programs that throw their output away write to.
+# Devices that GPU computing, shared memory between threads, and discarded output write to.
 _DEVICES: Final = ("null", "zero", "full", "tty", "shm", "nvidia*", "nvidia-caps", "dri", "kfd")
-# Sockets, and the one other door to them; pairs of sockets within the process and its children remain.
+# Calls that create sockets, directly or through io_uring. Socket pairs within the process and its children still work.
 _SYSTEM_CALLS: Final = ("socket", "io_uring_setup")
 
 
 def confine() -> tuple[str, ...]:
-    """Take from this thread, and all that it begins, the right to write files and to use the network.
+    """Block file writes and network access for this thread, and for all threads and processes that it starts.
 
-    Files of its own it may write in the folder of `tempfile`.
+    Writing remains possible in the temporary folder of `tempfile`.
 
     Returns:
-        What this system cannot prevent, a few words each.
+        Actions that this system cannot prevent, such as "write files".
     """
     loose = []
     if not _seal_files():
@@ -34,7 +33,7 @@ def confine() -> tuple[str, ...]:
 
 
 def _seal_files() -> bool:
-    """Whether writing is refused from now on; so are signals to processes outside, from Linux 6.12 on."""
+    """Block writing files, and from Linux 6.12 on signals to outside processes. Return whether writing is blocked."""
     try:
         from landlockpy import AccessFS, LandlockError, Ruleset, Scope, supported  # noqa: PLC0415 - Linux only
     except ModuleNotFoundError:
@@ -56,7 +55,7 @@ def _seal_files() -> bool:
 
 
 def _seal_network() -> bool:
-    """Whether new sockets are refused from now on."""
+    """Block new sockets. Return whether they are blocked."""
     try:
         import pyseccomp  # noqa: PLC0415 - Linux only
     except (ImportError, OSError, RuntimeError):  # without libseccomp

@@ -23,7 +23,7 @@ PREFLIGHT: Final = "preflight"
 
 
 class Evaluator(Service):
-    """Executes scenarios, checks the ADS before a campaign, and tells what results depend on.
+    """Executes scenarios, checks the ADS before a campaign, and reports the fingerprint that results depend on.
 
     Args:
         target: the fields of a `behavexplor.data.target.Target`.
@@ -45,7 +45,7 @@ class Evaluator(Service):
         self._unprevented: tuple[str, ...] = ()
 
     def prepare(self) -> None:
-        """Compile what confined workers need: they cannot keep what they compile."""
+        """Compile the kernels that confined workers need, because those workers cannot write the compilation cache."""
         if needs_confinement(self.target):
             compile_kernels(self.target.env)
 
@@ -56,7 +56,7 @@ class Evaluator(Service):
             self._unprevented = confine()
 
     def begin(self) -> None:
-        """Load the ADS and make its environment.
+        """Load the ADS and create its environment.
 
         Raises:
             InputError: see `behavexplor.execution.simulation.Simulation`.
@@ -83,8 +83,8 @@ class Evaluator(Service):
         return self.simulation.run(_scenario(scenario)).to_bytes()
 
     def preflight(self, _: bytes) -> bytes:
-        """Return what is wrong with the ADS as a JSON list of sentences; see `behavexplor.execution.preflight`."""
-        unprevented = [f"This system cannot prevent that the ADS may {right}" for right in self._unprevented]
+        """Return warnings about the ADS as a JSON list of sentences; see `behavexplor.execution.preflight`."""
+        unprevented = [f"This system cannot confine the ADS: it can {right}" for right in self._unprevented]
         return json.dumps([*map(_explained, preflight_warnings(self.simulation)), *unprevented]).encode()
 
 
@@ -92,8 +92,8 @@ class ScenarioBatch:
     """Executes many scenarios in lock-step; see `behavexplor.execution.service.Batch`.
 
     Args:
-        simulation: simulation whose ADS drives.
-        episodes: its episodes, as many at a time as there are free now.
+        simulation: simulation with the ADS that drives.
+        episodes: episodes of that simulation. The number that can still begin now is the capacity of the batch.
     """
 
     def __init__(self, simulation: Simulation, episodes: LockStep) -> None:
@@ -105,14 +105,14 @@ class ScenarioBatch:
         """Take one more scenario, as JSON.
 
         Raises:
-            InputError: if it cannot be run here.
+            InputError: if the scenario does not fit this environment.
         """
         scenario = _scenario(request)
         self._simulation.logical.check(scenario)
         self._episodes.begin(key, scenario)
 
     def advance(self) -> list[tuple[int, bytes | None]]:
-        """Advance all episodes by one decision. If the ADS fails, each of its scenarios must be executed alone."""
+        """Advance all episodes by one decision. If the ADS fails, all running scenarios must be executed alone."""
         try:
             return [(key, trace.to_bytes()) for key, trace in self._episodes.step()]
         except ADSError:
@@ -120,17 +120,17 @@ class ScenarioBatch:
 
 
 def evaluator_recipe(target: Target) -> Recipe:
-    """Return how worker processes make the evaluator of a target."""
+    """Return the recipe by which worker processes make the evaluator of a target."""
     return recipe_for(Evaluator, target)
 
 
 def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Recipe:
-    """Return how worker processes make an evaluator, or a service derived from it, for a target.
+    """Return the recipe by which worker processes make an evaluator, or a service derived from it, for a target.
 
     Args:
         service: the class of the service.
         target: the driving system and its environment.
-        settings: more keywords of the class, JSON values.
+        settings: further keyword arguments of the class, as JSON values.
     """
     return Recipe(
         f"{service.__module__}:{service.__qualname__}",
@@ -141,15 +141,15 @@ def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Rec
 
 
 def needs_confinement(target: Target) -> bool:
-    """Return whether the ADS is third-party code that may not write files and use the network."""
+    """Return whether the ADS is third-party code that may neither write files nor use the network."""
     return not (target.unconfined or is_shipped(target.ads))
 
 
 def _explained(sentence: str) -> str:
-    """Return a sentence with confinement as its likely cause, if it is."""
+    """Return an error message, with a hint if confinement is its likely cause."""
     if "PermissionError" not in sentence:
         return sentence
-    return f"{sentence}: an ADS may neither write files nor use the network, unless with --unconfined"
+    return f"{sentence}: without --unconfined, an ADS may neither write files nor use the network"
 
 
 def _scenario(data: bytes) -> Scenario:

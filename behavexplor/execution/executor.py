@@ -10,7 +10,7 @@ from typing import Self
 class Executor(ABC):
     """Calls functions of a service by name. Results do not depend on which executor calls them.
 
-    As a context manager it finishes all calls and shuts down at the end.
+    An executor is a context manager: on exit it finishes all calls and shuts down.
     """
 
     @abstractmethod
@@ -19,20 +19,20 @@ class Executor(ABC):
 
         Args:
             function: name of the function.
-            data: its argument.
+            data: argument of the function.
 
         Returns:
             The future result. Its exception is an `ADSError` if the ADS failed, and an `InputError` if the service
-            could not begin or refused the data.
+            could not begin or rejected the data.
         """
 
     @abstractmethod
     def shutdown(self, *, wait: bool = True) -> None:
-        """End the executor, after all calls if `wait`, else at once; calls that have not begun are cancelled then."""
+        """Shut the executor down: after all calls if `wait`, else at once, with waiting calls canceled."""
 
     @abstractmethod
     def stop(self) -> None:
-        """Cancel calls that have not begun, and ask long calls to end early."""
+        """Cancel calls that have not started, and ask long calls to end early."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Fingerprints of machines: two machines with equal fingerprints give the same records for the same configuration."""
+"""Machine fingerprints: machines with equal fingerprints produce equal records for equal configurations."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ from typing import Final
 from behavexplor.ads.loading import SYSTEMS
 
 FINGERPRINT: Final = "fingerprint"  # the function of a service
-NODE: Final = "node"  # key of the machine's name
+NODE: Final = "node"  # key of the host name
 _PACKAGE = Path(__file__).parent.parent
 _LIBRARIES = {  # libraries that compute results, by the name of the imported module
     "gymnasium": "gymnasium",
@@ -29,7 +29,7 @@ _LIBRARIES = {  # libraries that compute results, by the name of the imported mo
 
 
 def fingerprint(ads: bytes) -> bytes:
-    """Return the fingerprint of this process, which has loaded its libraries: a JSON object of texts.
+    """Return the fingerprint of this process, with the libraries that it has loaded, as a JSON object of strings.
 
     Args:
         ads: JSON list of names of driving systems, see `behavexplor.ads.loading.load_ads`.
@@ -38,7 +38,7 @@ def fingerprint(ads: bytes) -> bytes:
 
 
 def machine_fingerprint(ads: Iterable[str]) -> bytes:
-    """Return the fingerprint of this machine, with all libraries that are installed. No ADS is loaded.
+    """Return the fingerprint of this machine, with all installed libraries. No ADS is loaded.
 
     Args:
         ads: names of driving systems.
@@ -68,7 +68,7 @@ def _is_installed(library: str) -> bool:
 
 
 def difference(theirs: bytes, ours: bytes) -> str | None:
-    """Return why a node would not give the results of this machine, as a sentence; None if it would.
+    """Return a sentence on why a node would not reproduce this machine's results; None if it would.
 
     Args:
         theirs: the node's `fingerprint`.
@@ -77,13 +77,13 @@ def difference(theirs: bytes, ours: bytes) -> str | None:
     found, wanted = json.loads(theirs), json.loads(ours)
     for name in sorted(found.keys() & wanted.keys() - {NODE}):
         if found[name] != wanted[name]:
-            other = f"The node {found[NODE]} has another {name} ({found[name]}) than this machine ({wanted[name]})"
-            return f"{other}, so that its results could be others: every node needs the same"
+            other = f"The node {found[NODE]} has a different {name} ({found[name]}) than this machine ({wanted[name]})"
+            return f"{other}, so its results could differ: install the same on every node"
     return None
 
 
 def _ads_digest(name: str) -> dict[str, str]:
-    """Return the digest of the file or folder that an ADS is loaded from, unless it is shipped with this package."""
+    """Return the digest of the file or folder that an ADS is loaded from; empty for an ADS of this package."""
     path, module = Path(name), name.partition(":")[0]
     if module in SYSTEMS:
         return {}
@@ -95,7 +95,7 @@ def _ads_digest(name: str) -> dict[str, str]:
 
 
 def _source(module: str) -> Path | None:
-    """Return the file of a module, found without importing the module or its packages."""
+    """Return the source file of a module without importing the module or its packages; None if there is none."""
     places: Sequence[str] | None = None
     origin = None
     for i in range(len(parts := module.split("."))):

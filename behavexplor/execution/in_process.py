@@ -1,4 +1,4 @@
-"""Execution in this process, many calls in lock-step as soon as a result is asked for."""
+"""Execution in this process. Calls run in lock-step batches, which advance while a result is waited for."""
 
 from collections import deque
 from collections.abc import Callable
@@ -13,8 +13,8 @@ class InProcessExecutor(Executor):
     """Calls the functions of a service in this process.
 
     Args:
-        service: a service that has begun.
-        batched: name of the function that is called in batches, see `behavexplor.execution.service.Recipe`.
+        service: a service whose `begin` has been called.
+        batched: name of the function that is called in batches; see `behavexplor.execution.service.Recipe`.
     """
 
     def __init__(self, service: Service, batched: str = "") -> None:
@@ -26,7 +26,7 @@ class InProcessExecutor(Executor):
         self._keys = count()
 
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
-        """Call a function: at once, or in a batch, which advances while the result is waited for."""
+        """Call a function at once, or in a batch that advances while the result is waited for."""
         if self._batch is not None and function == self._batched:
             driven = _DrivenFuture(self.advance)
             self._waiting.append((driven, data))
@@ -50,13 +50,13 @@ class InProcessExecutor(Executor):
                 future.set_result(result)
 
     def stop(self) -> None:
-        """Cancel the calls that have not begun."""
+        """Cancel the calls that have not started."""
         for future, _ in self._waiting:
             future.cancel()
         self._waiting.clear()
 
     def shutdown(self, *, wait: bool = True) -> None:
-        """Finish all calls if `wait`, else cancel those that have not begun."""
+        """Finish all calls if `wait`, else cancel the calls that have not started."""
         if not wait:
             self.stop()
         while wait and (self._waiting or self._running):
@@ -72,7 +72,7 @@ class InProcessExecutor(Executor):
         self._running[key] = (future, data)
 
     def _settle(self, future: "Future[bytes]", function: str, data: bytes) -> None:
-        """Give a future the outcome of a call."""
+        """Make a call and set its outcome on a future."""
         try:
             future.set_result(self._functions[function](data))
         except Exception as error:
@@ -87,7 +87,7 @@ class _DrivenFuture(Future[bytes]):
         self._advance = advance
 
     def result(self, timeout: float | None = None) -> bytes:
-        """Return the result, however long it takes."""
+        """Return the result; the timeout does not limit the wait."""
         while not self.done():
             self._advance()
         return super().result(timeout)

@@ -1,4 +1,4 @@
-"""Messages across process boundaries: requests go out, tagged answers come back. Nothing is ever unpickled."""
+"""Messages across process boundaries: requests and tagged answers. Nothing is ever unpickled."""
 
 import json
 from concurrent.futures import Future
@@ -7,12 +7,12 @@ from typing import Any, Final, NamedTuple, Self
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import ADSError
 
-# The first byte of an answer.
-READY: Final = b"C"  # the service has begun; the content is the capacity of its batch
-RESULT: Final = b"R"  # the result of a call
-ADS_FAILED: Final = b"A"  # an `ADSError` as JSON
-REFUSED: Final = b"I"  # the message of an `InputError`
-FAILED: Final = b"E"  # another exception in words
+# Tags: the first byte of an answer.
+READY: Final = b"C"  # the service has begun; followed by the capacity of its batch
+RESULT: Final = b"R"  # followed by the result of a call
+ADS_FAILED: Final = b"A"  # followed by an `ADSError` as JSON
+REFUSED: Final = b"I"  # followed by the message of an `InputError`
+FAILED: Final = b"E"  # followed by the message of any other exception
 SUSPECT: Final = b"S"  # the call failed in a batch and must be made again alone
 KEY_BYTES: Final = 8
 
@@ -21,9 +21,9 @@ class Request(NamedTuple):
     """A call of a function of a service.
 
     Attributes:
-        key: number that comes back with the answer.
+        key: number that identifies the answer.
         function: name of the function.
-        alone: whether no other call may be worked on at the same time.
+        alone: True if the worker may process no other call at the same time.
         data: argument of the function.
     """
 
@@ -44,12 +44,12 @@ class Request(NamedTuple):
 
 
 def with_key(key: int, answer: bytes) -> bytes:
-    """Return an answer as it is sent."""
+    """Return an answer with its key, as it is sent."""
     return key.to_bytes(KEY_BYTES) + answer
 
 
 def split_key(message: bytes) -> tuple[int, bytes]:
-    """Return the key of an answer, and the answer."""
+    """Return the key and the answer in a message."""
     return int.from_bytes(message[:KEY_BYTES]), message[KEY_BYTES:]
 
 
@@ -58,7 +58,8 @@ def error_answer(error: BaseException, place: str = "") -> bytes:
 
     Args:
         error: the exception.
-        place: words that say where, such as " (on the node n7)"; only failures of ours name it.
+        place: location to append to the message, such as " (on the node n7)". It is left out of ADS failures and of
+            rejected input.
     """
     if isinstance(error, ADSError):
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message}).encode()
@@ -79,7 +80,7 @@ def answered_error(answer: bytes) -> Exception | None:
 
 
 def settle(future: "Future[Any]", answer: bytes) -> None:
-    """Give a future the result or the exception of an answer."""
+    """Set the result or the exception of an answer on a future."""
     error = answered_error(answer)
     if error is None:
         future.set_result(answer[1:])

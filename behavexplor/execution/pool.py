@@ -1,6 +1,6 @@
-"""The parent's side of the process boundary: worker processes under supervision.
+"""The parent's side of the process boundary: supervised worker processes.
 
-The campaign and the other workers go on whatever an ADS does in one of them.
+If an ADS crashes or blocks one worker, the campaign and the other workers go on.
 """
 
 import math
@@ -25,13 +25,13 @@ from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.worker import CLOSED, serve
 
-BEGIN_SECONDS: Final = 600.0  # in which a worker must be ready [s]
-CRASHES: Final = 2  # of a process that an execution has to itself, until they are laid to its ADS
-ENDING_SECONDS: Final = 2.0  # in which a worker that has closed its connection must have ended [s]
+BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
+CRASHES: Final = 2  # number of crashes of a worker with a single execution after which its ADS is blamed
+ENDING_SECONDS: Final = 2.0  # time limit for a worker to end after it has closed its connection [s]
 
 
 class WorkerDiedError(RuntimeError):
-    """A worker ended while its ADS was not being asked: an error of ours, or of the environment."""
+    """A worker ended outside of its ADS: an error of this package or of the environment."""
 
 
 @dataclass(eq=False)
@@ -39,11 +39,11 @@ class _Task:
     """A call that has not been answered.
 
     Attributes:
-        future: of its result.
-        function: by name.
-        data: that it is called on.
-        alone: whether it needs a worker to itself.
-        crashes: how many workers have died while they had nothing else to do.
+        future: future result.
+        function: name of the function.
+        data: argument of the function.
+        alone: whether the call needs a worker to itself.
+        crashes: number of workers that died while this call was their only one.
     """
 
     future: Future[Any]
@@ -54,17 +54,17 @@ class _Task:
 
 
 class WorkerPool(Executor):
-    """Calls functions of a service in worker processes, each of which is replaced when it dies or hangs.
+    """Calls functions of a service in worker processes. A process that dies or hangs is replaced.
 
-    One thread supervises all workers. If a call fails in a batch, it is unknown which call of the batch is to blame:
-    each of them is made again alone, so that its outcome does not depend on the others.
+    One thread supervises all workers. When a batch fails, it is unknown which of its calls is to blame. Each call is
+    then made again alone, so that its outcome does not depend on the other calls.
 
     Args:
         n_workers: number of processes.
-        recipe: how each process makes its service.
-        time_limit: limit of one call that has a worker to itself, and of the time between two answers of other workers
-            [s]. The process is killed after it.
-        memory_limit: limit of one process [GiB], where the system can set it.
+        recipe: recipe of the service of each process.
+        time_limit: time limit of a call that has a worker to itself, and of the time between two answers of a worker
+            with a batch [s]. A process that exceeds it is killed.
+        memory_limit: memory limit of one process [GiB], where the system supports it.
     """
 
     def __init__(self, n_workers: int, recipe: Recipe, time_limit: float, memory_limit: float) -> None:
@@ -74,7 +74,7 @@ class WorkerPool(Executor):
         self._serving = (recipe, memory_limit, self._folder.name)
         self._time_limit = time_limit
         self._keys = count()
-        self._lock = Lock()  # of what follows, which is changed by those who submit
+        self._lock = Lock()  # guards the following fields, which submitting threads change
         self._waiting: deque[_Task] = deque()
         self._closed = self._aborted = False
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
@@ -93,7 +93,7 @@ class WorkerPool(Executor):
         return future
 
     def stop(self) -> None:
-        """Cancel calls that have not begun, and ask the others to end early."""
+        """Cancel calls that have not started, and ask running calls to end early."""
         with self._lock:
             self._cancel_waiting()
         for worker in self._workers:
@@ -101,7 +101,7 @@ class WorkerPool(Executor):
                 worker.stop()
 
     def shutdown(self, *, wait: bool = True) -> None:
-        """End the workers: after all calls if `wait`, else at once."""
+        """Shut the workers down: after all calls if `wait`, else at once."""
         with self._lock:
             self._closed = True
             self._aborted = not wait
@@ -114,12 +114,12 @@ class WorkerPool(Executor):
         self._waiting = deque(task for task in self._waiting if not task.future.cancel())
 
     def _interrupt(self) -> None:
-        """Have the supervising thread look at what is new."""
+        """Wake the supervising thread."""
         with suppress(OSError):  # the pool was shut down before
             self._wake.send_bytes(b"")
 
     def _supervise(self) -> None:
-        """Hand out calls and listen to the workers, until all is done."""
+        """Hand out calls and listen to the workers until all calls are done."""
         try:
             while not self._aborted and not self._is_done():
                 self._hand_out()
@@ -144,7 +144,7 @@ class WorkerPool(Executor):
         return self._closed and not self._waiting and not any(worker and worker.tasks for worker in self._workers)
 
     def _hand_out(self) -> None:
-        """Give waiting calls to workers, in their order; one that needs a worker to itself holds up the others."""
+        """Give waiting calls to workers in order. A call that needs a worker to itself holds up the calls behind it."""
         while self._waiting:
             place = self._free_place(alone=self._waiting[0].alone)
             if place is None:
@@ -160,7 +160,7 @@ class WorkerPool(Executor):
             worker.ask(next(self._keys), task, self._time_limit)
 
     def _free_place(self, *, alone: bool) -> int | None:
-        """Where the worker stands that has the least to do, if it can take one more call; None if there is none."""
+        """Return the index of the least busy worker that can take one more call; None if all are busy."""
         loads = [len(worker.tasks) if worker else 0 for worker in self._workers]
         share = -(-(sum(loads) + len(self._waiting)) // len(loads))
         free = []
@@ -171,7 +171,7 @@ class WorkerPool(Executor):
         return min(free, key=lambda place: loads[place], default=None)
 
     def _listen(self, worker: "_Worker", *, answered: bool) -> None:
-        """Take a worker's answer, if it has given one, or has died, or takes too long."""
+        """Process a worker's answer, its death or its timeout."""
         try:
             if answered:
                 self._take(worker, *worker.answer(self._time_limit))
@@ -195,7 +195,7 @@ class WorkerPool(Executor):
                 self._remove(worker)
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
-        """Replace a worker that has died, or must."""
+        """Remove a worker that has died or hangs, and repeat or fail its calls."""
         was_asking = bool(worker.asking.value) or (kind == "crash" and worker.has_closed())
         self._remove(worker)
         tasks = list(worker.tasks.values())
@@ -208,7 +208,7 @@ class WorkerPool(Executor):
         self._again(tasks)
 
     def _again(self, tasks: list[_Task]) -> None:
-        """Let calls be made once more, each with a worker to itself."""
+        """Make calls again, each with a worker to itself."""
         for task in tasks:
             task.alone = True
         with self._lock:
@@ -220,15 +220,16 @@ class WorkerPool(Executor):
 
 
 class _Worker:
-    """One process, and this end of the pipe to it.
+    """One worker process, and the supervisor's end of the pipe to it.
 
     Attributes:
-        tasks: that it works on, by key.
-        capacity: how many it can work on together.
-        is_ready: whether it has begun.
+        connection: the supervisor's end of the pipe.
+        tasks: unanswered calls by key.
+        capacity: number of calls that the worker can process in one batch.
+        is_ready: whether the worker has loaded its service.
         asking: see `behavexplor.execution.rollout.share_asking`.
-        patience: how long it may take until its next answer [s].
-        deadline: of its next answer, on the monotonic clock [s].
+        patience: time limit for the next answer [s].
+        deadline: time at which that limit ends, on the monotonic clock [s].
     """
 
     def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
@@ -250,40 +251,43 @@ class _Worker:
 
     @property
     def is_listened_to(self) -> bool:
-        """Whether an answer is due."""
+        """True if the worker owes an answer."""
         return bool(self.tasks) or not self.is_ready
 
     @property
     def is_alone(self) -> bool:
-        """Whether it works on a call that needs it to itself."""
+        """True if the worker processes a call that needs it to itself."""
         return any(task.alone for task in self.tasks.values())
 
     def ask(self, key: int, task: _Task, time_limit: float) -> None:
-        """Hand it a call."""
+        """Send a call to the worker."""
         if self.is_ready and not self.tasks:
             self._wait_for(time_limit)
         self.tasks[key] = task
-        with suppress(OSError):  # it has died since; that shows when it is listened to
+        with suppress(OSError):  # the worker has died, which `_listen` will notice
             self.connection.send_bytes(Request(key, task.function, task.alone, task.data).to_bytes())
 
     def answer(self, time_limit: float) -> tuple[int, bytes]:
-        """The key of an answer, and the answer.
+        """Receive an answer, and return its key and the answer.
 
         Raises:
             EOFError: if the process has died.
-            OSError: the same.
+            OSError: if the process has died.
         """
         message = self.connection.recv_bytes()
         self._wait_for(time_limit)
         return split_key(message)
 
     def has_closed(self) -> bool:
-        """Whether it has lost its connection, which nobody closes but an ADS: it has said so, or still runs."""
+        """Return whether the worker lost its connection because the ADS closed it.
+
+        In that case the process exits with the code `CLOSED`, or still runs.
+        """
         self._process.join(ENDING_SECONDS)
         return self._process.exitcode in (CLOSED, None)
 
     def ending(self) -> str:
-        """How the process has ended."""
+        """Describe how the process ended."""
         if self.has_closed():
             return "it closed the files of its process"
         code = self._process.exitcode
@@ -296,7 +300,7 @@ class _Worker:
         self._process.terminate()
 
     def kill(self) -> None:
-        """End the process, and release the pipe."""
+        """Kill the process and close the pipe."""
         self._process.kill()
         self._process.join()
         self.connection.close()
@@ -306,7 +310,7 @@ class _Worker:
 
 
 def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:
-    """What the loss of a worker means."""
+    """Return the exception for the calls of a lost worker."""
     if not worker.is_ready:
         return InputError(f"The ADS cannot be loaded: {message}")
     return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")

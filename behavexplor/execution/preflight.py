@@ -1,4 +1,4 @@
-"""Whether a system under test is fit to be tested: what is wrong with it is said before a campaign, not after."""
+"""Preflight: check a system under test before a campaign, so that mistakes in its setup show early."""
 
 from typing import Any, Final
 
@@ -10,13 +10,13 @@ from behavexplor.execution.rollout import ADSError, rollout
 from behavexplor.execution.simulation import Simulation
 
 SCENARIOS: Final = 4
-MOVING: Final = 0.3  # [m/s]
-MARGIN: Final = 0.25  # of the range seen, by which a value may lie outside of it
-FOREIGN: Final = 0.2  # greatest share of values outside
+MOVING: Final = 0.3  # speed from which the ego counts as moving [m/s]
+MARGIN: Final = 0.25  # tolerance beyond the range of observed values, as a share of that range
+FOREIGN: Final = 0.2  # greatest tolerated share of values beyond it
 
 
 class _Witness:
-    """An ADS that also keeps what it saw and answered."""
+    """An ADS that also records its observations and actions."""
 
     def __init__(self, ads: Any) -> None:
         self.ads = ads
@@ -31,11 +31,11 @@ class _Witness:
 
 
 def preflight_warnings(simulation: Simulation) -> list[str]:
-    """Drive a few scenarios and say what no driver that can be tested should do.
+    """Drive a few scenarios and return warnings about the ADS.
 
     Returns:
-        A sentence for each finding: the ADS fails, it always answers the same, it never moves, or it was trained on
-        observations of another kind, as it is when its `VecNormalize` statistics are missing.
+        A sentence for each finding: the ADS fails, always gives the same answer, never moves, or was trained on a
+        different kind of observations. The last happens when its `VecNormalize` statistics are missing.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -45,7 +45,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
         try:
             traces.append(rollout(simulation.env, witness, scenario))
         except ADSError as error:
-            return [f"In its first scenarios {error}"]
+            return [f"In the first scenarios, {error}"]
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
     seen = np.concatenate([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
@@ -57,7 +57,7 @@ def _constant(actions: list[NDArray[Any]]) -> str | None:
     stacked = np.concatenate(actions)
     if (stacked != stacked[0]).any():
         return None
-    return f"The ADS answered {stacked[0]} in each of {len(stacked)} decisions in {SCENARIOS} scenarios: it is constant"
+    return f"The ADS is constant: all its {len(stacked)} decisions in {SCENARIOS} scenarios were {stacked[0]}"
 
 
 def _motionless(traces: list[Trace]) -> str | None:
@@ -67,11 +67,12 @@ def _motionless(traces: list[Trace]) -> str | None:
 
 
 def _foreign(seen: NDArray[Any], trained_on: NDArray[Any] | None) -> str | None:
-    """Whether what a policy was last trained on lies outside of what it sees here.
+    """Return a warning if the policy's last training observations lie outside the range observed here.
 
     Args:
-        seen: shape (n, ...).
-        trained_on: shape (m, ...), frames stacked along the last axis or not; None if unknown.
+        seen: observations made here, shape (n, ...).
+        trained_on: last training observations, shape (m, ...), with or without frames stacked along the last axis;
+            None if unknown.
     """
     if trained_on is None or trained_on.shape[1:-1] != seen.shape[1:-1]:
         return None
@@ -82,6 +83,6 @@ def _foreign(seen: NDArray[Any], trained_on: NDArray[Any] | None) -> str | None:
     if share <= FOREIGN:
         return None
     return (
-        f"{share:.0%} of the values that the policy was last trained on lie outside of what it sees here: "
-        f"are the statistics of VecNormalize missing, or was it trained on other observations?"
+        f"{share:.0%} of the values that the policy was last trained on lie outside the range that it observes here: "
+        f"are the statistics of VecNormalize missing, or was it trained on different observations?"
     )

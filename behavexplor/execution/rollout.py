@@ -16,12 +16,12 @@ from behavexplor.data.trace import Trace
 
 
 class ADSError(Exception):
-    """An ADS did something else than driving.
+    """An ADS failed instead of returning an action.
 
     Attributes:
-        kind: "raised" an exception, gave an "invalid" answer, called for "exit", ran out of "memory", was in a "hang",
-            or took its process down in a "crash".
-        message: what exactly.
+        kind: kind of the failure: "raised" (an exception), "invalid" (answer), "exit" (of the process was called for),
+            "memory" (ran out), "hang", or "crash" (of the process).
+        message: details of the failure.
     """
 
     def __init__(self, kind: str, message: str) -> None:
@@ -34,12 +34,16 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
     """Run a scenario to its end.
 
     Args:
-        env: takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
-        ads: see `behavexplor.ads.interface.ADS`; its decision log, if it keeps one, goes into the trace.
+        env: environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
+        ads: driving system, see `behavexplor.ads.interface.ADS`. If it keeps a decision log, the log is added to the
+            trace.
         scenario: the concrete scenario.
 
+    Returns:
+        The trace of the episode.
+
     Raises:
-        ADSError: if the ADS fails, or what it answers is no action of the environment.
+        ADSError: if the ADS fails, or its answer is not a valid action of the environment.
     """
     observation, info = env.reset(options={"scenario": scenario})
     state, start, log = None, np.ones(1, dtype=bool), _Log(ads)
@@ -55,13 +59,15 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
 
 
 class LockStep:
-    """Episodes of one ADS, as many at a time as there are sub-environments; see `rollout`.
+    """Episodes of one ADS in lock-step, one in each sub-environment; see `rollout`.
 
-    An ADS is asked for all of them at once. Where no episode runs, it is shown zeros, and its answer does not count.
+    The ADS decides for all episodes in one call. For a sub-environment without an episode it observes zeros, and its
+    answer is ignored.
 
     Args:
-        envs: with autoreset disabled; takes `reset(options={"scenarios": ..., "reset_mask": ...})`.
-        ads: see `behavexplor.ads.interface.ADS`.
+        envs: vector environment with autoreset disabled that takes
+            `reset(options={"scenarios": ..., "reset_mask": ...})`.
+        ads: driving system, see `behavexplor.ads.interface.ADS`.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any) -> None:
@@ -82,14 +88,14 @@ class LockStep:
 
     @property
     def free(self) -> int:
-        """How many more episodes can run."""
+        """Number of sub-environments without an episode."""
         return len(self._running) - int(self._running.sum())
 
     def begin(self, key: Any, scenario: Scenario) -> None:
-        """Let an episode begin with the next step; one of the sub-environments must be free.
+        """Begin an episode with the next step. One of the sub-environments must be free.
 
         Args:
-            key: by which `step` says that it has ended.
+            key: key by which `step` identifies the episode.
             scenario: the concrete scenario.
         """
         slot = int(self._running.argmin())
@@ -104,14 +110,14 @@ class LockStep:
         return keys
 
     def step(self) -> list[tuple[Any, Trace]]:
-        """Have the ADS asked once for all episodes.
+        """Advance all episodes by one decision.
 
         Returns:
             Key and trace of each episode that has ended.
 
         Raises:
-            ADSError: if the ADS fails, or what it answers is no action of the environment. Which episode is to blame
-                is not known; none of them can go on.
+            ADSError: if the ADS fails, or its answer is not a valid action of the environment. It is unknown which
+                episode is to blame, and none of them can go on.
         """
         observation = self._reset()
         observation[~self._running] = 0
@@ -126,8 +132,8 @@ class LockStep:
         return [(self._keys[slot], self._log.completed(infos["trace"][slot], slot)) for slot in ended]
 
     def _reset(self) -> NDArray[Any]:
-        """Begin the episodes that are to begin, and what is seen then."""
-        if self._observation is None:  # those without an episode need any scenario at first
+        """Begin the new episodes and return the observations of all sub-environments."""
+        if self._observation is None:  # the first reset needs a scenario for each sub-environment, even without episode
             anything = self._scenarios[int(self._start.argmax())]
             scenarios = [scenario or anything for scenario in self._scenarios]
             observation, _ = self._envs.reset(options={"scenarios": scenarios})
@@ -149,10 +155,10 @@ def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Sc
         scenarios: the concrete scenarios.
 
     Yields:
-        The number of a scenario, counted from 0, and its trace, as they end.
+        The index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
 
     Raises:
-        ADSError: if the ADS fails, or what it answers is no action of the environment.
+        ADSError: if the ADS fails, or its answer is not a valid action of the environment.
     """
     episodes = LockStep(envs, ads)
     waiting = enumerate(scenarios)
@@ -165,16 +171,21 @@ def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Sc
 
 
 class _Log:
-    """What an ADS says of its decisions, step by step for all sub-environments; nothing if it says nothing."""
+    """Decision log of an ADS, step by step for all sub-environments; empty for an ADS without `log`."""
 
     def __init__(self, ads: Any) -> None:
         self._ads = ads if hasattr(ads, "log") else None
         self._entries: list[dict[str, NDArray[Any]]] = []
-        self._dropped = 0  # entries from before the running episodes began
+        self._dropped = 0  # number of deleted entries, all from before the running episodes began
         self._begins: dict[int, int] = {0: 0}
 
     def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
-        """Let episodes begin in some slots; `running` are those in which there is one then."""
+        """Begin episodes.
+
+        Args:
+            slots: sub-environments in which an episode begins.
+            running: sub-environments with an episode, including the new ones.
+        """
         if not slots.any():
             return
         now = self._dropped + len(self._entries)
@@ -184,12 +195,12 @@ class _Log:
         self._dropped = oldest
 
     def add(self, state: Any) -> None:
-        """Keep what is said of the latest decisions."""
+        """Add the log entries of the latest decisions."""
         if self._ads is not None:
             self._entries.append({name: np.array(values) for name, values in self._ads.log(state).items()})
 
     def completed(self, trace: Trace, slot: int) -> Trace:
-        """A trace with what was said in its episode, each of shape (D, ...)."""
+        """Return a trace with the log entries of its episode, arrays of shape (D, ...)."""
         entries = self._entries[self._begins[slot] - self._dropped :]
         if not entries:
             return trace
@@ -198,11 +209,11 @@ class _Log:
         )
 
 
-_asking: list[Any] = [SimpleNamespace(value=0)]  # whether an ADS is being asked right now
+_asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
 
 
 def share_asking(flag: Any) -> None:
-    """Let others see whether this process is inside an ADS: `flag.value` is 1 there, and 0 elsewhere."""
+    """Share with another process whether this process is calling the ADS: `flag.value` is then 1, and else 0."""
     _asking[0] = flag
 
 
@@ -214,7 +225,16 @@ def _ask(
     space: gymnasium.Space[Any],
     counts: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[Any], Any]:
-    """The actions and the state that an ADS answers with, whatever it does; of some rows the answer does not count."""
+    """Call an ADS, and return its actions and state; every failure becomes an `ADSError`.
+
+    Args:
+        ads: the driving system.
+        observation: observations, a row for each sub-environment.
+        state: state that the ADS returned last.
+        start: sub-environments in which an episode begins.
+        space: action space of one sub-environment.
+        counts: rows whose answer counts; None if all do.
+    """
     _asking[0].value = 1
     try:
         return _checked(ads.predict(observation, state, start, deterministic=True), space, len(start), counts)
@@ -231,16 +251,16 @@ def _ask(
 
 
 class _AnswerError(ValueError):
-    """What an ADS answered is no action."""
+    """The answer of an ADS is not a valid action."""
 
 
 def _checked(
     answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], Any]:
-    """The actions and the state that an ADS has answered with; those that do not count replaced by one that does.
+    """Return the actions and the state of an answer, with actions that do not count replaced by one that does.
 
     Raises:
-        _AnswerError: saying what `predict` must return, if it returned something else.
+        _AnswerError: if the answer is invalid; the message says what `predict` must return.
     """
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise _AnswerError(f"predict must return a pair (actions, state), got {answer!r:.80}")

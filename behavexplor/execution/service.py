@@ -1,4 +1,4 @@
-"""Services: what worker processes offer, as functions from bytes to bytes, and how a process makes its service."""
+"""Services: functions from bytes to bytes that worker processes offer, and the recipes by which they are made."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -8,10 +8,10 @@ from typing import Any, Protocol, Self
 
 
 class Batch(Protocol):
-    """Works on many requests at a time.
+    """Processes many requests at a time.
 
     Attributes:
-        capacity: greatest number of requests.
+        capacity: greatest number of requests at a time.
     """
 
     capacity: int
@@ -29,13 +29,13 @@ class Batch(Protocol):
 
 
 class Service:
-    """The functions that a process offers, by name, and the means to call one of them in batches.
+    """The functions that a process offers, by name. One of them may be called in batches.
 
-    A service is made with JSON values as keywords. Its constructor is cheap; `begin` loads what the functions need.
+    The constructor takes JSON values as keyword arguments and is cheap. `begin` loads what the functions need.
 
     Attributes:
         functions: functions from bytes to bytes, by name.
-        batch: works on many calls of `Recipe.batched` at a time; None if each is called alone.
+        batch: batch that processes many calls of `Recipe.batched` at a time; None if each call is made alone.
     """
 
     functions: Mapping[str, Callable[[bytes], bytes]]
@@ -45,30 +45,30 @@ class Service:
         """Prepare this machine, in the supervisor's process, before the first worker starts."""
 
     def confine(self) -> None:
-        """Give up rights of this process. Called first, while the process has a single thread."""
+        """Give up rights of this process. This is called first, while the process has a single thread."""
 
     def begin(self) -> None:
         """Load what the functions need.
 
         Raises:
-            InputError: if it cannot be loaded.
+            InputError: if something cannot be loaded.
         """
 
     def stop(self) -> None:
-        """End a long call early, as soon as its result so far is safe. Called from a signal handler."""
+        """End a long call early, as soon as its partial result is saved. This is called from a signal handler."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a process makes its service: plain data, which crosses to other processes and machines.
+    """Recipe for making a service: plain data that can be sent to other processes and machines.
 
     Attributes:
-        service: the service's class as "package.module:name".
-        settings: keywords of the class, JSON values.
+        service: class of the service as "package.module:name".
+        settings: keyword arguments of the class, as JSON values.
         batched: name of the function that is called in batches; empty for none.
         preload: modules that are imported once for all processes, where the system can share them.
-        long_calls: whether a call is as long as a campaign. Then each process takes a single call, may start processes
-            of its own, and is told by SIGTERM to `stop`.
+        long_calls: whether a call lasts as long as a campaign. Each process then takes a single call, may start
+            processes of its own, and calls `stop` on SIGTERM.
     """
 
     service: str

@@ -1,4 +1,4 @@
-"""An environment with an ADS in it: concrete scenarios go in, traces come out."""
+"""Simulations: one ADS in one environment, which turn concrete scenarios into traces."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -20,11 +20,11 @@ _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": 
 
 
 def environment_id(name: str) -> str:
-    """The gymnasium id of an environment.
+    """Return the gymnasium id of an environment.
 
     Args:
-        name: of a functional scenario, such as "intersection-straight", or a full id, also one that another
-            package registers ("package:namespace/name-v0").
+        name: name of a functional scenario, such as "intersection-straight", or a full gymnasium id. For an
+            environment that another package registers, write "package:namespace/name-v0".
 
     Raises:
         InputError: if there is no such environment.
@@ -40,14 +40,15 @@ class Simulation:
     """Runs concrete scenarios with one ADS in one environment.
 
     Args:
-        env: see `environment_id`; the environment takes `reset(options={"scenario": ...})`, says by `logical`
-            which scenarios it can run, and ends an episode with `info["trace"]`.
-        ads: see `behavexplor.ads.loading.load_ads`. What it declares (`observation`, `action`,
-            `policy_frequency`, `simulation_frequency`) is the configuration of the environment.
-        trust: digests of files that the ADS may run code from.
+        env: name of the environment, see `environment_id`. The environment takes `reset(options={"scenario": ...})`,
+            declares the scenarios that it can run in its attribute `logical`, and ends an episode with
+            `info["trace"]`.
+        ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
+            `policy_frequency` and `simulation_frequency`, where it has them, configure the environment.
+        trust: digests of files from which code may be run when the ADS is loaded.
 
     Raises:
-        InputError: if there is no such environment or ADS, or they do not fit each other.
+        InputError: if there is no such environment or ADS, or if they do not fit together.
     """
 
     def __init__(self, env: str, ads: Any, trust: Collection[str] = ()) -> None:
@@ -63,23 +64,23 @@ class Simulation:
         except Exception as error:
             message = f"{type(error).__name__}: {error}"
             raise InputError(
-                f"The environment {name!r} cannot be made as the ADS {ads!r} wants it: {message}"
+                f"The environment {name!r} cannot be configured as the ADS {ads!r} requires: {message}"
             ) from error
         _check_spaces(self.env, name, self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
-        """Run a scenario to its end."""
+        """Run a scenario to its end, and return its trace."""
         return rollout(self.env, self.ads, scenario)
 
     def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
-        """Run scenarios to their ends, in lock-step where the vector environment can do what the ADS needs.
+        """Run scenarios to their ends, in lock-step if the ADS and the vector environment support it.
 
         Args:
             scenarios: the concrete scenarios.
-            batch: how many run at a time.
+            batch: number of scenarios that run at a time.
 
         Yields:
-            The number of a scenario, counted from 0, and its trace, as they end.
+            The index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
         """
         envs = self._lock_step(min(batch, len(scenarios)))
         if envs is None:
@@ -89,16 +90,16 @@ class Simulation:
         envs.close()
 
     def lock_step(self, count: int) -> LockStep | None:
-        """Many episodes at a time; None where only one can run, for the ADS's sake or the environment's.
+        """Return episodes in lock-step; None if the ADS or the environment can run only one at a time.
 
         Args:
-            count: how many.
+            count: number of episodes at a time.
         """
         envs = self._lock_step(count)
         return None if envs is None else LockStep(envs, self.ads)
 
     def close(self) -> None:
-        """Release what the environment holds."""
+        """Release the resources of the environment."""
         self.env.close()
 
     def _lock_step(self, count: int) -> VectorEnv[Any, Any, Any] | None:
@@ -106,14 +107,14 @@ class Simulation:
         return self.vector_env(count) if able else None
 
     def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
-        """As many environments in lock-step, for the ADS's observations and actions.
+        """Return a vector environment with the observations and actions of the ADS.
 
         Args:
-            count: how many.
-            changes: keys of the environment's config that are to be others than the ADS declares.
+            count: number of sub-environments.
+            changes: keys of the environment's configuration that replace those of the ADS.
 
         Returns:
-            None if this environment has no such form, or not for what the ADS needs.
+            The vector environment; None if the environment has none, or none that supports this configuration.
         """
         spec = self.env.spec
         if spec is None or spec.vector_entry_point is None:
@@ -131,15 +132,15 @@ class Simulation:
 
 
 def _plain(value: Any) -> Any:
-    """A mapping as a dictionary, which can be copied."""
+    """Return a mapping as a dictionary, which can be copied, and any other value as it is."""
     return dict(value) if isinstance(value, Mapping) else value
 
 
 def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: str) -> None:
-    """Whether a policy, which says by its spaces what it observes and commands, can drive in an environment.
+    """Check that a policy with declared spaces can drive in an environment.
 
     Raises:
-        InputError: saying what would make it fit, where the spaces tell.
+        InputError: if it cannot; the message says how to make it fit, if the spaces show that.
     """
     if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
         return
@@ -154,18 +155,18 @@ def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: s
 
 
 def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) -> str:
-    """Which other environments of this package have a policy's spaces, as a sentence; empty if none has."""
+    """Return a sentence on which environments of this package have a policy's spaces; empty if none has."""
     fitting = []
     for other in behavexplor.FUNCTIONAL_SCENARIOS:
         made = gymnasium.make(environment_id(other), disable_env_checker=True)
         if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
             fitting.append(other)
         made.close()
-    return f"It fits {' and '.join(fitting)} as it is: was --env forgotten? Else: " if fitting else ""
+    return f"It fits {' and '.join(fitting)} as it is: is --env missing? Otherwise: " if fitting else ""
 
 
 def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
-    """Whether values of one space have the form of those of the other."""
+    """Return whether values of both spaces have the same form."""
     if isinstance(policy, gymnasium.spaces.Discrete) and isinstance(env, gymnasium.spaces.Discrete):
         return bool(policy.n == env.n)
     return type(policy) is type(env) and policy.shape == env.shape
@@ -176,10 +177,10 @@ def _brief(space: gymnasium.Space[Any]) -> str:
 
 
 def compile_kernels(env: str) -> None:
-    """Have the machine code ready that this package executes an environment with, one scenario alone and many together.
+    """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
 
     Args:
-        env: see `environment_id`; one of another package is left to that.
+        env: name of the environment, see `environment_id`. Nothing is done for an environment of another package.
     """
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
         return
@@ -198,24 +199,24 @@ def compile_kernels(env: str) -> None:
 
 
 def logical_scenario(env: str) -> LogicalScenario:
-    """The logical scenario of an environment.
+    """Return the logical scenario of an environment.
 
     Args:
-        env: see `environment_id`.
+        env: name of the environment, see `environment_id`.
 
     Raises:
-        InputError: if there is no such environment, or it has none.
+        InputError: if there is no such environment, or if it has no logical scenario.
     """
     name = environment_id(env)
     try:
         made: gymnasium.Env[Any, Any] = gymnasium.make(name, disable_env_checker=True)
-    except Exception as error:  # gymnasium's own errors, and whatever the environment's package raises
+    except Exception as error:  # gymnasium's own errors, and any error of the environment's package
         raise InputError(f"The environment {name!r} cannot be made: {error}") from error
     logical = getattr(made.unwrapped, "logical", None)
     made.close()
     if not isinstance(logical, LogicalScenario):
         raise InputError(
-            f"The environment {name!r} cannot be fuzzed: it has no attribute `logical` that says which scenarios "
+            f"The environment {name!r} cannot be fuzzed: it has no attribute `logical` that declares the scenarios "
             f"it can run (a behavexplor.data.logical.LogicalScenario)"
         )
     return logical

@@ -1,4 +1,4 @@
-"""Starting executors: for one target, or for any service, in this process, in worker processes or on a cluster."""
+"""Functions that start executors: for one target or for any service, in this process, in workers or on a cluster."""
 
 import json
 from pathlib import Path
@@ -16,14 +16,14 @@ from behavexplor.execution.service import Recipe
 
 
 def start_executor(target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None) -> Executor:
-    """Start what executes the scenarios of a target.
+    """Start the executor for the scenarios of a target.
 
     Args:
         target: the driving system and its environment.
-        workers: number of processes, or of nodes of a cluster. 0 means this process, without limits and confinement,
-            or on a cluster one node for each core.
-        cluster: see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
-        recipe: another service for the target; an `Evaluator` by default.
+        workers: number of worker processes, or of nodes of a cluster. 0 means this process, without limits and
+            confinement, or on a cluster one node for each core.
+        cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        recipe: recipe of the service for the target; by default that of an `Evaluator`.
 
     Raises:
         InputError: if the environment, the ADS or the cluster cannot be used.
@@ -45,15 +45,15 @@ def start_on_cluster(
     """Start an executor on a cluster, with one supervised worker on each of its nodes.
 
     Args:
-        cluster: see `behavexplor.execution.cluster.address.parse_cluster`.
-        nodes: number of nodes; 0 for one node a core.
-        recipe: how each worker makes its service, which has the function "fingerprint".
-        time_limit: limit of one call [s].
-        memory_limit: limit of one worker [GiB].
+        cluster: name of the cluster, see `behavexplor.execution.cluster.address.parse_cluster`.
+        nodes: number of nodes; 0 for one node for each core.
+        recipe: recipe of each worker's service. The service must have the function "fingerprint".
+        time_limit: time limit of one call [s].
+        memory_limit: memory limit of one worker [GiB].
         ads: names of the driving systems that must be equal on all machines.
 
     Raises:
-        InputError: if there is no such cluster, or a node would give other results than this machine.
+        InputError: if there is no such cluster, or if a node would not reproduce this machine's results.
     """
     opened, count = open_cluster(cluster, nodes)
     settings = json.dumps({"recipe": recipe.to_json(), "time_limit": time_limit, "memory_limit": memory_limit})
@@ -61,10 +61,10 @@ def start_on_cluster(
 
 
 def check_ads(executor: Executor) -> list[str]:
-    """Check the ADS where it will run. Afterwards all that is compiled once is ready, for other workers too.
+    """Check the ADS in the place where it will run. This also compiles the kernels for all workers.
 
     Returns:
-        Warnings, a sentence each.
+        Warnings, each of them a sentence.
 
     Raises:
         InputError: if the ADS cannot be loaded.
@@ -73,5 +73,5 @@ def check_ads(executor: Executor) -> list[str]:
         return list(json.loads(executor.submit(PREFLIGHT, b"").result()))
     except InputError:
         raise
-    except Exception:  # an ADS that ends its process will do so again, in an execution that counts
+    except Exception:  # an ADS that ends its process will do so again in the campaign, where it is recorded
         return []

@@ -1,4 +1,4 @@
-"""The child's side of the process boundary: take requests, call the service alone or in batches, and answer."""
+"""The child's side of the process boundary: receive requests, call the service alone or in batches, and answer."""
 
 import logging
 import math
@@ -21,22 +21,22 @@ from behavexplor.execution.service import Batch, Recipe, Service
 
 try:
     import resource
-except ImportError:  # Windows cannot limit a process so
+except ImportError:  # Windows has no such limits
     resource = None  # type: ignore[assignment]
 
-CLOSED: Final = 83  # exit code of a worker that finds its connection closed
+CLOSED: Final = 83  # exit code of a worker whose connection was closed
 
 
 def serve(connection: Connection, asking: Any, recipe: Recipe, memory_limit: float, folder: str) -> None:
     """Answer requests until the other end of the connection is closed.
 
-    The process ignores Ctrl-C, computes in one thread, and ends with its supervisor.
+    The process ignores Ctrl-C, computes in one thread, and ends when its supervisor ends.
 
     Args:
         connection: connection to the supervisor.
         asking: see `behavexplor.execution.rollout.share_asking`.
-        recipe: how to make the service.
-        memory_limit: limit of the process [GiB], where the system can set it.
+        recipe: recipe of the service.
+        memory_limit: memory limit of the process [GiB], where the system supports it.
         folder: folder for temporary files.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -63,7 +63,7 @@ def serve(connection: Connection, asking: Any, recipe: Recipe, memory_limit: flo
 
 
 def _receive(connection: Connection, requests: "queue.SimpleQueue[Request | None]") -> None:
-    """Take in requests at once, so that neither end of the connection ever waits for the other to read; None ends."""
+    """Queue requests as soon as they arrive, so that sending never blocks. None marks the end of the connection."""
     with suppress(EOFError, OSError):
         while True:
             requests.put(Request.from_bytes(connection.recv_bytes()))
@@ -99,7 +99,7 @@ def _call(service: Service, request: Request) -> bytes:
         return RESULT + service.functions[request.function](request.data)
     except Exception as error:
         return error_answer(error)
-    except BaseException as error:  # such as KeyboardInterrupt, which only an ADS raises here
+    except BaseException as error:  # such as KeyboardInterrupt, which only an ADS can raise here
         return error_answer(ADSError("raised", f"{type(error).__name__}: {error}"))
 
 
@@ -112,14 +112,14 @@ def _begin(batch: Batch, request: Request) -> bytes | None:
 
 
 def _limit_memory(gibibytes: float) -> None:
-    """Let allocations beyond the limit fail, so that an ADS that eats memory gets a MemoryError."""
+    """Make allocations beyond the limit fail, so that an ADS that uses too much memory gets a MemoryError."""
     if resource is not None and hasattr(resource, "RLIMIT_DATA") and math.isfinite(gibibytes):
         with suppress(ValueError, OSError):  # a lower limit is set already
             resource.setrlimit(resource.RLIMIT_DATA, (int(gibibytes * 2**30),) * 2)
 
 
 def _end_with_supervisor() -> None:
-    """End this process when the supervisor's process has ended, however it ended."""
+    """End this process when the supervisor's process ends for any reason."""
     supervisor = multiprocessing.parent_process()
     if supervisor is not None:
         wait([supervisor.sentinel])

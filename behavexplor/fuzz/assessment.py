@@ -1,7 +1,7 @@
-"""What a search takes for the violation degree of a run, and for its failure, where it is not the verdict.
+"""Assessment: the violation degree and the failure that guide a search, where they differ from the recorded verdict.
 
-The verdict that is recorded is the specs' own (`behavexplor.judge.specs`), the same for every search method. The
-authors' released program is guided by other figures than the paper prints; with these options a search can be, too.
+The recorded verdict comes from the specs alone (`behavexplor.judge.specs`) and is the same for every search method. The
+authors' released program is guided by figures that differ from the paper's formulas. These options reproduce them.
 """
 
 from dataclasses import dataclass, replace
@@ -14,24 +14,25 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.judge.specs import Collision, Lines, Verdict
 
-_REACH = 10.0  # distance to the destination beyond which more does not count [m], as in the paper's section III-B2
+_REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section III-B2
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
 
 
 @validated
 class AssessmentOptions:
-    """What a search is told about a run; the defaults are the verdict.
+    """Options of the assessment of an execution. With the defaults it equals the verdict.
 
     Attributes:
-        degree: the paper's O is the "sum" of the specs' degrees; or the mean of the "clipped" terms D_b, D_yellow,
-            D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
-        box_shrink: what is taken off the length and the width of every vehicle for the clipped terms [m].
-        destination_threshold: the run fails if it ends farther than this from its destination [m]; None: as judged.
-        retreat: the run fails, and is cut off, where its distance to the destination grows by more than this in
-            one frame of the trace [m]; None: it may.
+        degree: violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the
+            terms D_b, D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
+        box_shrink: length by which every vehicle is made shorter and narrower for the clipped terms [m].
+        destination_threshold: distance from the destination beyond which the end of an execution counts as a failure
+            [m]; None for the verdict of the spec.
+        retreat: growth of the distance to the destination within one frame beyond which an execution counts as a
+            failure and its trace is cut off [m]; None for no such limit.
 
     Raises:
-        InputError: naming the option that is out of range.
+        InputError: if an option is out of range; the message names the option.
     """
 
     degree: Literal["sum", "clipped"] = "sum"
@@ -42,12 +43,12 @@ class AssessmentOptions:
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a search is told about a run.
+    """Assessment of an execution for a search.
 
     Attributes:
-        trace: what it sees of it.
-        degree: the paper's O, lower is nearer to a violation.
-        failed: whether it takes the run for a failure.
+        trace: the trace, up to its cut if it was cut off.
+        degree: violation degree, the paper's O. A lower degree is nearer to a violation.
+        failed: whether the execution counts as a failure.
     """
 
     trace: Trace
@@ -56,13 +57,13 @@ class Assessment:
 
 
 def assess(trace: Trace, verdict: Verdict, roadmap: RoadMap, options: AssessmentOptions) -> Assessment:
-    """A run as the options have it seen.
+    """Assess an execution.
 
     Args:
-        trace: of the run.
-        verdict: of the specs.
-        roadmap: tells the kinds of the trace's illegal lines, which are this map's.
-        options: how.
+        trace: trace of the execution.
+        verdict: verdict of the specs.
+        roadmap: map of the execution, which gives the kinds of the illegal lines in the trace.
+        options: options of the assessment.
     """
     seen = _until_retreat(trace, options.retreat)
     degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, roadmap, options.box_shrink)
@@ -74,14 +75,17 @@ def assess(trace: Trace, verdict: Verdict, roadmap: RoadMap, options: Assessment
 
 
 def _until_retreat(trace: Trace, limit: float | None) -> Trace:
-    """The trace up to the frame in which its distance to the destination grew by more than `limit`, if one did."""
+    """Return the trace up to the first frame in which the distance to the destination grew by more than `limit`.
+
+    Without such a frame, or with a limit of None, return the trace itself.
+    """
     if limit is None:
         return trace
     apart = trace.position[:, 0] - trace.destination
     growing = np.flatnonzero(np.diff(np.hypot(apart[:, 0], apart[:, 1])) > limit)
     if not len(growing):
         return trace
-    frames = int(growing[0]) + 2  # the frame in which it grew is the last one
+    frames = int(growing[0]) + 2  # keep the frame in which the distance grew
     commands = trace.action_frame < frames
     return replace(
         trace,

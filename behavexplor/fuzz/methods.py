@@ -1,4 +1,4 @@
-"""The search methods by name; their modules are imported when they are asked for."""
+"""The search methods by name. Their modules are imported on demand."""
 
 from importlib import import_module
 from types import MappingProxyType
@@ -21,13 +21,13 @@ METHODS = MappingProxyType(
 
 
 def load_method(name: str) -> type[SearchMethod]:
-    """The class of a search method.
+    """Return the class of a search method.
 
     Args:
-        name: one of `METHODS`, or any "package.module:attribute".
+        name: one of `METHODS`, or "package.module:attribute".
 
     Raises:
-        InputError: if there is none of that name, or what is found is not a search method.
+        InputError: if there is no search method of that name.
     """
     target = METHODS.get(name, name)
     module_name, separator, attribute = target.partition(":")
@@ -45,9 +45,9 @@ def load_method(name: str) -> type[SearchMethod]:
 
 
 def describe_method(name: str) -> str:
-    """What a search method is, in one line: the first of its docstring.
+    """Return the one-line description of a search method: the first line of its docstring.
 
     Raises:
-        InputError: as `load_method`.
+        InputError: see `load_method`.
     """
     return (load_method(name).__doc__ or "").strip().partition("\n")[0]

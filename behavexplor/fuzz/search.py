@@ -1,4 +1,7 @@
-"""The seam between a campaign and its search: scenarios are asked for, what became of them is told."""
+"""The interface between a campaign and its search method, in the ask-and-tell style.
+
+The campaign asks for a scenario, executes it, and tells the search method the result.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,23 +15,23 @@ from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Verdict
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
-MAX_POPULATION = 1000  # members are compared with one another
-MAX_FAILED_INITIAL = 1000  # after so many initial scenarios that all failed, there is nothing to mutate
+MAX_POPULATION = 1000  # greatest population of a method that compares all pairs of its members
+MAX_FAILED_INITIAL = 1000  # number of initial scenarios after which a search ends if all of them failed
 
 
 class SearchExhausted(Exception):  # noqa: N818 - it ends a campaign, nothing went wrong
-    """The search has nothing left to ask for; the message is a sentence that says why."""
+    """The search has no further candidates. The message is a sentence that says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A scenario that a search wants to see executed.
+    """A scenario that a search method proposes for execution.
 
     Attributes:
-        number: how many were asked for before it.
-        scenario: valid in the campaign's logical scenario.
-        origin: how it was made, such as "initial" or the kind of its mutation.
-        parent: number of the candidate that it was made from, if any.
+        number: number of candidates that were asked for before this one.
+        scenario: the scenario, which is valid in the campaign's logical scenario.
+        origin: origin of the scenario, such as "initial" or the kind of its mutation.
+        parent: number of the candidate that was mutated; None without a parent.
     """
 
     number: int
@@ -38,19 +41,17 @@ class Candidate:
 
 
 def nothing_to_mutate(failed: int) -> SearchExhausted:
-    """The end of a search whose initial scenarios all failed."""
-    return SearchExhausted(
-        f"All {failed} initial scenarios failed: the ADS fails everywhere, there is nothing to mutate."
-    )
+    """Return the exception that ends a search whose initial scenarios all failed."""
+    return SearchExhausted(f"All {failed} initial scenarios failed, so the search has no scenario to mutate.")
 
 
 class SearchMethod(Protocol):
-    """A search for failures: it knows scenarios, traces and verdicts, but neither simulator nor ADS.
+    """A search for failures. It knows scenarios, traces and verdicts, but neither the simulator nor the ADS.
 
-    It is built as `method(logical, seed, options)`, where `options` is an instance of the frozen dataclass
-    `method.Options`; the first line of its docstring is its description. Many candidates may be in flight,
-    but they are told in the order in which they were asked for. The same asks and tells in the same order give
-    the same candidates: whatever concerns candidate i is drawn from `draws(seed, i)`.
+    A search method is built as `method(logical, seed, options)`, where `options` is an instance of the frozen dataclass
+    `method.Options`. The first line of its docstring is its description in the help text. Many candidates may be in
+    flight, but results are told in the order in which the candidates were asked for. The same asks and tells in the
+    same order must give the same candidates, so every random choice for candidate i is drawn from `draws(seed, i)`.
     """
 
     Options: ClassVar[type]
@@ -58,7 +59,7 @@ class SearchMethod(Protocol):
     def __init__(self, logical: LogicalScenario, seed: int, options: Any) -> None: ...
 
     def ask(self) -> Candidate:
-        """The next candidate.
+        """Return the next candidate.
 
         Raises:
             SearchExhausted: if there is none.
@@ -68,22 +69,27 @@ class SearchMethod(Protocol):
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Learn from an execution.
 
+        Args:
+            candidate: the executed candidate.
+            trace: its trace.
+            verdict: its verdict.
+
         Returns:
-            What was learned about it, as JSON values for its record.
+            Figures about the execution, as JSON values for its record.
         """
         ...
 
     def status(self) -> Mapping[str, float]:
-        """Figures for the live display, by name."""
+        """Return figures for the live display, by name."""
         ...
 
 
 def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
-    """The random numbers of one candidate: they depend on nothing but the campaign's seed and its number.
+    """Return the random number generator of one candidate. It depends only on the arguments.
 
     Args:
-        seed: of the campaign.
-        number: of the candidate.
-        purpose: tells draws apart that one candidate needs at different times.
+        seed: seed of the campaign.
+        number: number of the candidate.
+        purpose: integers that separate draws for the same candidate at different times.
     """
     return np.random.default_rng([seed, number, *purpose])

@@ -66,19 +66,19 @@ def test_a_written_experiment_is_the_same_experiment():
         ({"seads": 3}, "Unknown key of the experiment 'seads': did you mean 'seeds'?"),
         ({"methods": {}}, "methods of the experiment must name the methods"),
         ({"methods": ["uniform"]}, "methods of the experiment must name the methods"),
-        ({"methods": {"A": None}}, "method 'A' of the experiment must say `method: NAME`"),
+        ({"methods": {"A": None}}, "method 'A' of the experiment must have the key `method: NAME`"),
         ({"methods": {"A": {"metod": "x"}}}, "Unknown key of the method 'A' of the experiment 'metod': did you mean"),
         ({"methods": {"A": {"config": "papr"}}}, "did you mean 'paper'?"),
-        ({"methods": {"A": {"config": "paper", "options": {}}}}, "has a config: give method and options there"),
+        ({"methods": {"A": {"config": "paper", "options": {}}}}, "has a config: give either the config alone"),
         ({"methods": {"A": {"method": 3}}}, "method of the method 'A' of the experiment"),
-        ({"methods": {"A b": {"method": "uniform"}, "A/b": {"method": "random"}}}, "would have the folder of another"),
+        ({"methods": {"A b": {"method": "uniform"}, "A/b": {"method": "random"}}}, "share a folder"),
         ({"seeds": 0}, "seeds of the experiment must lie between 1 and 1000, not be 0"),
         ({"seeds": "many"}, "seeds of the experiment"),
         ({"budget": "30m"}, "budget of the experiment"),
         ({"batch": 0}, "The batch 0"),
         ({"first_seed": -1}, "The seed -1"),
         ({"envs": []}, "envs of the experiment must not be empty"),
-        ({"ads": ["rule", "rule"]}, "'rule' would have the folder of another"),
+        ({"ads": ["rule", "rule"]}, "'rule' and another entry share a folder"),
         ({"baseline": "C"}, "Unknown method of the experiment 'C'"),
         ({"groups": {"some": ["A", "D"]}}, "Unknown method of the experiment 'D'"),
         ({"groups": {"a/b": ["A"]}}, "name of a group, 'a/b'"),
@@ -128,7 +128,7 @@ def test_what_no_campaign_could_do_is_refused_before_any_begins(text, message, t
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     (tmp_path / "mine").write_text("precious")
     assert main(["bench", "quick", "--out", str(tmp_path)]) == 2
-    assert "no experiment's folder" in capsys.readouterr().err
+    assert "neither empty nor an experiment folder" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 

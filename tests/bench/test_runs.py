@@ -98,9 +98,9 @@ def test_every_cell_is_run_and_everything_is_written(whole):
         assert int(row["failed"]) == sum(int(row[f"failed_{label}"]) for label in ("R1", "R2", "R3", "error")) > 0
         assert int(row["R1_npc_caused"]) + int(row["R1_other"]) == int(row["failed_R1"])
         assert (row["r_BF"] != "") == (row["method"] == "BehAVExplor")
-    assert "4 of 4 campaigns are finished" in result.stdout
+    assert "4 of 4 campaigns finished" in result.stdout
     assert (folder / "out" / "tables.txt").read_text().strip() in result.stdout
-    assert f"As a page: {folder / 'out' / 'report.html'}" in result.stdout
+    assert f"Report: {folder / 'out' / 'report.html'}" in result.stdout
     assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
     assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv"} <= names
@@ -135,10 +135,10 @@ def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, caps
     assert main([*command, str(tmp_path / "new"), "--jobs", "2"]) == 0
     printed = capsys.readouterr().out
     assert "4 campaigns of 20 executions" in printed
-    assert "0 are finished; 80 executions are left, about 0:" in printed
+    assert "0 finished; 80 executions left, about 0:" in printed
     assert not (tmp_path / "new").exists()
     assert main([*command, str(folder / "out")]) == 0
-    assert "4 are finished; 0 executions are left, about 0:00" in capsys.readouterr().out
+    assert "4 finished; 0 executions left, about 0:00" in capsys.readouterr().out
 
 
 def test_a_forecast_takes_what_was_measured_and_knows_what_is_left(whole, tmp_path):
@@ -179,7 +179,7 @@ def test_an_interrupted_experiment_goes_on_to_the_same_results(whole, tmp_path):
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    assert "the same command goes on" in err
+    assert "the same command continues" in err
     assert 5 <= stored(tmp_path / "out") < 80
     result = run(tmp_path / "small.yaml", "--out", tmp_path / "out", "--jobs", 1)
     assert result.returncode == 0, result.stderr
@@ -207,7 +207,7 @@ def test_a_campaign_that_fails_is_named_and_the_others_go_on(tmp_path):
     result = run(path, "--out", tmp_path / "out", "--jobs", 2)
     assert result.returncode == 3
     assert "Uniform on intersection-straight with tests.drivers:Crashing, seed 1: " in result.stderr
-    assert "1 of 2 campaigns are finished" in result.stdout
+    assert "1 of 2 campaigns finished" in result.stdout
     assert {row["ads"] for row in summaries(tmp_path / "out")} == {"tests.drivers:cruiser"}
 
 
@@ -215,7 +215,7 @@ def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
     folder, _ = whole
     (folder / "other.yaml").write_text((folder / "small.yaml").read_text() + "batch: 3\n")
     experiment = read_experiment(str(folder / "other.yaml"))
-    with pytest.raises(InputError, match="holds another campaign than the experiment's now"):
+    with pytest.raises(InputError, match="holds a campaign with a different configuration"):
         ExperimentRunner(experiment.runs(), folder / "out", 1, 0)
     smaller = read_experiment(str(write(folder / "out", 10)))
     with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):

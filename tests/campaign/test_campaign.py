@@ -241,7 +241,7 @@ def test_an_execution_that_fails_is_no_finding(tmp_path):
 
 def test_another_program_or_configuration_is_noticed_on_resuming(tmp_path):
     run(tmp_path / "a", budget="10")
-    with pytest.raises(InputError, match="execution 0 would be another scenario"):
+    with pytest.raises(InputError, match="execution 0 would now be a different scenario"):
         run(tmp_path / "a", seed=9)
 
 

@@ -140,7 +140,9 @@ def test_a_newer_format_is_left_alone(folder):
     change(folder, "UPDATE meta SET value = '10'")
     before = (folder / DATABASE).read_bytes()
     for opening in (Store.read, Store.reopen):
-        with pytest.raises(InputError, match=r"has format 10, this version reads 1 and 2: a newer behavexplor"):
+        with pytest.raises(
+            InputError, match=r"has format 10, but this version reads 1 and 2: it was written by a newer"
+        ):
             opening(folder)
     assert (folder / DATABASE).read_bytes() == before
 
@@ -169,7 +171,7 @@ def test_a_run_that_was_ended_while_it_was_made_can_be_resumed(tmp_path, left):
             connection.execute("PRAGMA user_version = 0")
         connection.close()
     if left in ("database", "header"):
-        with pytest.raises(InputError, match="the run has not begun; fuzz --resume begins it"):
+        with pytest.raises(InputError, match="the run has not begun: fuzz --resume begins it"):
             Store.read(tmp_path / "run")
     again = Store.reopen(tmp_path / "run")
     again.add(execution(0, ["collision"]))
@@ -259,7 +261,7 @@ def test_a_full_disk_ends_the_campaign_and_keeps_what_was_recorded(tmp_path, wor
     result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", workers, "--out", run, file_size=150_000)
     assert result.returncode == EXECUTION_FAILED
     assert "Traceback" not in result.stderr
-    assert "The run folder cannot be written any more: " in result.stderr.splitlines()[-1]
+    assert "The run folder can no longer be written: " in result.stderr.splitlines()[-1]
     kept = read_records(run)
     assert 0 < len(kept) < 40
     assert f"{len(kept)} executions in " in result.stdout

@@ -50,7 +50,7 @@ def test_the_summary_says_what_failed_and_how_to_look_at_it(finished):
     failed = [record["id"] for record in records(folder) if record["violated"]]
     assert result.stdout.startswith("12 executions in ")
     assert f"{len(failed)} failed" in result.stdout
-    assert f"Everything is kept in {folder}" in result.stdout
+    assert f"All results are in {folder}" in result.stdout
     assert f"replay {folder} {failed[0]}" in result.stdout
 
 
@@ -110,7 +110,7 @@ def test_a_replay_that_differs_is_said_to(finished, tmp_path):
     store.close()
     result = run("replay", copy, 0)
     assert result.returncode == 1
-    assert "ANOTHER trace" in result.stderr
+    assert "NOT reproduced: running it again gave a different trace" in result.stderr
 
 
 def test_violations_fail_a_check_only_when_asked(tmp_path):
@@ -147,7 +147,7 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--resume", "tests"], "is not a run folder"),
         (
             ["fuzz", "--resume", "tests", "--config", "paper"],
-            "--config, --spec and --out cannot be given",
+            "--config, --spec and --out cannot be given with --resume",
         ),
         (["records", "nowhere"], "is not a run folder"),
         (["replay", "nowhere", "0"], "is not a run folder"),
@@ -162,7 +162,7 @@ def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_
         arguments = [*arguments, "--out", str(tmp_path / "run")]
     assert main(arguments) == 2
     output = capsys.readouterr()
-    lines = [line for line in output.err.splitlines() if not line.startswith(("Fuzzing ", "Waiting "))]
+    lines = [line for line in output.err.splitlines() if not line.startswith(("Fuzzing ", "Loading "))]
     assert len(lines) == 1
     assert message in lines[0]
     assert output.out == ""
@@ -238,7 +238,7 @@ def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, 
     again = run("replay", tmp_path / "a", failed[0]["id"])
     assert again.returncode == 0, again.stderr
     assert f"the ADS failed ({kind}): " in again.stdout
-    assert "it failed in the same way" in again.stdout
+    assert "the ADS failed in the same way" in again.stdout
 
 
 def test_workers_use_one_thread_each(tmp_path):
@@ -327,7 +327,7 @@ def test_a_run_folder_belongs_to_one_campaign_at_a_time(tmp_path):
     process.kill()
     process.communicate()
     assert result.returncode == 2
-    assert "is being written by another campaign" in result.stderr
+    assert "is in use by another campaign" in result.stderr
 
 
 def test_a_smaller_budget_is_refused_on_resuming(finished):
@@ -351,7 +351,7 @@ def test_a_smaller_budget_ends_a_run_earlier_and_is_not_kept(tmp_path):
     assert "budget: '10'" in config.read_text()
     again = run("fuzz", "--resume", folder, "--workers", 0)
     assert again.returncode == 0
-    assert "nothing left to do: a larger --budget extends the run" in again.stderr
+    assert "The run was already complete: a larger --budget extends it" in again.stderr
 
 
 @pytest.mark.parametrize("text", ["{{{", "", "[1, 2]", "env: 3"])
@@ -370,7 +370,7 @@ def test_only_the_budget_changes_on_resuming(finished):
     folder, _ = finished
     result = run("fuzz", "--resume", folder, "--seed", 6)
     assert result.returncode == 2
-    assert "--seed cannot be changed on --resume: the run has 5" in result.stderr
+    assert "--seed cannot be changed with --resume: the run has 5" in result.stderr
 
 
 def test_help_is_quick_and_says_what_matters():
@@ -379,7 +379,7 @@ def test_help_is_quick_and_says_what_matters():
     for flag in ("env", "ads", "method", "config", "budget", "seed", "workers", "batch", "out", "resume", "quiet"):
         assert f"--{flag}" in result.stdout
     words = " ".join(result.stdout.replace("│", " ").split())
-    assert "lane-change, lane-follow, or a gymnasium id. (default: intersection-straight)" in words
+    assert "lane-change, lane-follow, or the gymnasium id of an environment that runs concrete scenarios." in words
 
 
 def test_records_can_be_cut_off_by_head(finished):

@@ -97,7 +97,7 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
 def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
     store.add(execution(0, ["collision"], "R1/kind"))
     store.commit()
-    assert "in 1 class; each counts once" in summary(PROGRESS, store, "behavexplor")
+    assert "in 1 class; each failure is counted" in summary(PROGRESS, store, "behavexplor")
 
 
 def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
@@ -105,7 +105,7 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
         store.add(execution(number, ["collision"], f"R1/kind-{min(number // 2, 10):02}"))
     store.commit()
     text = summary(PROGRESS, store, "behavexplor")
-    assert "6 failed (12.0%) in 11 classes; each counts once, for the first of these:" in text
+    assert "6 failed (12.0%) in 11 classes; each failure is counted under its most severe type:" in text
     assert "The 8 most frequent classes:\n  R1/kind-10    10   first 20\n  R1/kind-00     2   first 0\n" in text
     assert "kind-07" not in text
 

@@ -22,7 +22,7 @@ def test_a_library_that_only_one_of_them_has_loaded_is_no_difference():
     theirs = {"node": "far", "torch": "2.10", "numpy": "2.1"}
     assert difference(json.dumps(theirs).encode(), json.dumps({"node": "here", "numpy": "2.1"}).encode()) is None
     said = difference(json.dumps(theirs).encode(), json.dumps({"node": "here", "numpy": "2.2"}).encode())
-    assert said.startswith("The node far has another numpy (2.1) than this machine (2.2)")
+    assert said.startswith("The node far has a different numpy (2.1) than this machine (2.2)")
 
 
 def renamed(model):
@@ -46,7 +46,7 @@ def test_the_files_of_an_ads_are_part_of_it(tmp_path, change):
     before = fingerprint(json.dumps([name]).encode())
     assert difference(before, fingerprint(json.dumps([name]).encode())) is None
     change(model)
-    assert f"has another {model}" in difference(before, fingerprint(json.dumps([name]).encode()))
+    assert f"has a different {model}" in difference(before, fingerprint(json.dumps([name]).encode()))
 
 
 def test_the_module_of_an_ads_is_part_of_it():

@@ -103,7 +103,7 @@ def test_a_witness_is_replayed_to_pictures(run, tmp_path, capsys):
 
 def test_a_collision_without_a_witness_is_one_sentence(run, tmp_path, capsys):
     assert main(["replay", str(run), "1", "--avoided", "--out", str(tmp_path)]) == BAD_INPUT
-    assert "There is no witness against execution 1: `behavexplor triage" in capsys.readouterr().err
+    assert "No avoidance is stored for execution 1: `behavexplor triage" in capsys.readouterr().err
 
 
 def test_a_witness_that_avoids_nothing_is_said_so(run, tmp_path, capsys):

@@ -1,1 +1,1 @@
-"""Campaigns on a cluster, of Ray or of Dask: supervised workers on each of its nodes, as on one machine."""
+"""Execution on a cluster of Ray or Dask: each node has a supervised worker, as on a single machine."""

@@ -1,4 +1,4 @@
-"""The process of a cluster node: `python -m behavexplor.execution.cluster SETTINGS` takes calls on stdin."""
+"""The process of a cluster node: `python -m behavexplor.execution.cluster SETTINGS` reads calls from stdin."""
 
 import json
 import os
@@ -25,7 +25,7 @@ def main(settings: str) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # an ADS may print; stdout is for answers
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # stdout carries answers, so send what an ADS prints to stderr
     values, lock = json.loads(settings), Lock()
     pool = WorkerPool(1, Recipe.from_json(values["recipe"]), values["time_limit"], values["memory_limit"])
     try:
@@ -44,7 +44,7 @@ def _answer(answers: IO[bytes], lock: Lock, key: int, future: "Future[bytes]") -
 
 def _outcome(future: "Future[bytes]") -> bytes:
     """Return the answer for a finished call."""
-    error = RuntimeError("the call was cancelled") if future.cancelled() else future.exception()
+    error = RuntimeError("the call was canceled") if future.cancelled() else future.exception()
     return RESULT + future.result() if error is None else error_answer(error, f" (on the node {socket.gethostname()})")
 
 

@@ -1,7 +1,7 @@
-"""What stands on a node of a cluster, in a process of Ray's or Dask's: it hands calls on to a process of our own.
+"""The actor on a cluster node, in a process of Ray or Dask. It forwards calls to a process of this package.
 
-That process (`behavexplor.execution.cluster.__main__`) supervises the worker in which the ADS runs. It is not Ray's or
-Dask's own, so that a worker starts as it does without a cluster: from a clean process, which may have children.
+That process (`behavexplor.execution.cluster.__main__`) supervises the worker in which the ADS runs. It is separate from
+Ray and Dask so that a worker starts as it does without a cluster: from a clean process, which may have children.
 """
 
 import asyncio
@@ -19,19 +19,19 @@ from behavexplor.execution.messages import Request, split_key
 
 SIZE_BYTES: Final = 8
 _ENDED: Final = "its process has ended"
-ENDING_SECONDS: Final = 5.0  # in which the process must have ended that has nobody to answer any more [s]
+ENDING_SECONDS: Final = 5.0  # time limit for the process to end after its stdin was closed [s]
 
 
 class NodeLostError(RuntimeError):
-    """The process has ended that a node's calls were handed to."""
+    """The process that answers a node's calls has ended."""
 
 
 class Node:
-    """Answers calls in tagged bytes, as `behavexplor.execution.messages` defines, many at a time.
+    """Answers many calls at a time with tagged bytes, see `behavexplor.execution.messages`.
 
     Args:
         settings: JSON object with the recipe of the service and the limits of its worker.
-        folder: in which the campaign was started; the process works there, if this node has such a folder.
+        folder: working directory of the campaign. The process works there if this node has such a folder.
     """
 
     def __init__(self, settings: str, folder: str) -> None:
@@ -40,7 +40,7 @@ class Node:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             cwd=folder if Path(folder).is_dir() else None,
-            process_group=0,  # Ctrl-C is the campaign's
+            process_group=0,  # Ctrl-C is for the campaign only
         )
         self._keys = count()
         self._calls = _Calls()
@@ -52,7 +52,7 @@ class Node:
         """Call a function by its name.
 
         Raises:
-            NodeLostError: if it cannot be called here any more.
+            NodeLostError: if the process has ended.
         """
         request = Request(next(self._keys), function, False, data)
         future = self._calls.add(request.key)
@@ -63,7 +63,7 @@ class Node:
         return await asyncio.wrap_future(future)
 
     async def end(self) -> None:
-        """End the process, whatever it does."""
+        """End the process, by force if it does not end in time."""
         await asyncio.to_thread(self._end)
 
     def _send(self, message: bytes) -> None:
@@ -79,10 +79,10 @@ class _Calls:
         self._waiting: dict[int, Future[bytes]] | None = {}
 
     def add(self, key: int) -> "Future[bytes]":
-        """The future of a call.
+        """Add a call and return its future.
 
         Raises:
-            NodeLostError: if there will be no more answers.
+            NodeLostError: if the process has ended.
         """
         future: Future[bytes] = Future()
         with self._lock:
@@ -92,15 +92,15 @@ class _Calls:
         return future
 
     def answer(self, key: int, answer: bytes) -> None:
-        """Give a call its answer."""
+        """Set the answer of a call."""
         with self._lock:
             future = self._waiting.pop(key) if self._waiting else None
         if future is not None:
-            with suppress(InvalidStateError):  # nobody waits for it any more
+            with suppress(InvalidStateError):  # the call was canceled
                 future.set_result(answer)
 
     def close(self) -> None:
-        """There will be no more answers."""
+        """Fail all waiting calls and refuse new ones, because the process has ended."""
         with self._lock:
             waiting, self._waiting = self._waiting or {}, None
         for future in waiting.values():
@@ -109,10 +109,10 @@ class _Calls:
 
 
 def write_message(stream: IO[bytes] | None, message: bytes) -> None:
-    """Write a message with its size before it.
+    """Write a message, preceded by its size.
 
     Raises:
-        OSError: if nobody reads it.
+        OSError: if the stream has been closed at either end.
     """
     if stream is None or stream.closed:
         raise BrokenPipeError("the stream has been closed")
@@ -121,14 +121,14 @@ def write_message(stream: IO[bytes] | None, message: bytes) -> None:
 
 
 def read_message(stream: IO[bytes]) -> bytes | None:
-    """The next message; None at the end."""
+    """Read the next message; None at the end of the stream."""
     size = stream.read(SIZE_BYTES)
     message = stream.read(int.from_bytes(size)) if len(size) == SIZE_BYTES else b""
     return message if message and len(message) == int.from_bytes(size) else None
 
 
 def _listen(stream: IO[bytes], calls: _Calls) -> None:
-    """Take in answers until the process has ended; knows nothing of the `Node`, which may be forgotten meanwhile."""
+    """Receive answers until the process has ended. Holds no reference to the `Node`, so that it can be collected."""
     while (message := read_message(stream)) is not None:
         calls.answer(*split_key(message))
     calls.close()
@@ -137,7 +137,7 @@ def _listen(stream: IO[bytes], calls: _Calls) -> None:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     if process.stdin is not None:
-        with suppress(OSError):  # it has ended before
+        with suppress(OSError):  # the process has already ended
             process.stdin.close()
     try:
         process.wait(ENDING_SECONDS)

@@ -1,4 +1,4 @@
-"""Nodes as actors of Dask."""
+"""Cluster nodes as Dask actors."""
 
 import asyncio
 from concurrent.futures import Future
@@ -10,16 +10,16 @@ from behavexplor.errors import InputError
 from behavexplor.execution.cluster.node import ENDING_SECONDS, Node, NodeLostError
 from behavexplor.execution.executor import available_cores
 
-CONNECT_SECONDS: Final = 20.0  # in which a scheduler must have answered [s]
-WATCH_SECONDS: Final = 1.0  # between two looks whether a node is still there [s]
+CONNECT_SECONDS: Final = 20.0  # time limit for a scheduler to answer [s]
+WATCH_SECONDS: Final = 1.0  # interval between checks that a node is alive [s]
 
 
 class DaskCluster:
-    """A cluster of Dask's; see `behavexplor.execution.cluster.supervisor.Cluster`.
+    """A Dask cluster; see `behavexplor.execution.cluster.supervisor.Cluster`.
 
     Args:
-        address: of its scheduler; empty for a cluster of its own on this machine.
-        n_nodes: that it must have room for if it is one of its own; 0 for one a core.
+        address: address of the scheduler; empty to start a cluster on this machine.
+        n_nodes: number of nodes that a started cluster has room for; 0 for one node for each core.
 
     Raises:
         InputError: if there is no scheduler at the address.
@@ -38,10 +38,10 @@ class DaskCluster:
             self.cores = self._run(self._open(address, n_nodes or available_cores())).result()
         except OSError as error:
             self._stop()
-            raise InputError(f"No scheduler of Dask's answers at {address}: start one there") from error
+            raise InputError(f"No Dask scheduler answers at {address}: start one there") from error
 
     def start(self, *arguments: str) -> Any:
-        """Have a `Node` started as an actor; its future."""
+        """Start a `Node` as an actor, and return its future."""
         return self._run(self._start(arguments))
 
     def ask(self, node: Any, function: str, data: bytes) -> "Future[bytes]":
@@ -49,11 +49,11 @@ class DaskCluster:
         return self._run(self._ask(node, function, data))
 
     def end(self, node: Any) -> None:
-        """Have the node end its process."""
+        """Make a node end its process."""
         self._ends.append(self._run(self._end(node)))
 
     def close(self) -> None:
-        """Wait a little for the nodes that end, and leave."""
+        """Wait briefly for the nodes to end, and leave the cluster."""
         with suppress(Exception):  # the scheduler may be gone
             self._run(self._close()).result(2 * ENDING_SECONDS)
         self._stop()
@@ -69,7 +69,7 @@ class DaskCluster:
         self._loop.close()
 
     async def _open(self, address: str, room: int) -> int:
-        """Join the cluster, or start one of threads of this process; how many cores it has."""
+        """Join the cluster, or start one with threads of this process. Return its number of cores."""
         self._local: Any = None
         if not address:
             threads = {"n_workers": 1, "threads_per_worker": room, "processes": False}
@@ -79,8 +79,8 @@ class DaskCluster:
         return sum((await self._client.nthreads()).values())
 
     async def _start(self, arguments: tuple[str, ...]) -> tuple[Any, Any]:
-        """An actor, and the future of it, which keeps it alive."""
-        while not await self._client.nthreads():  # Dask fails if it is asked for an actor while it has no worker
+        """Return the future of an actor, which keeps the actor alive, and the actor."""
+        while not await self._client.nthreads():  # Dask cannot create an actor before it has a worker
             await asyncio.sleep(WATCH_SECONDS)
         future = self._client.submit(Node, *arguments, actor=True, pure=False)
         return future, await future
@@ -89,7 +89,7 @@ class DaskCluster:
         future, actor = await asyncio.wrap_future(node)
         call = asyncio.ensure_future(actor.ask(function, data))
         while not (await asyncio.wait({call}, timeout=WATCH_SECONDS))[0]:
-            if future.status != "finished":  # then some calls would never be answered
+            if future.status != "finished":  # Dask would leave some calls unanswered
                 call.cancel()
                 raise NodeLostError(f"Dask has {future.status} it")
         answer: bytes = call.result()
@@ -109,7 +109,7 @@ class DaskCluster:
 
 
 async def _cancel_all() -> None:
-    """End what this loop still waits for: calls of a campaign that was interrupted."""
+    """Cancel all tasks of this loop, such as the calls of an interrupted campaign."""
     tasks = asyncio.all_tasks() - {asyncio.current_task()}
     for task in tasks:
         task.cancel()

@@ -1,4 +1,4 @@
-"""Nodes as actors of Ray."""
+"""Cluster nodes as Ray actors."""
 
 import logging
 import os
@@ -10,15 +10,15 @@ from behavexplor.errors import InputError
 from behavexplor.execution.cluster.node import ENDING_SECONDS, Node
 from behavexplor.execution.executor import available_cores
 
-STORE_BYTES: Final = 128 * 2**20  # of a local cluster's object store: answers of more than 100 kB pass through it
+STORE_BYTES: Final = 128 * 2**20  # size of a local cluster's object store, used for answers of more than 100 kB
 
 
 class RayCluster:
-    """A cluster of Ray's; see `behavexplor.execution.cluster.supervisor.Cluster`.
+    """A Ray cluster; see `behavexplor.execution.cluster.supervisor.Cluster`.
 
     Args:
-        address: what `ray.init` takes; empty for a cluster of its own on this machine.
-        n_nodes: that it must have room for if it is one of its own; 0 for one a core.
+        address: address of the cluster as `ray.init` takes it; empty to start a cluster on this machine.
+        n_nodes: number of nodes that a started cluster has room for; 0 for one node for each core.
 
     Raises:
         InputError: if there is no cluster at the address.
@@ -33,16 +33,16 @@ class RayCluster:
         if address:
             self._join(address, quiet)
         else:
-            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would tell its makers
+            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # do not send usage statistics
             room = {"num_cpus": n_nodes or available_cores(), "object_store_memory": STORE_BYTES}
             self._ray.init(address="local", include_dashboard=False, **room, **quiet)
         self.cores = int(self._ray.cluster_resources().get("CPU", 0))
         self._kind = self._ray.remote(num_cpus=1)(Node)
-        self._first: dict[Any, Future[bytes]] = {}  # answer of each node
+        self._first: dict[Any, Future[bytes]] = {}  # first answer of each node
         self._ends: list[Any] = []
 
     def start(self, *arguments: str) -> Any:
-        """Have a `Node` started as an actor."""
+        """Start a `Node` as an actor, and return its handle."""
         return self._kind.remote(*arguments)
 
     def ask(self, node: Any, function: str, data: bytes) -> "Future[bytes]":
@@ -52,7 +52,7 @@ class RayCluster:
         return answer
 
     def end(self, node: Any) -> None:
-        """Have the node end its process; one that still waits for room is not begun any more."""
+        """Make a node end its process, or cancel a node that still waits for room."""
         first = self._first.pop(node, None)
         if first is not None and first.done():
             self._ends.append(node.end.remote())
@@ -60,7 +60,7 @@ class RayCluster:
             self._ray.kill(node)
 
     def close(self) -> None:
-        """Wait a little for the nodes that end, and leave."""
+        """Wait briefly for the nodes to end, and leave the cluster."""
         with suppress(Exception):  # Ray may be gone
             self._ray.wait(self._ends, num_returns=len(self._ends), timeout=ENDING_SECONDS)
         self._ray.shutdown()
@@ -70,4 +70,4 @@ class RayCluster:
             self._ray.init(address=address, **quiet)
         except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             reason = str(error).strip().splitlines()[0]
-            raise InputError(f"No cluster of Ray's can be joined at {address}: {reason}") from error
+            raise InputError(f"The Ray cluster at {address} cannot be joined: {reason}") from error

@@ -1,4 +1,4 @@
-"""Executor on the nodes of a cluster. If a node is lost, its calls are made again on another node."""
+"""The executor for clusters. If a node is lost, its calls are made again on another node."""
 
 import json
 import queue
@@ -18,33 +18,33 @@ from behavexplor.execution.fingerprint import FINGERPRINT, difference, machine_f
 from behavexplor.execution.messages import RESULT, settle
 from behavexplor.execution.pool import BEGIN_SECONDS
 
-LOSSES: Final = 3  # nodes that may be lost with one call, and in a row before they have begun
+LOSSES: Final = 3  # number of lost nodes after which a call fails, or after which no node is thought able to begin
 
 
 class ClusterError(RuntimeError):
-    """The cluster has lost nodes again and again, or has none: no finding."""
+    """The cluster has repeatedly lost nodes, or has none. This is not a failure of the ADS."""
 
 
 class Cluster(Protocol):
-    """What Ray and Dask differ in. A node is whatever they hand out for a `behavexplor.execution.cluster.node.Node`.
+    """Interface to Ray and Dask. A node is their handle of a `behavexplor.execution.cluster.node.Node`.
 
     Attributes:
-        cores: how many the cluster has.
+        cores: number of cores of the cluster.
     """
 
     cores: int
 
     def start(self, *arguments: str) -> Any:
-        """Have a `Node` of these arguments started, where and when there is room for it."""
+        """Start a `Node` with these arguments as soon as the cluster has room for it, and return its handle."""
 
     def ask(self, node: Any, function: str, data: bytes) -> "Future[bytes]":
-        """Call `Node.ask`; whatever the future raises means that the node is lost."""
+        """Call `Node.ask`. Any exception of the future means that the node is lost."""
 
     def end(self, node: Any) -> None:
-        """Give up a node, which may be lost."""
+        """End a node, which may already be lost."""
 
     def close(self) -> None:
-        """Leave the cluster, with all nodes ended."""
+        """Leave the cluster after `end` was called for all nodes."""
 
 
 @dataclass(eq=False)
@@ -52,10 +52,10 @@ class _Call:
     """A call that has not been answered.
 
     Attributes:
-        future: of its result.
-        function: by name.
-        data: that it is called on.
-        losses: how many nodes have been lost with it.
+        future: future result.
+        function: name of the function.
+        data: argument of the function.
+        losses: number of nodes that were lost while they processed this call.
     """
 
     future: "Future[Any]"
@@ -66,12 +66,12 @@ class _Call:
 
 @dataclass(eq=False)
 class _Node:
-    """A node, and what it works on.
+    """A node and its unanswered calls.
 
     Attributes:
-        handle: the cluster's.
-        is_ready: whether it has loaded the ADS, and gives the results that this machine would give.
-        calls: that it works on.
+        handle: the cluster's handle of the node.
+        is_ready: whether the node has loaded the ADS and has the fingerprint of this machine.
+        calls: unanswered calls.
     """
 
     handle: Any
@@ -80,22 +80,23 @@ class _Node:
 
 
 class ClusterExecutor(Executor):
-    """Calls functions of a service on the nodes of a cluster, each of which has a supervised worker of its own.
+    """Calls functions of a service on the nodes of a cluster. Each node has a supervised worker of its own.
 
-    One thread takes all decisions. Other threads hand it events.
+    One thread makes all decisions. Other threads send it events.
 
     Args:
         cluster: the cluster.
-        n_nodes: number of nodes. If the cluster has room for fewer, the others begin when there is room.
+        n_nodes: number of nodes. If the cluster has room for fewer, the remaining nodes begin when there is room.
         ads: names of the driving systems, which must be equal on all machines.
         arguments: arguments of `behavexplor.execution.cluster.node.Node`.
-        patience: greatest time without any node that is ready [s].
+        patience: greatest time without any ready node [s].
 
     Attributes:
         n_nodes: number of nodes.
 
     Raises:
-        InputError: if the first node to answer cannot load the ADS or the environment, or would give other results.
+        InputError: if the first node to answer cannot load the ADS or the environment, or if its fingerprint differs
+            from this machine's.
         ClusterError: if no node can begin.
     """
 
@@ -113,9 +114,9 @@ class ClusterExecutor(Executor):
         self._fingerprint = machine_fingerprint(ads)
         self._patience = patience
         self._events: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._lock = Lock()  # of whether it is closed
+        self._lock = Lock()  # guards `_closed`
         self._closed = False
-        self._nodes: list[_Node] = []  # all that follows is the thread's
+        self._nodes: list[_Node] = []  # the supervising thread owns the following fields
         self._waiting: deque[_Call] = deque()
         self._ending = self._aborted = False
         self._false_starts = 0  # in a row
@@ -132,7 +133,7 @@ class ClusterExecutor(Executor):
             raise
 
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
-        """Call a function on the node that has the least to do; see `Executor.submit`."""
+        """Call a function on the least busy node; see `Executor.submit`."""
         future: Future[bytes] = Future()
         with self._lock:
             if self._closed:
@@ -141,7 +142,7 @@ class ClusterExecutor(Executor):
         return future
 
     def stop(self) -> None:
-        """Cancel the calls that have not begun; those under way go on until `shutdown`."""
+        """Cancel the calls that have not started. Running calls go on until `shutdown`."""
         self._events.put(self._cancel_waiting)
 
     def shutdown(self, *, wait: bool = True) -> None:
@@ -183,14 +184,14 @@ class ClusterExecutor(Executor):
         self._waiting = deque(call for call in self._waiting if not call.future.cancel())
 
     def _take(self, calls: list[_Call]) -> None:
-        """Have calls wait for a node, the first of them before all others."""
+        """Queue calls for a node, or fail them if the cluster was given up."""
         if self._error is None:
             self._waiting.extend(calls)
         else:
             _fail(calls, self._error)
 
     def _hand_out(self) -> None:
-        """Give waiting calls to the nodes that have the least to do."""
+        """Give waiting calls to the least busy nodes."""
         ready = [node for node in self._nodes if node.is_ready]
         while ready and self._waiting:
             call = self._waiting.popleft()
@@ -201,7 +202,7 @@ class ClusterExecutor(Executor):
             self._ask(node, call.function, call.data, partial(self._answered, node, call))
 
     def _ask(self, node: _Node, function: str, data: bytes, event: Callable[["Future[bytes]"], None]) -> None:
-        """Call a function of a node; its answer is an event."""
+        """Call a function of a node, and send its answer as an event."""
         try:
             answer = self._cluster.ask(node.handle, function, data)
         except Exception as error:
@@ -215,7 +216,7 @@ class ClusterExecutor(Executor):
         self._ask(node, FINGERPRINT, self._ads, partial(self._introduced, node))
 
     def _introduced(self, node: _Node, answer: "Future[bytes]") -> None:
-        """Let a node work that has loaded the ADS, if its fingerprint equals this machine's."""
+        """Accept a node that has loaded the ADS, if its fingerprint equals this machine's."""
         if node not in self._nodes:
             return
         try:
@@ -246,7 +247,7 @@ class ClusterExecutor(Executor):
         settle(call.future, content)
 
     def _lost(self, node: _Node, error: BaseException) -> None:
-        """Have another node in place of one, and its calls made again, before all others."""
+        """Replace a lost node, and put its calls at the front of the queue."""
         self._nodes.remove(node)
         self._end(node)
         for call in node.calls:
@@ -259,11 +260,11 @@ class ClusterExecutor(Executor):
             self._start()
 
     def _end(self, node: _Node) -> None:
-        with suppress(Exception):  # it is lost
+        with suppress(Exception):  # the node is lost
             self._cluster.end(node.handle)
 
     def _give_up(self, error: Exception) -> None:
-        """Fail whatever was and will be submitted."""
+        """Fail all calls that were or will be submitted."""
         self._error = self._error or error
         if not self._ready.done():
             self._ready.set_exception(self._error)
@@ -281,6 +282,6 @@ def _fail(calls: list[_Call], error: Exception) -> None:
 
 
 def _words(error: BaseException) -> str:
-    """What an error of Ray's or Dask's says, in a line: its type and the last line, which names the cause."""
+    """Return an error of Ray or Dask as one line: its type, and its last line, which names the cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return f"{type(error).__name__}: {lines[-1] if lines else ''}"

@@ -204,7 +204,7 @@ def test_a_node_that_cannot_load_the_ads_says_so(make):
 @pytest.mark.parametrize("name", ["behavexplor", "numpy", "kind of processor"])
 def test_a_node_that_would_give_other_results_is_refused(make, name):
     theirs = {**json.loads(fingerprint(b'["constant"]')), "node": "far", name: "other"}
-    with pytest.raises(InputError, match=rf"The node far has another {name} \(other\) than this machine"):
+    with pytest.raises(InputError, match=rf"The node far has a different {name} \(other\) than this machine"):
         make(Nodes(RESULT + json.dumps(theirs).encode()))
 
 
