@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.scenario import Scenario
+from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics
@@ -26,7 +27,6 @@ from behavexplor.errors import InputError, unknown_name
 
 ARRIVAL_DISTANCE = 1.0  # distance of the ego's center from the destination [m]
 PASSED_DISTANCE = 5.0  # distance beyond the destination, along its lane [m]
-STANDSTILL_SPEED = 0.3  # [m/s]
 STANDSTILL_TIME = 30.0  # [s]
 
 RENDER_MODES = ("human", "rgb_array")
@@ -275,7 +275,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
             return "arrived"
         if gap @ roadmap.destination_direction > PASSED_DISTANCE:
             return "passed"
-        if self._recorder.standing_frames(STANDSTILL_SPEED) >= STANDSTILL_TIME * self.config["simulation_frequency"]:
+        if self._recorder.standing_frames(STANDING_SPEED) >= STANDSTILL_TIME * self.config["simulation_frequency"]:
             return "standstill"
         if self.steps >= self.config["duration"] * self.config["simulation_frequency"]:
             return "timeout"

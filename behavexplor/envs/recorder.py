@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import Trace
+from behavexplor.data.traffic import is_rear_end, wrapped
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.npc import HEADING, SPEED, X, Y
-from behavexplor.envs.reward import reward_terms, struck_from_behind
+from behavexplor.envs.reward import reward_terms
 
 Floats = NDArray[np.float64]
 
@@ -110,7 +111,9 @@ class Recorder:
     def _struck_by(self, npc: int) -> bool:
         x, y, heading, vx, vy = self._ego[-1]
         row = self._motion[len(self._ego) - 1, npc]
-        return struck_from_behind((x, y, heading, math.hypot(vx, vy)), (row[X], row[Y], row[HEADING], row[SPEED]))
+        ahead = (row[X] - x) * math.cos(heading) + (row[Y] - y) * math.sin(heading)
+        turned = wrapped(row[HEADING] - heading)
+        return is_rear_end(ahead, turned, self._sizes[0][0], math.hypot(vx, vy), row[SPEED])
 
     def trace(self, end: str) -> Trace:
         """Return the trace of the finished episode."""

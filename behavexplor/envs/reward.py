@@ -12,7 +12,6 @@ The weights are the environment's `config["reward"]`; the defaults are `WEIGHTS`
 - `missed`: 1 at any other end.
 """
 
-import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -28,7 +27,6 @@ WEIGHTS: Mapping[str, float] = MappingProxyType(
         "missed": -4.0,
     }
 )
-REAR_END_ANGLE = 0.8  # greatest angle between the headings [rad]
 
 
 def reward_terms(
@@ -62,16 +60,3 @@ def reward_terms(
         "missed": float(kind == "missed"),
     }
     return {name: weights[name] * amount for name, amount in happened.items()}
-
-
-def struck_from_behind(ego: tuple[float, float, float, float], npc: tuple[float, float, float, float]) -> bool:
-    """Return whether a vehicle that touches the ego ran into its back.
-
-    Args:
-        ego: x [m], y [m], heading [rad] and speed [m/s] of the ego.
-        npc: x [m], y [m], heading [rad] and speed [m/s] of the vehicle that touches it.
-    """
-    x, y, heading, speed = ego
-    behind = (npc[0] - x) * math.cos(heading) + (npc[1] - y) * math.sin(heading) < 0
-    turned = abs(math.remainder(npc[2] - heading, 2 * math.pi))
-    return behind and turned <= REAR_END_ANGLE and npc[3] > speed

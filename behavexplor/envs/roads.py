@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane, RoadMap, Route
+from behavexplor.data.traffic import wrapped
 
 Floats = NDArray[np.float64]
 
@@ -113,7 +114,7 @@ def _lane_names(leg: str, side: str, movement: str) -> tuple[str, str, str, str]
 
 def _leg_towards(heading: float) -> str:
     """Return the leg with the given outward heading."""
-    return min(LEGS, key=lambda leg: abs(math.remainder(LEGS[leg] - heading, 2 * math.pi)))
+    return min(LEGS, key=lambda leg: abs(wrapped(LEGS[leg] - heading)))
 
 
 def _crossing_lanes() -> Iterator[Lane]:
@@ -122,7 +123,7 @@ def _crossing_lanes() -> Iterator[Lane]:
     for leg, outward in LEGS.items():
         approach = EGO_APPROACH if leg == EGO_LEG else APPROACH
         begin = STOP_LINE + approach
-        inward = _wrap(outward + math.pi)
+        inward = wrapped(outward + math.pi)
         for name, start, length, nodes, heading in (
             ("behind", end, end - begin, ("begin", "far"), inward),  # the road begins here, although no route does
             ("in", begin, approach, ("far", "in"), inward),
@@ -153,7 +154,7 @@ def _connector(leg: str, side: str, offset: float, movement: str) -> Lane:
         target=f"{target}-out",
         x=x,
         y=y,
-        heading=_wrap(heading),
+        heading=wrapped(heading),
         length=length,
         width=LANE_WIDTH,
         curvature=curvature,
@@ -183,8 +184,3 @@ def _beside(heading: float, along: float, across: float) -> tuple[float, float]:
     """Return the point `along` meters from the origin in a direction and `across` meters to the right of it."""
     cos, sin = round(math.cos(heading)), round(math.sin(heading))  # legs run along the axes
     return along * cos - across * sin, along * sin + across * cos
-
-
-def _wrap(angle: float) -> float:
-    """Wrap an angle to [-pi, pi]."""
-    return math.remainder(angle, 2 * math.pi)

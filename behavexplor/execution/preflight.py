@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.trace import Trace
+from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.execution.rollout import ADSError, rollout
 from behavexplor.execution.simulation import Simulation
 
 SCENARIOS: Final = 4
-MOVING: Final = 0.3  # speed from which the ego counts as moving [m/s]
 MARGIN: Final = 0.25  # tolerance beyond the range of observed values, as a share of that range
 FOREIGN: Final = 0.2  # greatest tolerated share of values beyond it
 
@@ -61,7 +61,7 @@ def _constant(actions: list[NDArray[Any]]) -> str | None:
 
 
 def _motionless(traces: list[Trace]) -> str | None:
-    if max(np.hypot(*trace.velocity[:, 0].T).max() for trace in traces) >= MOVING:
+    if max(np.hypot(*trace.velocity[:, 0].T).max() for trace in traces) >= STANDING_SPEED:
         return None
     return f"The ego never moved in {SCENARIOS} scenarios"
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from behavexplor.behavior.features import state_matrix
 from behavexplor.data.trace import Trace
+from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -23,7 +24,6 @@ SCALES: Mapping[Measure, float] = MappingProxyType(  # values that are scaled to
         "duration": 120.0,  # duration of the execution [s]
     }
 )
-_SLOW = 0.3  # speed below which the ego counts as standing [m/s], equal to the environments' standstill speed
 
 
 def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
@@ -42,7 +42,7 @@ def describe(trace: Trace, measures: Sequence[Measure]) -> Floats:
         "mean-speed": speed.mean() if len(speed) else 0.0,
         "braking": -states[:, 1].min(initial=0.0),
         "cornering": across.max(initial=0.0),
-        "standing": (speed < _SLOW).mean() if len(speed) else 1.0,
+        "standing": (speed < STANDING_SPEED).mean() if len(speed) else 1.0,
         "duration": trace.duration,
     }
     return np.asarray(np.clip([values[name] / SCALES[name] for name in measures], 0.0, 1.0))

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
+from behavexplor.data.traffic import REAR_END_ANGLE, STANDING_SPEED, wrapped
 from behavexplor.judge.events import R1, R2, R3, ViolationEvent, recent, violation_event
-from behavexplor.judge.fault import ALIGNED, CUT_IN_TIME, STATIONARY_SPEED
+from behavexplor.judge.fault import CUT_IN_TIME
 
 Floats = NDArray[np.float64]
 
@@ -212,7 +213,7 @@ def _bearing(trace: Trace, frame: int, npc: int) -> str:
     now = wrapped(trace.heading[frame, npc] - trace.heading[frame, 0])
     before = heading_before(trace, frame, npc)
     turning = "-turning" if abs(wrapped(trace.heading[frame, npc] - before)) > TURNED else ""
-    if abs(now) < ALIGNED:
+    if abs(now) < REAR_END_ANGLE:
         return _relation(trace, frame, npc) + turning
     came = wrapped(before - heading_before(trace, frame, 0))
     if abs(came) > math.pi * 3 / 4:
@@ -285,7 +286,7 @@ def _ahead(trace: Trace, frame: int) -> int | None:
 def motion_of(trace: Trace, frame: int, vehicle: int) -> str:
     """Return "standing" or "creeping"; empty for a faster vehicle."""
     speed = speed_of(trace, frame, vehicle)
-    if speed < STATIONARY_SPEED:
+    if speed < STANDING_SPEED:
         return "standing"
     return "creeping" if speed < CREEPING else ""
 
@@ -310,8 +311,3 @@ def speed_of(trace: Trace, frame: int, vehicle: int) -> float:
 def _across(gap: Floats, heading: float) -> float:
     """Return the component of a gap across a heading, positive to the right [m]."""
     return float(gap[1] * math.cos(heading) - gap[0] * math.sin(heading))
-
-
-def wrapped(angle: float) -> float:
-    """Return the equivalent angle in [-pi, pi] [rad]."""
-    return math.remainder(angle, 2 * math.pi)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
+from behavexplor.data.traffic import STANDING_SPEED, is_rear_end, wrapped
 
 Floats = NDArray[np.float64]
 
@@ -22,8 +23,6 @@ NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})
 AT_FAULT: Final = frozenset({"ego_cut_in", "preventable"})
 NOT_AT_FAULT: Final = NPC_CAUSED | {"unpreventable"}
 
-STATIONARY_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
-ALIGNED: Final = 0.8  # greatest difference of the headings in a rear-end contact [rad]
 CUT_IN_TIME: Final = 3.0  # time after its lane change in which the ego is at fault for a rear-end collision [s]
 LATERAL_SPEED: Final = 0.3  # an ego that moves faster than this across its route is changing lanes [m/s]
 
@@ -50,7 +49,7 @@ def contact_fault(trace: Trace) -> Fault | None:
         return None
     if _struck_from_behind(trace, npc):
         return "ego_cut_in" if _changed_lanes(trace) else "npc_rear_end"
-    if math.hypot(*trace.velocity[-1, 0]) < STATIONARY_SPEED:
+    if math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED:
         return "struck_stationary"
     return "other"
 
@@ -69,10 +68,9 @@ def _struck_from_behind(trace: Trace, npc: int) -> bool:
     """Return whether a faster vehicle with about the same heading touches the ego from behind."""
     heading = trace.heading[-1, 0]
     ahead = (trace.position[-1, npc] - trace.position[-1, 0]) @ (math.cos(heading), math.sin(heading))
-    turned = math.remainder(trace.heading[-1, npc] - heading, 2 * math.pi)
+    turned = wrapped(trace.heading[-1, npc] - heading)
     ego_speed, npc_speed = np.hypot(*trace.velocity[-1, [0, npc]].T)
-    # A vehicle whose center is ahead of the ego's rear bumper came alongside, not from behind.
-    return bool(ahead < -trace.size[0, 0] / 2 and abs(turned) < ALIGNED and npc_speed > ego_speed)
+    return bool(is_rear_end(ahead, turned, trace.size[0, 0], ego_speed, npc_speed))
 
 
 def _changed_lanes(trace: Trace) -> bool:

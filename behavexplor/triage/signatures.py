@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from behavexplor.data.decision_log import ENVIRONMENT, weakness_names
 from behavexplor.data.trace import Trace
-from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, maneuver_of, speed_of, wrapped
+from behavexplor.data.traffic import STANDING_SPEED, wrapped
+from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, maneuver_of, speed_of
 from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
-from behavexplor.judge.fault import STATIONARY_SPEED, contact_fault
+from behavexplor.judge.fault import contact_fault
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def _overtaken_from(trace: Trace, event: ViolationEvent) -> bool:
 def _restarted(trace: Trace, event: ViolationEvent) -> bool:
     """Return whether the ego stood shortly before the violation."""
     frames = recent(trace, event.frame, OUTLOOK)
-    return bool((np.hypot(*trace.velocity[frames, 0].T) < STATIONARY_SPEED).any())
+    return bool((np.hypot(*trace.velocity[frames, 0].T) < STANDING_SPEED).any())
 
 
 def _crept(trace: Trace, event: ViolationEvent) -> bool:
@@ -103,7 +104,7 @@ def _changed_suddenly(trace: Trace, event: ViolationEvent) -> bool:
 
 
 def _slow(trace: Trace, event: ViolationEvent) -> bool:
-    return speed_of(trace, event.frame, 0) < STATIONARY_SPEED
+    return speed_of(trace, event.frame, 0) < STANDING_SPEED
 
 
 def _passed(trace: Trace, event: ViolationEvent) -> bool:  # noqa: ARG001 - a rule

@@ -5,12 +5,10 @@ import math
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.reward import WEIGHTS, reward_terms, struck_from_behind
+from behavexplor.envs.reward import WEIGHTS, reward_terms
 from behavexplor.judge.specs import judge
 
 S1 = "behavexplor/intersection-straight-v0"
@@ -39,27 +37,6 @@ def terms(**changes):
 )
 def test_terms(happened, expected):
     assert terms(**happened) == pytest.approx({**dict.fromkeys(WEIGHTS, 0.0), "step": -0.02, **expected})
-
-
-@pytest.mark.parametrize(
-    ("npc", "struck"),
-    [
-        ((-4.6, 0.0, 0.0, 9.0), True),
-        ((-4.6, 0.0, 0.0, 4.0), False),  # slower: the ego backed into it
-        ((4.6, 0.0, 0.0, 9.0), False),  # in front
-        ((-3.0, 2.0, 1.2, 9.0), False),  # from the side
-    ],
-)
-def test_struck_from_behind(npc, struck):
-    assert struck_from_behind((0.0, 0.0, 0.0, 5.0), npc) is struck
-
-
-@given(st.floats(-7, 7), st.floats(-50, 50), st.floats(-50, 50))
-def test_struck_from_behind_does_not_depend_on_the_place(turn, x, y):
-    npc = (-4.5, 0.5, 0.3, 9.0)
-    cos, sin = math.cos(turn), math.sin(turn)
-    moved = (x + npc[0] * cos - npc[1] * sin, y + npc[0] * sin + npc[1] * cos, npc[2] + turn, npc[3])
-    assert struck_from_behind((x, y, turn, 5.0), moved)
 
 
 def episode(scenario, policy, **config):

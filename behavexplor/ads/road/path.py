@@ -17,6 +17,7 @@ from behavexplor.ads.road.lane_arrays import (
     project_on_lane,
 )
 from behavexplor.data.roadmap import Lane, RoadMap
+from behavexplor.data.traffic import wrapped
 from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
@@ -104,7 +105,7 @@ def _beside(roadmap: RoadMap, lane: Lane) -> tuple[int, int, bool]:
 def _runs_against(lane: Lane, x: float, y: float, heading: float) -> bool:
     """Return whether a lane's center line runs through a point in the opposite direction."""
     station, offset = lane.project(x, y)
-    turned = math.remainder(lane.heading - heading, 2 * math.pi)
+    turned = wrapped(lane.heading - heading)
     return abs(offset) < 0.1 and 0 <= station <= lane.length and abs(turned) > math.pi / 2
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.trace import ENDS
-from behavexplor.envs.reward import REAR_END_ANGLE
+from behavexplor.data.traffic import is_rear_end
 from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
 from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle
 from behavexplor.envs.vector.slots import (
@@ -61,6 +61,8 @@ COLLISION, ARRIVED, PASSED, STANDSTILL, TIMEOUT = (
     ENDS.index(end) for end in ("collision", "arrived", "passed", "standstill", "timeout")
 )
 LENGTH: Final = float(EGO_SIZE[0])  # [m]
+
+_is_rear_end = kernel(is_rear_end)
 
 
 @kernel
@@ -186,14 +188,14 @@ def _appraise(
 
 @kernel
 def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b: int, n_npcs: int) -> bool:
-    """Return whether every NPC that touches the ego ran into its back: `behavexplor.envs.reward.struck_from_behind`."""
+    """Return whether every NPC that touches the ego ran into its back."""
     x, y, heading = record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING]
     speed = math.hypot(record[b, frame, VX], record[b, frame, VY])
     i = _touched(npc, size, b, 0, n_npcs, x, y, heading)
     while i >= 0:
         ahead = (npc[b, i, X] - x) * math.cos(heading) + (npc[b, i, Y] - y) * math.sin(heading)
-        turned = abs((npc[b, i, HEADING] - heading + math.pi) % (2 * math.pi) - math.pi)
-        if not (ahead < 0 and turned <= REAR_END_ANGLE and npc[b, i, SPEED] > speed):
+        turned = (npc[b, i, HEADING] - heading + math.pi) % (2 * math.pi) - math.pi
+        if not _is_rear_end(ahead, turned, LENGTH, speed, npc[b, i, SPEED]):
             return False
         i = _touched(npc, size, b, i + 1, n_npcs, x, y, heading)
     return True

@@ -12,6 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.envs import driving
 from behavexplor.envs.network import MapNetwork, road_network
 from behavexplor.envs.npc import Routes, route_arrays
@@ -119,7 +120,7 @@ def _make_rules(env: driving.DrivingEnv) -> Rules:
         max_frames=float(env.config["duration"] * frequency),
         arrival_distance=driving.ARRIVAL_DISTANCE,
         passed_distance=driving.PASSED_DISTANCE,
-        standstill_speed=driving.STANDSTILL_SPEED,
+        standstill_speed=STANDING_SPEED,
         standstill_frames=float(driving.STANDSTILL_TIME * frequency),
         destination_x=float(x),
         destination_y=float(y),

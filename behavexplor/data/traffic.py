@@ -1,0 +1,26 @@
+"""Facts about traffic that environments, judging and search share."""
+
+import math
+from typing import Final
+
+STANDING_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
+REAR_END_ANGLE: Final = 0.8  # least angle between the headings at which a contact is no rear-end collision [rad]
+
+
+def is_rear_end(ahead: float, turned: float, ego_length: float, ego_speed: float, npc_speed: float) -> bool:
+    """Return whether a vehicle that touches the ego ran into its back.
+
+    Args:
+        ahead: distance of the vehicle's center ahead of the ego's center, along the ego's heading [m].
+        turned: heading of the vehicle relative to the ego's, in [-pi, pi] [rad].
+        ego_length: length of the ego [m].
+        ego_speed: speed of the ego [m/s].
+        npc_speed: speed of the vehicle [m/s].
+    """
+    # A vehicle whose center is ahead of the ego's rear bumper came alongside, not from behind.
+    return ahead < -ego_length / 2 and abs(turned) < REAR_END_ANGLE and npc_speed > ego_speed
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in [-pi, pi] [rad]."""
+    return math.remainder(angle, 2 * math.pi)
