@@ -11,9 +11,9 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics

@@ -8,10 +8,10 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import Trace
-from behavexplor.data.traffic import is_rear_end, wrapped
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.npc import HEADING, SPEED, X, Y
 from behavexplor.envs.reward import reward_terms

@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane, RoadMap, Route
-from behavexplor.data.traffic import wrapped
 
 Floats = NDArray[np.float64]
 

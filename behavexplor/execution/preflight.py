@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.trace import Trace
-from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.execution.rollout import ADSError, rollout
 from behavexplor.execution.simulation import Simulation
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.behavior.features import state_matrix
+from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.trace import Trace
-from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED, wrapped
 from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.data.traffic import REAR_END_ANGLE, STANDING_SPEED, wrapped
 from behavexplor.judge.events import R1, R2, R3, ViolationEvent, recent, violation_event
 from behavexplor.judge.fault import CUT_IN_TIME
 

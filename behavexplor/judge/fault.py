@@ -11,9 +11,9 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import STANDING_SPEED, is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.data.traffic import STANDING_SPEED, is_rear_end, wrapped
 
 Floats = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import STANDING_SPEED, wrapped
 from behavexplor.data.decision_log import ENVIRONMENT, weakness_names
 from behavexplor.data.trace import Trace
-from behavexplor.data.traffic import STANDING_SPEED, wrapped
 from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, maneuver_of, speed_of
 from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
 from behavexplor.judge.fault import contact_fault

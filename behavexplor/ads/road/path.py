@@ -16,8 +16,8 @@ from behavexplor.ads.road.lane_arrays import (
     pose_on_lane,
     project_on_lane,
 )
+from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import Lane, RoadMap
-from behavexplor.data.traffic import wrapped
 from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.traffic import STANDING_SPEED
 from behavexplor.envs import driving
 from behavexplor.envs.network import MapNetwork, road_network
 from behavexplor.envs.npc import Routes, route_arrays

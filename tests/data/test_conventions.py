@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.data.traffic import REAR_END_ANGLE, is_rear_end, wrapped
+from behavexplor.data.conventions import REAR_END_ANGLE, is_rear_end, wrapped
 
 
 @pytest.mark.parametrize(

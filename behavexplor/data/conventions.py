@@ -1,4 +1,4 @@
-"""Facts about traffic that environments, judging and search share."""
+"""Conventions about traffic that environments, judging and search share."""
 
 import math
 from typing import Final
