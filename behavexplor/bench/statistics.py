@@ -47,10 +47,9 @@ def estimate(values: Sequence[float]) -> Estimate:
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
     """Return the probability that a value of the first sample exceeds one of the second, where ties count half.
 
-    Source: Vargha and Delaney 2000. The samples may differ in size.
+    It is U / (n m) of the Mann-Whitney U test. Source: Vargha and Delaney 2000. The samples may differ in size.
     """
-    apart = np.subtract.outer(np.asarray(first, float), np.asarray(second, float))
-    return float(np.mean((apart > 0) + 0.5 * (apart == 0)))
+    return float(stats.mannwhitneyu(first, second, method="asymptotic").statistic) / (len(first) * len(second))
 
 
 def size(effect: float) -> str:

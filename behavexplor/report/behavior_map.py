@@ -125,6 +125,7 @@ def scaled(distances: Floats) -> Floats:
     Returns:
         Points, shape (n, 2). Of the mirror images, the one whose farthest point on each axis is on the positive side.
     """
+    # scikit-learn's ClassicalMDS gives NaN where an eigenvalue is negative, as for points on a line.
     squared = distances**2
     centered = squared - squared.mean(0) - squared.mean(1)[:, None] + squared.mean()
     with threadpool_limits(limits=1):  # the last bits must not depend on the number of cores
