@@ -1,0 +1,69 @@
+"""Experiments on clusters: the tables are those of one machine. Clusters take their time to start."""
+
+import csv
+import json
+import secrets
+
+import pytest
+
+from behavexplor.campaign.store import Store
+from behavexplor.commands import BAD_INPUT, OK, main
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # of the clusters' own libraries
+
+EXPERIMENT = {
+    "envs": ["intersection-straight"],
+    "ads": ["rule:apollo-like"],
+    "methods": {"BehAVExplor": {"config": "paper"}, "Random": {"method": "random"}, "Uniform": {"method": "uniform"}},
+    "seeds": 3,
+    "budget": 40,
+    "baseline": "Uniform",
+}  # as configs/experiments/quick.yaml
+MEASURED = ("executing_s", "analysing_s")
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The experiment on this machine."""
+    folder = tmp_path_factory.mktemp("alone")
+    return bench(folder / "out", "--jobs", "2")
+
+
+def bench(out, *flags):
+    file = out.parent / "quick.yaml"
+    file.write_text(json.dumps(EXPERIMENT))
+    assert main(["bench", str(file), "--out", str(out), "--quiet", *flags]) == OK
+    return out
+
+
+def tables(out):
+    """Everything in the tables but what a clock has measured."""
+    found = {path.name: path.read_text() for path in (out / "tables").iterdir() if path.stem != "times"}
+    with (out / "summaries.csv").open() as file:
+        rows = [{key: value for key, value in row.items() if key not in MEASURED} for row in csv.DictReader(file)]
+    return found, rows
+
+
+def records(out):
+    found = {}
+    for path in sorted(out.rglob("campaign.db")):
+        store = Store.read(path.parent)
+        found[str(path.parent.relative_to(out))] = [record.to_json() for record in store.records()]
+        store.close()
+    return found
+
+
+@pytest.mark.parametrize(("kind", "library"), [("dask", "distributed"), ("ray", "ray")])
+def test_two_nodes_give_the_tables_of_one_machine(alone, kind, library, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+    pytest.importorskip(library)
+    out = bench(tmp_path / "out", "--jobs", "2", "--cluster", kind)
+    assert records(out) == records(alone)
+    assert tables(out) == tables(alone)
+
+
+def test_a_cluster_that_is_none_is_refused(tmp_path, capsys):
+    (tmp_path / "quick.yaml").write_text(json.dumps(EXPERIMENT))
+    assert main(["bench", str(tmp_path / "quick.yaml"), "--cluster", "slurm"]) == BAD_INPUT
+    assert "Unknown cluster" in capsys.readouterr().err
