@@ -12,8 +12,10 @@ import torch
 from stable_baselines3 import PPO
 
 from behavexplor.data.scenario import Scenario
-from behavexplor.execution.executor import begin, evaluate, make_executor
+from behavexplor.data.target import Target
+from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.simulation import Simulation, environment_id
+from behavexplor.execution.start import start_executor
 from benchmarks.stock import drive_env, drive_objects
 
 Row = dict[str, Any]
@@ -94,15 +96,15 @@ def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Iterab
 
 def worker_rows(env: str, ads: str, count: int, workers: Sequence[int]) -> list[Row]:
     """Return rows with wall times for several numbers of worker processes."""
-    simulation = begin(env, ads)
+    simulation = Simulation(env, ads)
     requests = [scenario.to_json().encode() for scenario in scenarios_of(simulation, count)]
     rows = []
     for number in workers:
-        with make_executor(number, env, ads) as executor:
-            for future in [executor.submit(evaluate, request) for request in requests[: 2 * number]]:
+        with start_executor(Target(env, ads), number) as executor:
+            for future in [executor.submit(EXECUTE, request) for request in requests[: 2 * number]]:
                 future.result()
             start = time.perf_counter()
-            for future in [executor.submit(evaluate, request) for request in requests]:
+            for future in [executor.submit(EXECUTE, request) for request in requests]:
                 future.result()
             wall = time.perf_counter() - start
         rows.append({"env": env, "ads": ads, "workers": number, "executions per second, wall": count / wall})

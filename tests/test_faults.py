@@ -4,11 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from behavexplor.campaign.campaign import ERROR, Campaign, search_method
+from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
-from behavexplor.execution.executor import make_executor
+from behavexplor.data.target import Target
 from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.start import start_executor
 from tests.confining import confines
 from tests.faults import DROVE, FAULTS, table
 
@@ -21,12 +22,12 @@ def records(folder, ads):
     """The records of a short campaign in a worker, which has little time and memory."""
     config = CampaignConfig(env="lane-follow", ads=ads, method="uniform", budget=str(BUDGET), seed=1)
     store = Store.create(folder, config.to_yaml())
-    executor = make_executor(1, config.env, ads, time_limit=4.0, memory_limit=2.0)
+    executor = start_executor(Target(config.env, ads, time_limit=4.0, memory_limit=2.0), 1)
     try:
         Campaign(config, search_method(config, LOGICAL), LOGICAL, store, executor).run(lambda _: None)
-        return list(store.records())
+        return [record.to_dict() for record in store.records()]
     finally:
-        executor.shutdown(wait=False, cancel_futures=True)
+        executor.shutdown(wait=False)
         store.close()
 
 
@@ -46,9 +47,9 @@ def test_a_fault_is_recorded_and_costs_no_other_execution(fault, healthy, tmp_pa
         assert found == healthy
         return
     for record in found:
-        assert record["violated"] == [ERROR]
-        assert record[ERROR]["kind"] == fault.outcome
-        assert fault.message in record[ERROR]["message"]
+        assert record["violated"] == ["error"]
+        assert record["error"]["kind"] == fault.outcome
+        assert fault.message in record["error"]["message"]
 
 
 def test_the_table_in_the_documentation_is_that_of_the_faults():

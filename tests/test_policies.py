@@ -11,7 +11,7 @@ import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
-from behavexplor.execution.preflight import health_warnings
+from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.simulation import Simulation
 from tests.ads.sb3.models import make_model
 
@@ -62,7 +62,8 @@ def test_a_policy_drives_as_in_its_own_evaluation(trained):
 def test_missing_statistics_are_named_by_the_health_check(trained, tmp_path):
     (tmp_path / "model.zip").write_bytes((trained / "model.zip").read_bytes())
     findings = {
-        folder: health_warnings(Simulation("lane-follow", str(folder / "model.zip"))) for folder in (trained, tmp_path)
+        folder: preflight_warnings(Simulation("lane-follow", str(folder / "model.zip")))
+        for folder in (trained, tmp_path)
     }
     assert not any("VecNormalize" in finding for finding in findings[trained])
     assert any("statistics of VecNormalize missing" in finding for finding in findings[tmp_path])

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import yaml
 from pydantic import ConfigDict
@@ -16,7 +16,6 @@ from behavexplor.errors import InputError, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,7 @@ def test_the_tables_of_an_experiment_have_a_column_for_it(tmp_path, capsys):
         ),
         ("vague", "The spec 'vague' (own_specs:vague) returned nan: it must return a number"),
         ("wordy", "returned 'far away': it must return a number, negative if the trace violates the requirement"),
-        ("Taken", "is named 'collision'"),
+        ("Taken", "cannot be named 'collision'"),
         ("nothing", "cannot be imported: AttributeError"),
     ],
 )

@@ -26,7 +26,7 @@ from behavexplor.envs.vector.contact import boxes_touch, corners, line_distance,
 from behavexplor.envs.vector.rewards import reward_terms
 from behavexplor.envs.vector.slots import END, LINE_FRAME, N_NPCS, RUNNING, make_slots, move_npcs, put_scenario
 from behavexplor.envs.vector.world import make_world
-from behavexplor.envs.vehicles import MetaEgo, place_ego
+from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
 
 LEFT, CHANGE = IntersectionLeftEnv(), LaneChangeEnv()
 WORLDS = {env: make_world(env) for env in (LEFT, CHANGE)}
@@ -92,7 +92,7 @@ def meta_ego(env, rng):
     lane = lanes[target]
     position = lane.position(rng.uniform(-5, lane.length + 8), rng.normal(0, 3))
     road = Road(network, np_random=np.random.default_rng(0))
-    vehicle = MetaEgo(road, position, lane.heading_at(0) + rng.normal(0, 0.6), rng.choice([0.0, 0.005, -3.0, 0.6, 9.0]))
+    vehicle = MetaEgoVehicle(road, position, lane.heading_at(0) + rng.normal(0, 0.6), rng.choice([0.0, 0.005, -3.0, 0.6, 9.0]))
     vehicle.LENGTH = EGO_SIZE[0]
     vehicle.target_lane_index = network._indexes[target]
     vehicle.target_speeds = np.array([0.0, 4.5, 9.0])
