@@ -99,10 +99,11 @@ def _plan(experiment: Experiment, root: Path, jobs: int) -> str:
             _counted(experiment.seeds, "seed"),
         ]
     )
-    seconds = forecast(experiment, root, jobs or available_cores())
+    at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
+    seconds = forecast(experiment, root, at_a_time)
     return (
         f"{_counted(len(runs), 'campaign')} of {_counted(experiment.budget, 'execution')}: {parts}\n"
-        f"{finished} finished; {_counted(left, 'execution')} left, about {clock(seconds)} with {jobs} at a time"
+        f"{finished} finished; {_counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
     )
 
 

@@ -137,7 +137,8 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     unique = f" in {class_count(len(kinds))}" if kinds else ""
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
     lines += [f"{failed}; each failure is counted under its most severe type:"]
-    lines += [_line_of(name, [one for one in failures if one.spec == name]) for name in progress.violations]
+    width = max(12, *map(len, progress.violations))
+    lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
     lines += _listed_classes(failures)
     lines += [f"All results are in {store.folder}, with a file for each failure in its folder failures"]
     folder = shlex.quote(str(store.folder))
@@ -154,13 +155,13 @@ class _Failure(NamedTuple):
     kind: str | None
 
 
-def _line_of(spec: str, failures: list[_Failure]) -> str:
+def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:
     """Return a line with the number of violations of a spec and the first of them; empty if there are none."""
     if not failures:
         return ""
     more = ", ..." if len(failures) > _LISTED_FAILURES else ""
     listed = ", ".join(str(failure.number) for failure in failures[:_LISTED_FAILURES])
-    return f"  {spec:12} {len(failures):5}   executions {listed}{more}"
+    return f"  {spec:{width}} {len(failures):5}   executions {listed}{more}"
 
 
 def class_count(number: int) -> str:

@@ -1,5 +1,6 @@
 """`behavexplor fuzz`: search for failures of a driving system."""
 
+import shlex
 import signal
 import sqlite3
 import sys
@@ -138,7 +139,7 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
     if failure:
         print(f"{program()}: {failure}", file=sys.stderr)
     if campaign.stopping:
-        print(f"Interrupted; resume with: {program()} fuzz --resume {store.folder}", file=sys.stderr)
+        print(f"Interrupted; resume with: {program()} fuzz --resume {shlex.quote(str(store.folder))}", file=sys.stderr)
         return INTERRUPTED
     if code == OK and fail_on_violation and campaign.progress.failed:
         return CHECK_FAILED
