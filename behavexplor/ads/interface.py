@@ -1,7 +1,7 @@
 """The interface of a driving system under test (ADS): three attributes and a `predict` method.
 
 `predict` has the signature of Stable-Baselines3's `predict` and receives a batch of B observations at once. So a
-trained policy is an ADS as it stands, once it has the attributes that name its observations and actions.
+trained policy becomes an ADS as soon as it has the attributes that define its observations and actions.
 """
 
 from collections.abc import Mapping
@@ -22,9 +22,9 @@ class ADS(Protocol):
         policy_frequency: decisions per second [Hz].
 
     An ADS whose attribute `vectorized` is true drives many episodes in lock-step, which is much faster. It receives B
-    observations at once, keeps nothing but `state` between two calls, and answers each row independently of the other
-    rows. Rows of zeros stand for absent egos, and the actions for them are ignored. Any other ADS drives one episode at
-    a time, B = 1.
+    observations at once, keeps no information except `state` between two calls, and chooses the action for each row
+    independently of the other rows. A row of zeros stands for an absent ego, and the action for it is ignored. Any
+    other ADS drives one episode at a time, with B = 1.
     """
 
     @property
@@ -49,12 +49,13 @@ class ADS(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], Any]:
-        """Decide for a batch of egos.
+        """Choose the actions of a batch of egos.
 
         Args:
             observation: observations, shape (B, ...).
-            state: state returned by the last call; None at first.
-            episode_start: True for each row that begins an episode, whose part of `state` is forgotten, shape (B,).
+            state: state returned by the last call; None in the first call.
+            episode_start: True for each row in which an episode begins, shape (B,). The part of `state` that belongs to
+                such a row must be discarded.
             deterministic: True if the same input must always give the same actions.
 
         Returns:
@@ -65,7 +66,7 @@ class ADS(Protocol):
 
 @runtime_checkable
 class DecisionLog(Protocol):
-    """An ADS that also reports its last decisions, which become part of the trace."""
+    """An ADS that also reports its latest decisions, which become part of the trace."""
 
     def log(self, state: Any) -> Mapping[str, NDArray[Any]]:
         """Return the last decisions by name, arrays of shape (B, ...), from the state that `predict` returned."""

@@ -1,4 +1,4 @@
-"""The runs of an experiment: their states, and the runner for the unfinished ones."""
+"""The runs of an experiment: their states, and a runner that executes the unfinished runs."""
 
 import math
 import time
@@ -46,9 +46,9 @@ class ExperimentProgress:
         finished: number of finished runs.
         failed: failed runs, each with its reason.
         executions: number of stored executions of all runs.
-        total: number of executions of all runs at the end.
+        total: expected number of executions of all runs at the end.
         left: estimated remaining time [s]; None if unknown.
-        warnings: warnings about the driving systems, each of them a sentence.
+        warnings: warnings about the driving systems, one sentence each.
     """
 
     runs: int
@@ -91,13 +91,13 @@ def _stored_executions(folder: Path) -> int:
 
 
 class ExperimentRunner:
-    """Runs the unfinished runs of an experiment.
+    """Executes the unfinished runs of an experiment.
 
     Args:
-        runs: all runs of the experiment, in the order in which they are run.
+        runs: all runs of the experiment, in the order in which they are executed.
         root: the experiment's folder.
-        jobs: number of runs at a time; on a cluster the number of nodes, 0 for one node for each core.
-        workers: number of processes that execute the scenarios of one run; 0 is the run's own process.
+        jobs: number of runs at a time; on a cluster, the number of nodes, or 0 for one node for each core.
+        workers: number of processes that execute the scenarios of one run; with 0, the run's own process does.
         cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
 
     Attributes:

@@ -1,7 +1,9 @@
 """The campaign loop: ask a search method for scenarios, execute and judge them, tell the method, store the results.
 
-Results are told in the order in which their candidates were asked for. Candidate i is asked for when exactly the
-results up to i - batch have been told. A campaign therefore does not depend on how its scenarios are executed.
+The search method receives results in the order in which it proposed the candidates. It is asked for candidate i when
+it has received exactly the results up to i - batch. A campaign therefore does not depend on how its scenarios are
+executed.
+
 Resuming a campaign means running it again with the stored traces in place of executions.
 """
 
@@ -42,7 +44,7 @@ _ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which d
 
 
 class ExecutionError(Exception):
-    """An execution could not be carried out for a reason other than the ADS, so that it is not a failure of the ADS."""
+    """An execution could not be carried out for a reason other than the ADS, and does not count as its failure."""
 
 
 class Campaign:
@@ -78,7 +80,7 @@ class Campaign:
         self._executor = executor
         self._specs = specs
         self._archive = NoveltyArchive()
-        self._stored = store.end  # earlier candidates have been executed, but the store may have lost some of them
+        self._stored = store.end  # lower candidates have been executed, but the store may have lost some
         self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
@@ -121,7 +123,7 @@ class Campaign:
         return time.monotonic() - self._start
 
     def _ask_all(self) -> str | None:
-        """Ask until the batch is full. Return why the search ended, if it did."""
+        """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
         while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
             try:
                 candidate = self._method.ask()
@@ -224,7 +226,7 @@ class Campaign:
             raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:
-        """Commit the pending executions if there are enough or they have waited long enough, and count them."""
+        """Commit and count the pending executions if there are enough of them or enough time has passed."""
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
@@ -252,7 +254,7 @@ class Campaign:
 
 
 def _class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> str | None:
-    """Return the class of a failure for its record; None for a passed execution."""
+    """Return the id of a failure's class, as stored in its record; None for a passed execution."""
     if failure is not None:
         return f"{ERROR}/{failure['kind']}"
     if not verdict.violated:
@@ -262,13 +264,13 @@ def _class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None)
 
 
 def _fault(trace: Trace, verdict: Verdict) -> str | None:
-    """Return the fault for a collision for its record; None if the failure counts for another spec."""
+    """Return the fault of a collision, as stored in its record; None if the first violated spec is not R1."""
     is_collision = bool(verdict.violated) and REQUIREMENTS.get(verdict.violated[0]) == R1
     return contact_fault(trace) if is_collision else None
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:
-    """Return an ADS failure for its record, without memory addresses, so that a reproduced failure compares equal."""
+    """Return an ADS failure as stored in a record: without memory addresses, so that reproduced failures are equal."""
     return {"kind": error.kind, "message": _ADDRESS.sub("0x...", error.message)}
 
 

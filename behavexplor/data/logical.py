@@ -1,6 +1,6 @@
-"""Logical scenarios: the range of concrete scenarios on a map, and how to check and sample them.
+"""Logical scenarios: ranges of concrete scenarios on a map, which can be checked and sampled.
 
-Source: paper section II-B, for the searched parameters (the NPCs' routes and waypoints).
+Source: paper section II-B, for the parameters that are searched (the NPCs' routes and waypoints).
 """
 
 import math
@@ -33,14 +33,14 @@ VEHICLE_SIZES: Mapping[str, tuple[float, float]] = MappingProxyType(  # length a
 
 @dataclass(frozen=True)
 class LogicalScenario:
-    """A functional scenario's parameters with their ranges.
+    """The parameters of a functional scenario and their ranges.
 
     Attributes:
         name: name of the functional scenario, such as "intersection-straight".
         roadmap: the map.
         n_npcs: number of NPCs in a sampled scenario, and the greatest number in any scenario.
         waypoints_per_lane: number of waypoints that an NPC has on each lane of its route.
-        min_speed: least speed at all waypoints but the last [m/s]; the greatest speed is the speed limit.
+        min_speed: least speed at every waypoint except the last one [m/s]; the greatest speed is the speed limit.
         end_gap: least distance of a starting NPC's center from the ends of its first lane [m].
         npc_gap: least distance between the centers of NPCs that start in the same lane [m].
         ego_gap: least distance between the centers of the ego and a starting NPC [m].
@@ -59,7 +59,7 @@ class LogicalScenario:
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """Least and greatest speed at all waypoints but the last [m/s]."""
+        """Least and greatest speed at every waypoint except the last one [m/s]."""
         return self.min_speed, self.roadmap.speed_limit
 
     def position_ranges(self, route: Route) -> Floats:
@@ -77,7 +77,8 @@ class LogicalScenario:
         """Check that a concrete scenario is valid in this logical scenario.
 
         Raises:
-            InputError: if it is not; the message names the field that is out of range, or the broken spawn rule.
+            InputError: if the scenario is invalid. The message names the field that is out of range, or the spawn
+                rule that is broken.
         """
         if scenario.functional != self.name:
             raise InputError(f"functional: this is a scenario of {scenario.functional!r}, not of {self.name!r}")
@@ -142,7 +143,7 @@ class LogicalScenario:
             others: vehicles that are already placed.
 
         Returns:
-            The end of the sentence "the vehicle starts ...", or None.
+            The broken rule as the end of the sentence "the vehicle starts ...", or None.
         """
         start, size = self._start_pose(npc), VEHICLE_SIZES[npc.type]
         ego = self.roadmap.start_pose
@@ -205,7 +206,7 @@ class LogicalScenario:
 def _overlap(pose: Floats, size: tuple[float, float], other_pose: Floats, other_size: tuple[float, float]) -> bool:
     """Return whether two boxes touch, given their poses, each of shape (3,)."""
     if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
-        return False  # the circles around the boxes do not meet, as for most pairs of vehicles
+        return False  # the circles around the boxes do not touch, which decides most pairs of vehicles
     corners = box_corners(pose[:2], pose[2], np.array(size))
     other_corners = box_corners(other_pose[:2], other_pose[2], np.array(other_size))
     return bool(boxes_overlap(corners, other_corners))

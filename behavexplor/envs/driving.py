@@ -30,7 +30,7 @@ PASSED_DISTANCE = 5.0  # distance beyond the destination, along its lane [m]
 STANDSTILL_TIME = 30.0  # [s]
 
 RENDER_MODES = ("human", "rgb_array")
-TERMINAL = ("collision", "arrived", "passed")  # ends that terminate the task; all other ends truncate it
+TERMINAL = ("collision", "arrived", "passed")  # ends that terminate the episode; all other ends truncate it
 
 
 class DrivingEnv(AbstractEnv):  # type: ignore[misc]
@@ -43,15 +43,15 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     `reset(options={"scenario": scenario})` runs a `behavexplor.data.scenario.Scenario`. Without the option, the
     environment samples a scenario from the logical scenario with its own random generator, so the same environment can
-    train a policy. `env.unwrapped.logical.sample(generator)` samples a scenario as well, and `logical.check(scenario)`
-    reports what is wrong with one.
+    train a policy. `env.unwrapped.logical.sample(generator)` samples a scenario without running it, and
+    `logical.check(scenario)` raises an error that says what is wrong with an invalid scenario.
 
     NPCs follow their waypoints blindly and never yield: their motion is a function of the scenario alone. They park at
     their last waypoint, which lies behind the ego's destination. The ego starts at rest.
 
     ## Actions
 
-    highway-env's action types, set by `config["action"]`. The default is `ContinuousAction`:
+    The action types are those of highway-env, and `config["action"]` selects one. The default is `ContinuousAction`:
 
     | index | action | range | meaning |
     |---|---|---|---|
@@ -62,11 +62,12 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## Observations
 
-    highway-env's observation types, set by `config["observation"]`. The default is `Kinematics` with one row for each
-    vehicle, the ego first and the other vehicles by distance. Its columns are presence, x, y, vx and vy. The positions
-    and velocities of other vehicles are relative to the ego's, and all are scaled to [-1, 1] by highway-env's ranges.
+    The observation types are those of highway-env and one more, and `config["observation"]` selects one. The default is
+    `Kinematics` with one row for each vehicle: first the ego, then the other vehicles by distance. Its columns are
+    presence, x, y, vx and vy. The positions and velocities of other vehicles are relative to the ego's, and all are
+    scaled to [-1, 1] by highway-env's ranges.
 
-    One more type is added: `Scene`. It is float64 and unscaled. Its rows follow the order of the scenario, and the rows
+    The additional type is `Scene`. It is float64 and unscaled. Its rows follow the order of the scenario, and the rows
     of absent vehicles are 0:
 
     | column | meaning | unit |
@@ -81,7 +82,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     ## Reward
 
     The reward is the sum of the terms in `info["rewards"]`. Each term is a weight in `config["reward"]` times an amount
-    that is measured since the last decision:
+    that is measured from one decision to the next:
 
     | term | weight | amount |
     |---|---|---|
@@ -92,7 +93,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     | collision | -20 | 1 at a collision (R1) that is not a `rear_end` |
     | rear_end | -2 | 1 at a collision in which a faster vehicle struck the ego from behind |
     | arrived | 10 | 1 on arrival (R3) |
-    | missed | -4 | 1 at any other end |
+    | missed | -4 | 1 at any other end of the episode |
 
     ## End of the episode
 
@@ -106,8 +107,8 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## Arguments
 
-    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, and the error suggests the nearest
-    match. A value that cannot be used or would have no effect is refused as well.
+    `gymnasium.make(id, config={...}, render_mode=...)`. An unknown key is refused, and the error suggests the most
+    similar key. A value that cannot be used or would have no effect is refused as well.
 
     | key of `config` | default | meaning |
     |---|---|---|
@@ -164,7 +165,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         super().configure({})
 
     def define_spaces(self) -> None:
-        """Create the observation and action types of an episode. Their spaces are made once per configuration."""
+        """Create the observation and action types of an episode. The spaces are made once per configuration."""
         observation = self.config["observation"]
         own = {"Scene": SceneObservation, "Kinematics": Kinematics}.get(observation.get("type"))
         self.observation_type = own(self, **observation) if own else observation_factory(self, observation)

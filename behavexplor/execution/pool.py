@@ -26,8 +26,8 @@ from behavexplor.execution.service import Recipe
 from behavexplor.execution.worker import CLOSED, serve
 
 BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
-CRASHES: Final = 2  # number of crashes of a worker with a single execution after which its ADS is blamed
-ENDING_SECONDS: Final = 2.0  # time limit for a worker to end after it has closed its connection [s]
+CRASHES: Final = 2  # an ADS is blamed after this many worker crashes during the same single execution
+ENDING_SECONDS: Final = 2.0  # time limit for the end of a worker that has closed its connection [s]
 
 
 class WorkerDiedError(RuntimeError):
@@ -39,7 +39,7 @@ class _Task:
     """A call that has not been answered.
 
     Attributes:
-        future: future result.
+        future: future for the result.
         function: name of the function.
         data: argument of the function.
         alone: whether the call needs a worker to itself.
@@ -62,8 +62,8 @@ class WorkerPool(Executor):
     Args:
         n_workers: number of processes.
         recipe: recipe of the service of each process.
-        time_limit: time limit of a call that has a worker to itself, and of the time between two answers of a worker
-            with a batch [s]. A process that exceeds it is killed.
+        time_limit: time limit [s]. It applies to a call that has a worker to itself, and to the time between two
+            answers of a worker that processes a batch. A process that exceeds it is killed.
         memory_limit: memory limit of one process [GiB], where the system supports it.
     """
 
@@ -227,9 +227,9 @@ class _Worker:
         tasks: unanswered calls by key.
         capacity: number of calls that the worker can process in one batch.
         is_ready: whether the worker has loaded its service.
-        asking: see `behavexplor.execution.rollout.share_asking`.
+        asking: shared flag, 1 while the worker calls its ADS; see `behavexplor.execution.rollout.share_asking`.
         patience: time limit for the next answer [s].
-        deadline: time at which that limit ends, on the monotonic clock [s].
+        deadline: time at which the answer is overdue, on the monotonic clock [s].
     """
 
     def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
@@ -251,7 +251,7 @@ class _Worker:
 
     @property
     def is_listened_to(self) -> bool:
-        """True if the worker owes an answer."""
+        """True if an answer of the worker is due."""
         return bool(self.tasks) or not self.is_ready
 
     @property

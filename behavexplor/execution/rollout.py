@@ -19,8 +19,9 @@ class ADSError(Exception):
     """An ADS failed instead of returning an action.
 
     Attributes:
-        kind: kind of the failure: "raised" (an exception), "invalid" (answer), "exit" (of the process was called for),
-            "memory" (ran out), "hang", or "crash" (of the process).
+        kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
+            "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time), or
+            "crash" (its process died).
         message: details of the failure.
     """
 
@@ -61,8 +62,8 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
 class LockStep:
     """Episodes of one ADS in lock-step, one in each sub-environment; see `rollout`.
 
-    The ADS decides for all episodes in one call. For a sub-environment without an episode it observes zeros, and its
-    answer is ignored.
+    The ADS chooses the actions for all episodes in one call. In the row of a sub-environment without an episode, the
+    observation is zero and the action is ignored.
 
     Args:
         envs: vector environment with autoreset disabled that takes
@@ -83,7 +84,7 @@ class LockStep:
 
     @property
     def running(self) -> list[Any]:
-        """The keys of the episodes that have not ended."""
+        """Keys of the episodes that have not ended."""
         return [self._keys[slot] for slot in np.flatnonzero(self._running)]
 
     @property
@@ -92,7 +93,7 @@ class LockStep:
         return len(self._running) - int(self._running.sum())
 
     def begin(self, key: Any, scenario: Scenario) -> None:
-        """Begin an episode with the next step. One of the sub-environments must be free.
+        """Add an episode, which begins with the next call of `step`. One of the sub-environments must be free.
 
         Args:
             key: key by which `step` identifies the episode.
@@ -133,7 +134,7 @@ class LockStep:
 
     def _reset(self) -> NDArray[Any]:
         """Begin the new episodes and return the observations of all sub-environments."""
-        if self._observation is None:  # the first reset needs a scenario for each sub-environment, even without episode
+        if self._observation is None:  # the first reset needs a scenario even for a sub-environment without episode
             anything = self._scenarios[int(self._start.argmax())]
             scenarios = [scenario or anything for scenario in self._scenarios]
             observation, _ = self._envs.reset(options={"scenarios": scenarios})
@@ -171,7 +172,7 @@ def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Sc
 
 
 class _Log:
-    """Decision log of an ADS, step by step for all sub-environments; empty for an ADS without `log`."""
+    """Decision log of an ADS, with one entry per step for all sub-environments; empty for an ADS without `log`."""
 
     def __init__(self, ads: Any) -> None:
         self._ads = ads if hasattr(ads, "log") else None
@@ -213,7 +214,11 @@ _asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being call
 
 
 def share_asking(flag: Any) -> None:
-    """Share with another process whether this process is calling the ADS: `flag.value` is then 1, and else 0."""
+    """Set the flag that tells another process whether this process is calling the ADS.
+
+    Args:
+        flag: object whose `value` is set to 1 during a call of the ADS, and to 0 otherwise.
+    """
     _asking[0] = flag
 
 
@@ -230,10 +235,10 @@ def _ask(
     Args:
         ads: the driving system.
         observation: observations, a row for each sub-environment.
-        state: state that the ADS returned last.
+        state: state returned by the previous call of the ADS.
         start: sub-environments in which an episode begins.
         space: action space of one sub-environment.
-        counts: rows whose answer counts; None if all do.
+        counts: True for each row whose action is used, shape (B,); None if all actions are used.
     """
     _asking[0].value = 1
     try:
@@ -257,7 +262,7 @@ class _AnswerError(ValueError):
 def _checked(
     answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], Any]:
-    """Return the actions and the state of an answer, with actions that do not count replaced by one that does.
+    """Return the actions and the state of an answer. An action that is not used is replaced by one that is.
 
     Raises:
         _AnswerError: if the answer is invalid; the message says what `predict` must return.

@@ -16,7 +16,7 @@ from behavexplor.judge.specs import Verdict
 
 INITIAL, UNIFORM = "initial", "uniform"  # origins of candidates without a parent
 MAX_POPULATION = 1000  # greatest population of a method that compares all pairs of its members
-MAX_FAILED_INITIAL = 1000  # number of initial scenarios after which a search ends if all of them failed
+MAX_FAILED_INITIAL = 1000  # a search ends if this many initial scenarios have all failed
 
 
 class SearchExhausted(Exception):  # noqa: N818 - it ends a campaign, nothing went wrong
@@ -28,7 +28,7 @@ class Candidate:
     """A scenario that a search method proposes for execution.
 
     Attributes:
-        number: number of candidates that were asked for before this one.
+        number: index of the candidate, counted from 0 in the order in which the campaign asked for candidates.
         scenario: the scenario, which is valid in the campaign's logical scenario.
         origin: origin of the scenario, such as "initial" or the kind of its mutation.
         parent: number of the candidate that was mutated; None without a parent.
@@ -49,9 +49,10 @@ class SearchMethod(Protocol):
     """A search for failures. It knows scenarios, traces and verdicts, but neither the simulator nor the ADS.
 
     A search method is built as `method(logical, seed, options)`, where `options` is an instance of the frozen dataclass
-    `method.Options`. The first line of its docstring is its description in the help text. Many candidates may be in
-    flight, but results are told in the order in which the candidates were asked for. The same asks and tells in the
-    same order must give the same candidates, so every random choice for candidate i is drawn from `draws(seed, i)`.
+    `method.Options`. The first line of the class docstring is the method's description in the help text. Many
+    candidates may be in flight, but their results arrive in the order in which the method proposed them. The same
+    sequence of calls of `ask` and `tell` must give the same candidates. So draw every random choice for candidate i
+    from `draws(seed, i)`.
     """
 
     Options: ClassVar[type]
@@ -62,7 +63,7 @@ class SearchMethod(Protocol):
         """Return the next candidate.
 
         Raises:
-            SearchExhausted: if there is none.
+            SearchExhausted: if there are no further candidates.
         """
         ...
 
@@ -90,6 +91,6 @@ def draws(seed: int, number: int, *purpose: int) -> np.random.Generator:
     Args:
         seed: seed of the campaign.
         number: number of the candidate.
-        purpose: integers that separate draws for the same candidate at different times.
+        purpose: integers that make separate generators for the same candidate, one for each purpose.
     """
     return np.random.default_rng([seed, number, *purpose])

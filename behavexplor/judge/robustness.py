@@ -1,4 +1,4 @@
-"""Specs of users: functions that return the signed robustness of a trace, loaded by name.
+"""Specs written by users: functions that return the signed robustness of a trace, loaded by name.
 
 A user's spec is any callable that takes a `behavexplor.data.trace.Trace` and returns its signed robustness, as in
 signal temporal logic. The robustness is negative if the trace violates the requirement. Otherwise, it is the distance
@@ -84,10 +84,11 @@ _WANTED: Final = "it must return a number, negative if the trace violates the re
 
 
 def as_spec(found: Any, source: str = "") -> Spec:
-    """Return a spec for a callable, or for a class whose instances are callable.
+    """Make a spec from a callable, or from a class whose instances are callable.
 
     Args:
-        found: a function of a trace. The spec is named after its attribute `name`, else after its `__name__`.
+        found: a callable that takes a trace, or such a class. The spec takes its attribute `name`, or else its
+            `__name__`, as its name.
         source: origin of the callable, for error messages.
 
     Raises:
@@ -101,10 +102,10 @@ def as_spec(found: Any, source: str = "") -> Spec:
 
 
 def load_specs(names: Sequence[str]) -> tuple[Spec, ...]:
-    """Return the specs of a campaign: R1, R2, R3, and those of the user.
+    """Return the specs of a campaign: R1, R2, R3, and the user's own specs.
 
     Args:
-        names: specs of the user, each as "package.module:attribute".
+        names: the user's specs, each as "package.module:attribute".
 
     Raises:
         InputError: if a spec cannot be imported or used, or two specs have the same name.

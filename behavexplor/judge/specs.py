@@ -20,7 +20,7 @@ from behavexplor.errors import InputError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-ERROR: Final = "error"  # takes the place of a violated spec where the ADS failed instead of returning an action
+ERROR: Final = "error"  # recorded in place of a violated spec if the ADS failed instead of returning an action
 NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
 _TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
 _BLOCK = 8  # frames that share one bound in the search for the nearest line
@@ -36,7 +36,7 @@ class Spec(Protocol):
         ...
 
     def degree(self, trace: Trace) -> float:
-        """Return the distance of a trace from a violation, finite, in the spec's unit; lower is nearer."""
+        """Return the violation degree, finite, in the spec's unit. A lower degree is closer to a violation."""
         ...
 
     def violated(self, trace: Trace) -> bool:
@@ -46,7 +46,10 @@ class Spec(Protocol):
 
 @dataclass(frozen=True)
 class Collision:
-    """R1: the ego touches no NPC. The degree is D_b, the least distance between their boxes [m] (paper equation 1)."""
+    """R1: the ego touches no NPC.
+
+    The degree is D_b, the least distance between the ego's box and an NPC's box [m] (paper equation 1).
+    """
 
     name: str = field(default="collision", init=False)
 
@@ -61,7 +64,10 @@ class Collision:
 
 @dataclass(frozen=True)
 class Lines:
-    """R2: the ego touches no illegal line. The degree is D_l, the least distance of its box to one [m] (equation 3)."""
+    """R2: the ego touches no illegal line.
+
+    The degree is D_l, the least distance between the ego's box and an illegal line [m] (paper equation 3).
+    """
 
     name: str = field(default="lines", init=False)
 
@@ -79,7 +85,7 @@ class Destination:
     """R3: the ego ends at its destination.
 
     The degree is max(10 - D, 0) (paper section III-B2), where D is the final distance of the ego's center from the
-    destination [m]. So the degree is lower the farther from the destination the episode ends.
+    destination [m]. So the farther from the destination the episode ends, the lower is the degree.
 
     Attributes:
         name: name in records and reports.
@@ -153,7 +159,7 @@ def judge(trace: Trace, specs: Sequence[Spec] = SPECS) -> Verdict:
 
 @lru_cache(maxsize=2)
 def _npc_distance(trace: Trace) -> float:
-    """Return D_b [m]. Bounds by circles leave few pairs of boxes whose exact distance is computed."""
+    """Return D_b [m]. Circles inside and around the boxes bound each distance, so few exact distances are needed."""
     if len(trace.size) == 1:
         return NOTHING_NEAR
     pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)
@@ -177,7 +183,7 @@ def _npc_distance(trace: Trace) -> float:
 
 @lru_cache(maxsize=2)
 def _line_distance(trace: Trace) -> float:
-    """Return D_l [m]. Bounds leave few pairs of frames and lines whose exact distance is computed."""
+    """Return D_l [m]. Bounds are computed first, so the exact distance is needed for few pairs of frames and lines."""
     lines = trace.illegal_lines
     if not len(lines):
         return NOTHING_NEAR
@@ -185,7 +191,7 @@ def _line_distance(trace: Trace) -> float:
     position, heading = trace.position[frames, 0], trace.heading[frames, 0]
     reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2
 
-    first = np.arange(0, len(frames), _BLOCK)  # all positions of a block lie within `spread` of its first
+    first = np.arange(0, len(frames), _BLOCK)  # all positions of a block lie within `spread` of its first one
     stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
     spread = np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
     gap = point_segment_distance(position[first, None], lines[:, 0], lines[:, 1])
@@ -222,7 +228,7 @@ def _changes(rows: Floats) -> Ints:
 
 
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
-    """Return the least of n distances, given cheap bounds; a value up to a trace's resolution counts as 0.
+    """Return the least of n distances, given cheap bounds. A value of at most a trace's resolution counts as 0.
 
     Args:
         lower: lower bound of each distance, shape (n,) [m].

@@ -1,7 +1,7 @@
 """Signal temporal logic (STL): requirements on the timing of events, as formulas over sampled signals.
 
 A formula is a `Signal`. It holds the robustness of the formula at each sample: the distance from a violation where the
-value is positive, the distance from satisfaction where it is negative. Formulas are built from margins, which are
+formula holds, and minus the distance from satisfaction where it does not. Formulas are built from margins, which are
 positive where a condition holds:
 
     def brakes_for_leader(trace: Trace) -> float:
@@ -30,8 +30,8 @@ close the interval at t', which is `until(p, p & q, start, end)` here.
 
 The end of the signal truncates w. For an empty w, `always` is +inf (nothing can violate it), and `eventually` and
 `until` are -inf (nothing can satisfy them). So a response that is due after the end counts as missing unless it came
-earlier. `always(p, 0, max(trace.duration - 2, 0))` requires responses within 2 s only where 2 s are left. The caller
-has to check whether the robustness of a whole formula is finite.
+earlier. `always(p, 0, max(trace.duration - 2, 0))` requires responses within 2 s only where 2 s are left. Because the
+robustness of a whole formula may be infinite, the caller has to check that it is finite.
 
 Sources:
     [1] Fainekos and Pappas, "Robustness of temporal logic specifications for continuous-time signals", Theoretical
@@ -155,7 +155,7 @@ def eventually(signal: Signal, start: float = 0.0, end: float = math.inf) -> Sig
 def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf) -> Signal:
     """Return the formula "`right` holds at a sample from `start` to `end` after now, and `left` holds until then".
 
-    `left` need not hold at that sample itself. Where `right` holds at once, `left` need not hold at all.
+    `left` need not hold at the sample at which `right` holds. Where `right` holds at once, `left` need not hold at all.
 
     Args:
         left: the formula that holds until then, T samples.
@@ -173,7 +173,7 @@ def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf
     _check_signals(left, right)
     first, stop = _windows(left.time, start, end)
     # The minimum of these is exact [4]: `left` up to the window, untimed `until` from there, `right` within the window.
-    # For if the untimed `until` is satisfied only past the window, `left` holds throughout the window.
+    # The reason: if the untimed `until` is satisfied only after the window, `left` holds throughout the window.
     bridged = _least(left.robustness, np.arange(len(first)), first)
     within = -_least(-right.robustness, first, stop)
     from_first = np.append(_untimed_until(left.robustness, right.robustness), -np.inf)[first]
@@ -181,7 +181,7 @@ def until(left: Signal, right: Signal, start: float = 0.0, end: float = math.inf
 
 
 def _untimed_until(left: Floats, right: Floats) -> Floats:
-    """Return `until` over [0, inf), shape (T,): `right` now, or `left` now and the same from the next sample on."""
+    """Return `until` over [0, inf), shape (T,): `right` now, or `left` now and `until` again at the next sample."""
     result = np.empty(len(left))
     following = -math.inf
     for i in reversed(range(len(left))):
@@ -190,7 +190,7 @@ def _untimed_until(left: Floats, right: Floats) -> Floats:
 
 
 def _windows(time: Floats, start: Any, end: Any) -> tuple[Ints, Ints]:
-    """Return the first index of each sample's window and the index after its last, both of shape (T,)."""
+    """Return the first index of each sample's window and the index after its last one, both of shape (T,)."""
     for name, bound in (("start", start), ("end", end)):
         if isinstance(bound, bool) or not isinstance(bound, Real):
             raise InputError(f"{name}: expected a number of seconds, got {brief(bound)}")
@@ -201,10 +201,10 @@ def _windows(time: Floats, start: Any, end: Any) -> tuple[Ints, Ints]:
 
 
 def _least(values: Floats, first: Ints, stop: Ints) -> Floats:
-    """Return the least of each values[first:stop], +inf for an empty window, in O(T log T) for any windows.
+    """Return the least value of each window values[first:stop], or +inf for an empty window, in O(T log T).
 
     Each window is the union of two overlapping stretches of 2^k values. The minima of the stretches are computed for
-    k = 0, 1, ..., each from those before.
+    k = 0, 1, ..., each from the minima of the previous k.
     """
     count = stop - first
     least = np.full(len(count), np.inf)

@@ -1,4 +1,4 @@
-"""Contract of search methods, see `behavexplor.fuzz.search.SearchMethod`."""
+"""Contract test for search methods; see `behavexplor.fuzz.search.SearchMethod` for the contract."""
 
 import json
 import math
@@ -18,7 +18,7 @@ from behavexplor.judge.specs import Verdict, judge
 from behavexplor.testing.contract import ContractError, promise
 from behavexplor.testing.synthetic import synthetic_trace
 
-IN_FLIGHT: Final = (1, 8)  # numbers of candidates in flight that are tried
+IN_FLIGHT: Final = (1, 8)  # tested numbers of candidates in flight
 SEEDS: Final = (0, 1)
 
 Judge = Callable[[Trace], Verdict]
@@ -26,7 +26,7 @@ Judge = Callable[[Trace], Verdict]
 
 @dataclass(frozen=True)
 class _Told:
-    """One step of a campaign: what was asked for, what was told, and what was learned."""
+    """One step of a campaign: a candidate, its trace and verdict, and the values that `tell` returned."""
 
     candidate: Candidate
     trace: Trace
@@ -43,13 +43,13 @@ def check_search_method(
 ) -> None:
     """Check that a search method keeps the promises of `behavexplor.fuzz.search.SearchMethod`.
 
-    It is run on synthetic traces; nothing is simulated.
+    The method runs on synthetic traces, so no simulator is needed.
 
     Args:
         method: the class, or its name as for `--method`.
-        options: an instance of its `Options`; the defaults if None.
+        options: an instance of the method's `Options`; None for the default options.
         env: the environment whose scenarios are searched.
-        executions: number of executions in each campaign that is tried.
+        executions: number of executions in each test campaign.
 
     Raises:
         ContractError: if a promise is broken.
@@ -137,7 +137,10 @@ def _check_learned(told: _Told, search: SearchMethod) -> None:
 
 
 def _check_resuming(build: Callable[[int], SearchMethod], logical: LogicalScenario, executions: int) -> None:
-    """Check that a fresh search goes on like the first one after it was told the same: so campaigns are resumed."""
+    """Check that a fresh search continues like the first one after receiving the same results.
+
+    A campaign is resumed in this way.
+    """
     search = build(SEEDS[0])
     told = _campaign(search, logical, executions // 2, IN_FLIGHT[0])
     fresh = build(SEEDS[0])
@@ -146,7 +149,7 @@ def _check_resuming(build: Callable[[int], SearchMethod], logical: LogicalScenar
         promise(candidate == step.candidate, f"A resumed search asked for another candidate {step.candidate.number}")
         fresh.tell(candidate, step.trace, step.verdict)
     with suppress(SearchExhausted):
-        promise(fresh.ask() == search.ask(), "A resumed search goes on otherwise: keep all state in ask and tell")
+        promise(fresh.ask() == search.ask(), "A resumed search does not continue like the first one: change state in ask and tell only")
 
 
 def _asked(told: _Told) -> tuple[Any, ...]:

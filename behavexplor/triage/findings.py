@@ -32,18 +32,20 @@ class Finding:
         id: number of the execution.
         spec: first violated spec: "R1", "R2", "R3" or the name of a user's spec; "error" if the ADS failed instead of
             returning an action.
-        class_id: identifier of the `behavexplor.judge.classes.ViolationClass`; "error/" and the kind of an error.
+        class_id: identifier of the `behavexplor.judge.classes.ViolationClass`; "error/" and the kind of the
+            failure if the ADS failed.
         words: the class as a sentence.
         same_verdict: whether the failure violated the same specs when it was executed again.
         same_trace: whether the second execution had the same trace.
         fault: kind of a `behavexplor.triage.blame.Blame`; None unless the failure is a collision.
         in_junction: whether the ego was in a junction at the collision.
-        avoidance: name of the witness, None without a witness; its file is `witness_path`.
-        tried: number of evasions that were driven to avoid the collision.
+        avoidance: name of the witness, stored in the file that `witness_path` returns; None without a witness.
+        tried: number of evasions that were executed in search of a witness.
         signature: likely cause, see `behavexplor.triage.signatures`; None unless the rule planner drove.
         cause: primary cause, see `behavexplor.triage.counterfactual.Cause`; None unless the rule planner drove.
         necessary: weaknesses without which the failure does not happen.
-        sufficient: weaknesses of the violated spec that cause the failure without any other weakness of that spec.
+        sufficient: weaknesses of the violated spec that cause the failure even if all other weaknesses of that spec are
+            switched off.
     """
 
     id: int
@@ -68,7 +70,7 @@ class Sighting:
 
     Attributes:
         count: number of executions.
-        first: number of the first execution; None without any.
+        first: number of the first of these executions; None if there are none.
     """
 
     count: int = 0
@@ -158,7 +160,7 @@ class Witness:
     Attributes:
         name: kind of evasion: "careful and competent", "ideal braking", "anticipation" or "sampled".
         begin: time up to which the ego drives as recorded [s].
-        frequency: frequency of the commands, one for each step of the simulation [Hz].
+        frequency: frequency of the commands, which is that of the simulation [Hz].
         commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
     """
 
@@ -169,7 +171,7 @@ class Witness:
 
 
 def counted(names: Iterable[str | None]) -> str:
-    """Return names as text, the most frequent first, with their counts if there are several names."""
+    """Return names as text, the most frequent first. Counts are included if there are several different names."""
     counts = Counter(name for name in names if name is not None).most_common()
     if len(counts) == 1:
         return counts[0][0].replace("_", " ")
@@ -199,10 +201,10 @@ def read_witness(path: Path) -> Witness:
 
 
 def witness_from(values: Mapping[str, Any]) -> Witness:
-    """Return the witness of JSON values, the inverse of `witness_values`.
+    """Build a witness from JSON values. This is the inverse of `witness_values`.
 
     Raises:
-        ValueError: if the commands cannot be driven.
+        ValueError: if there are no commands, a command is not finite, or the frequency is below 1 Hz.
     """
     commands = np.array(values["commands"], dtype=np.float64).reshape(-1, 2)
     frequency = int(values["frequency"])
@@ -212,7 +214,7 @@ def witness_from(values: Mapping[str, Any]) -> Witness:
 
 
 def trace_finding(record: Record, trace: Trace) -> Finding:
-    """Return the finding from the record and the trace of a failure, before the failure is executed again."""
+    """Return the part of a failure's finding that follows from its record and trace, before it is executed again."""
     kind = violation_class(trace, record.violated)
     spec = kind.spec if kind else REQUIREMENTS.get(record.violated[0], record.violated[0])
     class_id, words = (kind.id, kind.words) if kind else (spec, "Violated " + ", ".join(record.violated))
