@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
-from behavexplor.bench.campaign_service import campaign_recipe, campaign_request, take_outcome
+from behavexplor.bench.campaign_service import RUN, campaign_recipe, campaign_request, take_outcome
 from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.config import stored_config
@@ -167,7 +167,7 @@ class ExperimentRunner:
             run = self._waiting.popleft()
             folder = self._root / run.folder
             request = campaign_request(run.config, folder, self._workers, remote=bool(self._cluster))
-            self._running[executor.submit("run", request)] = run
+            self._running[executor.submit(RUN, request)] = run
 
     def _end(self, run: PlannedRun, future: Future[bytes]) -> None:
         """Record the outcome of a run."""

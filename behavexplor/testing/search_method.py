@@ -149,7 +149,9 @@ def _check_resuming(build: Callable[[int], SearchMethod], logical: LogicalScenar
         promise(candidate == step.candidate, f"A resumed search asked for another candidate {step.candidate.number}")
         fresh.tell(candidate, step.trace, step.verdict)
     with suppress(SearchExhausted):
-        promise(fresh.ask() == search.ask(), "A resumed search does not continue like the first one: change state in ask and tell only")
+        promise(
+            fresh.ask() == search.ask(), "A resumed search asks for other scenarios: change state in ask and tell only"
+        )
 
 
 def _asked(told: _Told) -> tuple[Any, ...]:

@@ -92,7 +92,9 @@ def meta_ego(env, rng):
     lane = lanes[target]
     position = lane.position(rng.uniform(-5, lane.length + 8), rng.normal(0, 3))
     road = Road(network, np_random=np.random.default_rng(0))
-    vehicle = MetaEgoVehicle(road, position, lane.heading_at(0) + rng.normal(0, 0.6), rng.choice([0.0, 0.005, -3.0, 0.6, 9.0]))
+    vehicle = MetaEgoVehicle(
+        road, position, lane.heading_at(0) + rng.normal(0, 0.6), rng.choice([0.0, 0.005, -3.0, 0.6, 9.0])
+    )
     vehicle.LENGTH = EGO_SIZE[0]
     vehicle.target_lane_index = network._indexes[target]
     vehicle.target_speeds = np.array([0.0, 4.5, 9.0])
