@@ -15,6 +15,9 @@ from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
 
 
+PRELOAD = ("behavexplor.execution.evaluator",)  # one process starts all workers of these tests, and loads once
+
+
 def echo(data):
     return data + str(os.getpid()).encode()
 
@@ -60,7 +63,7 @@ class Declining(Functions):
 
 
 def recipe(service, **settings):
-    return Recipe(f"{__name__}:{service.__name__}", settings)
+    return Recipe(f"{__name__}:{service.__name__}", settings, preload=PRELOAD)
 
 
 def make_pool(service=Functions, workers=1, time_limit=5.0):
@@ -181,7 +184,7 @@ class Adder(Service):
 @pytest.fixture
 def adders(tmp_path):
     file = str(tmp_path / "together")
-    made = Recipe(f"{__name__}:Adder", {"file": file}, batched="count_down")
+    made = Recipe(f"{__name__}:Adder", {"file": file}, batched="count_down", preload=PRELOAD)
     pool = WorkerPool(2, made, time_limit=5.0, memory_limit=8.0)
     yield pool, tmp_path / "together"
     pool.shutdown(wait=False)
@@ -260,7 +263,7 @@ class Patient(Functions):
 
 
 def test_long_calls_end_early_when_they_are_told_to_and_each_has_a_process(tmp_path):
-    made = Recipe(f"{__name__}:Patient", long_calls=True)
+    made = Recipe(f"{__name__}:Patient", long_calls=True, preload=PRELOAD)
     pool = WorkerPool(1, made, math.inf, math.inf)
     first, second = (pool.submit("echo", b"").result() for _ in range(2))
     assert first != second

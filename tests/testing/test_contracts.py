@@ -170,7 +170,7 @@ def test_a_spec_keeps_the_contract():
 @pytest.mark.parametrize(
     ("spec", "message"),
     [
-        (lambda trace: 1.0, "is named '<lambda>'"),
+        (lambda trace: 1.0, "cannot be named '<lambda>'"),
         (counting(), "gave another robustness"),
         (3, "is not callable"),
     ],
