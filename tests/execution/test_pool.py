@@ -14,7 +14,6 @@ from behavexplor.execution.rollout import ADSError, _ask
 from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
 
-
 PRELOAD = ("behavexplor.execution.evaluator",)  # one process starts all workers of these tests, and loads once
 
 
