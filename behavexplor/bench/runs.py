@@ -171,7 +171,7 @@ class ExperimentRunner:
 
     def _end(self, run: PlannedRun, future: Future[bytes]) -> None:
         """Record the outcome of a run."""
-        if future.cancelled():
+        if future.cancelled() or (self.stopping and future.exception()):  # a process may end before it can be stopped
             return
         folder, error = self._root / run.folder, future.exception()
         outcome = None if error else take_outcome(future.result(), folder)

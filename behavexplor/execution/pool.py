@@ -76,7 +76,7 @@ class WorkerPool(Executor):
         self._keys = count()
         self._lock = Lock()  # guards the following fields, which submitting threads change
         self._waiting: deque[_Task] = deque()
-        self._closed = self._aborted = False
+        self._closed = self._aborted = self._stopped = False
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._workers: list[_Worker | None] = [None] * n_workers
         self._thread = Thread(target=self._supervise, daemon=True)
@@ -95,6 +95,7 @@ class WorkerPool(Executor):
     def stop(self) -> None:
         """Cancel calls that have not started, and ask running calls to end early."""
         with self._lock:
+            self._stopped = True
             self._cancel_waiting()
         for worker in self._workers:
             if worker is not None:
@@ -208,7 +209,10 @@ class WorkerPool(Executor):
         self._again(tasks)
 
     def _again(self, tasks: list[_Task]) -> None:
-        """Make calls again, each with a worker to itself."""
+        """Make calls again, each with a worker to itself, unless calls have been asked to end early."""
+        if self._stopped:
+            _fail(tasks, WorkerDiedError("a worker ended before its call could end early"))
+            return
         for task in tasks:
             task.alone = True
         with self._lock:

@@ -275,6 +275,16 @@ def test_long_calls_end_early_when_they_are_told_to_and_each_has_a_process(tmp_p
     pool.shutdown()
 
 
+def test_a_call_whose_worker_dies_after_it_was_told_to_stop_is_not_made_again(pool, tmp_path):
+    running = pool.submit("sleeping", b"60")
+    worker = int(pool.submit("echo", b"").result())
+    other = next(w for w in pool._workers if w is not None and w._process.pid != worker)
+    pool.stop()  # these workers have no way to end a call early
+    os.kill(other._process.pid, signal.SIGKILL)
+    with pytest.raises(WorkerDiedError, match="ended"):
+        running.result(timeout=30)
+
+
 def test_an_unknown_function_is_named(pool):
     with pytest.raises(RuntimeError, match="KeyError: 'nonsense'"):
         pool.submit("nonsense", b"").result()
