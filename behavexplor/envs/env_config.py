@@ -28,7 +28,6 @@ from behavexplor.envs.values import (
     TWO_RANGES,
     WHOLE,
     Kind,
-    check_value,
     names,
     one_of,
     optional,
@@ -164,9 +163,9 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     if "TimeToCollision" in _types(changed["observation"]) and changed["action"]["type"] != "DiscreteMetaAction":
         raise InputError("The observation type TimeToCollision needs the action type DiscreteMetaAction")
     for name, weight in changed["reward"].items():
-        check_value(f"reward.{name}", weight, NUMBER)
+        NUMBER.check(f"reward.{name}", weight)
     for key, kind in _KINDS.items():
-        check_value(key, changed[key], kind)
+        kind.check(key, changed[key])
     for key in _WITHOUT_EFFECT:
         if changed[key] is not config[key]:
             raise InputError(f"{key}: {shown(changed[key])} has no effect in these environments; leave it out")
@@ -184,7 +183,7 @@ def changed_logical(logical: LogicalScenario, changes: Mapping[str, Any]) -> Log
         return logical
     kinds = {"n_npcs": WHOLE, "waypoints_per_lane": COUNT, "vehicle_types": names(logical.vehicle_types)}
     for name, value in changes.items():
-        check_value(f"logical.{name}", value, kinds.get(name, NOT_NEGATIVE))
+        kinds.get(name, NOT_NEGATIVE).check(f"logical.{name}", value)
     values: dict[str, Any] = dict(changes)
     if "vehicle_types" in values:
         values["vehicle_types"] = tuple(values["vehicle_types"])
@@ -249,7 +248,7 @@ def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> 
     for key, value in settings.items():
         expected = _TYPE_KINDS.get(f"{name}.{key}", _TYPE_KINDS.get(key))
         if expected is not None:
-            check_value(f"{what}.{key}", value, expected)
+            expected.check(f"{what}.{key}", value)
     return settings
 
 

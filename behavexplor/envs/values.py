@@ -1,10 +1,10 @@
-"""Kinds of configuration values, with their descriptions for error messages."""
+"""Kinds of configuration values: types that pydantic checks, with their descriptions for error messages."""
 
-from collections.abc import Callable, Mapping
-from numbers import Integral, Real
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, Strict, TypeAdapter, ValidationError
 
 from behavexplor.errors import InputError
 
@@ -12,26 +12,32 @@ MOST = 10_000  # limit of every count, size, frequency [Hz] and time [s]
 LARGEST = 1e9  # limit of every other number, so that none can become infinite
 
 
-class Kind(NamedTuple):
+class Kind:
     """A kind of configuration value.
 
     Attributes:
         wanted: description of the kind, as the end of the message "expected ...".
-        accepts: function that returns whether a value is of this kind.
+        type: the values of this kind, as a type annotation.
     """
 
-    wanted: str
-    accepts: Callable[[Any], bool]
+    def __init__(self, wanted: str, type_: Any) -> None:
+        self.wanted = wanted
+        self.type = type_
 
+    @cached_property
+    def _adapter(self) -> TypeAdapter[Any]:
+        return TypeAdapter(self.type)
 
-def check_value(name: str, value: object, kind: Kind) -> None:
-    """Check that a value is of a kind.
+    def check(self, name: str, value: object) -> None:
+        """Check that a value is of this kind.
 
-    Raises:
-        InputError: if it is not; the message names the key and the expected kind.
-    """
-    if not kind.accepts(value):
-        raise InputError(f"{name}: expected {kind.wanted}, got {shown(value)}")
+        Raises:
+            InputError: if it is not; the message names the key and this kind.
+        """
+        try:
+            self._adapter.validate_python(value)
+        except ValidationError:
+            raise InputError(f"{name}: expected {self.wanted}, got {shown(value)}") from None
 
 
 def shown(value: object) -> str:
@@ -39,78 +45,68 @@ def shown(value: object) -> str:
     return " ".join(repr(value).split())[:80]
 
 
-def _is_number(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return False
-    try:
-        return abs(float(value)) <= LARGEST
-    except OverflowError:  # an int beyond all floats
-        return False
+def _plain(value: object) -> object:
+    """Return a value of numpy as a plain value."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else value
 
 
-def _numbers(value: object) -> list[float] | None:
-    """Return the elements of a list or tuple of numbers, or None if the value is something else."""
-    if isinstance(value, list | tuple) and all(_is_number(number) for number in value):
-        return [float(number) for number in value]
-    return None
+def _listed(value: object) -> object:
+    """Refuse arrays and sets, which pydantic takes for lists, but highway-env does not."""
+    if not isinstance(value, list | tuple):
+        raise ValueError  # noqa: TRY004 - pydantic lets a TypeError through
+    return value
 
 
-def _has_numbers(value: object, count: int) -> bool:
-    return len(_numbers(value) or []) == count
+def _rising(numbers: tuple[float, float]) -> tuple[float, float]:
+    if numbers[0] >= numbers[1]:
+        raise ValueError
+    return numbers
 
 
-def _is_whole(value: object, least: int) -> bool:
-    return not isinstance(value, bool) and isinstance(value, Integral) and least <= int(value) <= MOST
-
-
-def _is_range(value: object) -> bool:
-    numbers = _numbers(value) or []
-    return len(numbers) == 2 and numbers[0] < numbers[1]
-
-
-def _is_even(value: object) -> bool:
-    numbers = _numbers(value.tolist() if isinstance(value, np.ndarray) else value) or []
+def _even(numbers: list[float]) -> list[float]:
     steps = np.diff(numbers)
-    return len(numbers) >= 2 and steps[0] > 0 and np.allclose(steps, steps[0])
+    if steps[0] <= 0 or not np.allclose(steps, steps[0]):
+        raise ValueError
+    return numbers
 
 
-def _is_pair_of(kind: Kind, value: object) -> bool:
-    return isinstance(value, list | tuple) and len(value) == 2 and all(map(kind.accepts, value))
+_FromNumpy = BeforeValidator(_plain)
+_Listed = BeforeValidator(_listed)
+_Number = Annotated[float, Strict(), Field(ge=-LARGEST, le=LARGEST), _FromNumpy]
+_Positive = Annotated[float, Strict(), Field(gt=0, le=MOST), _FromNumpy]
+_Count = Annotated[int, Strict(), Field(ge=1, le=MOST), _FromNumpy]
+_Range = Annotated[tuple[_Number, _Number], AfterValidator(_rising), _Listed]
+
+NUMBER = Kind(f"a number of at most {LARGEST:g}", _Number)
+POSITIVE = Kind(f"a number above 0 and up to {MOST}", _Positive)
+NOT_NEGATIVE = Kind(f"a number from 0 to {MOST}", Annotated[float, Strict(), Field(ge=0, le=MOST), _FromNumpy])
+WHOLE = Kind(f"a whole number from 0 to {MOST}", Annotated[int, Strict(), Field(ge=0, le=MOST), _FromNumpy])
+COUNT = Kind(f"a whole number from 1 to {MOST}", _Count)
+FLAG = Kind("True or False", Annotated[bool, Strict(), _FromNumpy])
+RANGE = Kind("two numbers, the lower first", _Range)
+TWO_NUMBERS = Kind("two numbers", Annotated[tuple[_Number, _Number], _Listed])
+THREE_NUMBERS = Kind("three numbers", Annotated[tuple[_Number, _Number, _Number], _Listed])
+TWO_POSITIVE = Kind("two numbers above 0", Annotated[tuple[_Positive, _Positive], _Listed])
+TWO_RANGES = Kind("two pairs of numbers, the lower first in each", Annotated[tuple[_Range, _Range], _Listed])
+IMAGE_SHAPE = Kind("a tuple of two whole numbers", Annotated[tuple[_Count, _Count], Strict()])
+EVEN_NUMBERS = Kind(
+    "at least two numbers in even steps upwards",
+    Annotated[list[_Number], Field(min_length=2), AfterValidator(_even), _FromNumpy],
+)
+NUMBER_RANGES = Kind("a pair of numbers for each name, the lower first", dict[str, _Range])
 
 
 def optional(kind: Kind) -> Kind:
     """Return the kind that also accepts None."""
-    return Kind(f"{kind.wanted}, or None", lambda value: value is None or kind.accepts(value))
-
-
-def names(known: tuple[str, ...]) -> Kind:
-    """Return the kind of non-empty lists of known names."""
-
-    def accepts(value: object) -> bool:
-        return isinstance(value, list | tuple) and len(value) > 0 and all(name in known for name in value)
-
-    return Kind(f"a list of names among {', '.join(known)}", accepts)
+    return Kind(f"{kind.wanted}, or None", kind.type | None)
 
 
 def one_of(known: tuple[str, ...]) -> Kind:
     """Return the kind of single known names."""
-    return Kind(f"one of {', '.join(known)}", lambda value: isinstance(value, str) and value in known)
+    return Kind(f"one of {', '.join(known)}", Literal.__getitem__(known))
 
 
-NUMBER = Kind(f"a number of at most {LARGEST:g}", _is_number)
-POSITIVE = Kind(f"a number above 0 and up to {MOST}", lambda value: _is_number(value) and 0 < value <= MOST)
-NOT_NEGATIVE = Kind(f"a number from 0 to {MOST}", lambda value: _is_number(value) and 0 <= value <= MOST)
-WHOLE = Kind(f"a whole number from 0 to {MOST}", lambda value: _is_whole(value, 0))
-COUNT = Kind(f"a whole number from 1 to {MOST}", lambda value: _is_whole(value, 1))
-FLAG = Kind("True or False", lambda value: isinstance(value, bool | np.bool_))
-RANGE = Kind("two numbers, the lower first", _is_range)
-TWO_NUMBERS = Kind("two numbers", lambda value: _has_numbers(value, 2))
-THREE_NUMBERS = Kind("three numbers", lambda value: _has_numbers(value, 3))
-TWO_POSITIVE = Kind("two numbers above 0", lambda value: _is_pair_of(POSITIVE, value))
-TWO_RANGES = Kind("two pairs of numbers, the lower first in each", lambda value: _is_pair_of(RANGE, value))
-IMAGE_SHAPE = Kind("a tuple of two whole numbers", lambda value: isinstance(value, tuple) and _is_pair_of(COUNT, value))
-EVEN_NUMBERS = Kind("at least two numbers in even steps upwards", _is_even)
-NUMBER_RANGES = Kind(
-    "a pair of numbers for each name, the lower first",
-    lambda value: isinstance(value, Mapping) and all(map(RANGE.accepts, value.values())),
-)
+def names(known: tuple[str, ...]) -> Kind:
+    """Return the kind of non-empty lists of known names."""
+    names: Any = list[one_of(known).type]  # type: ignore[misc]
+    return Kind(f"a list of names among {', '.join(known)}", Annotated[names, Field(min_length=1), _Listed])

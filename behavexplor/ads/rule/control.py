@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.lateral import LateralProfile, offset_at
-from behavexplor.ads.rule.memory import HELD, LAST_STEERING, OVERTAKING, SHARP, SLOW_TURN
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
@@ -29,7 +29,7 @@ TURN_WAY, TURN = 15.0, 0.1  # a left turn: the route has turned by more than TUR
 
 @kernel_in_place
 def steer(
-    path: Path, profile: LateralProfile, scene: Floats, station: float, memory: Floats, bits: Ints, p: Numbers
+    path: Path, profile: LateralProfile, scene: Floats, station: float, memory: Memory, bits: Ints, p: Numbers
 ) -> float:
     """Return the steering angle [rad] by pure pursuit: the circle through a point ahead on the path.
 
@@ -37,7 +37,7 @@ def steer(
     and moves along heading + slip. Solved for the slip, the circle through the point is exact.
     """
     away = p.look_ahead + p.look_ahead_time * scene[EGO, SPEED]
-    if memory[SHARP] == 1.0:  # a short lane change is steered with a short look-ahead (R2-2)
+    if memory.sharp == 1.0:  # a short lane change is steered with a short look-ahead (R2-2)
         away *= 1.0 - p.short_change
     there = station + away
     x, y = point_beside(path, there, offset_at(profile, there))
@@ -45,7 +45,7 @@ def steer(
     bearing = math.atan2(aside, ahead) - scene[EGO, HEADING]
     share = scene[EGO, LENGTH] / math.hypot(ahead, aside)
     wanted = math.atan(2 * share * math.sin(bearing) / (1 + share * math.cos(bearing)))
-    last: float = memory[LAST_STEERING]
+    last: float = memory.last_steering
     if p.slow_recovery > 0.0 or p.held_steering > 0.0:
         _, _, here = pose_on_path(path, station)
         _, _, before = pose_on_path(path, station - TURN_WAY)
@@ -58,26 +58,26 @@ def steer(
 
 @kernel_in_place
 def _worsened(
-    profile: LateralProfile, speed: float, turns: bool, wanted: float, memory: Floats, bits: Ints, p: Numbers
+    profile: LateralProfile, speed: float, turns: bool, wanted: float, memory: Memory, bits: Ints, p: Numbers
 ) -> float:
     """Return the steering angle of a planner that steers back too little (R2-1) or holds a large angle (R2-4)."""
     across = profile.last - profile.first
-    overtakes = memory[OVERTAKING] == 1.0 and profile.length > 0.0
+    overtakes = memory.overtaking == 1.0 and profile.length > 0.0
     if p.slow_recovery > 0.0 and overtakes and speed > RECOVERY_SPEED and wanted * across < 0.0:
         note(bits, R2_1, True)
         wanted *= 1.0 - p.slow_recovery
-    last: float = memory[LAST_STEERING]
+    last: float = memory.last_steering
     large = p.held_steering > 0.0 and turns and last < -HELD_STEERING
     if large and speed < HOLD_SPEED:
-        memory[SLOW_TURN] = 1.0
+        memory.slow_turn = 1.0
     elif not large:
-        memory[SLOW_TURN] = 0.0
-    holds = memory[SLOW_TURN] == 1.0
+        memory.slow_turn = 0.0
+    holds = memory.slow_turn == 1.0
     releases = holds and wanted > last
-    memory[HELD] = memory[HELD] + PERIOD if releases else 0.0
+    memory.held = memory.held + PERIOD if releases else 0.0
     if holds:
-        note(bits, R2_4, releases and memory[HELD] <= p.held_steering)
-    held: float = last if releases and memory[HELD] <= p.held_steering else wanted
+        note(bits, R2_4, releases and memory.held <= p.held_steering)
+    held: float = last if releases and memory.held <= p.held_steering else wanted
     return held
 
 

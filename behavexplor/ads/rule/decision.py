@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path
-from behavexplor.ads.rule.memory import CREEPS, RESTARTED, STOOD, WAITED
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed import SpeedPlan
 from behavexplor.ads.rule.station_time import (
@@ -94,29 +94,29 @@ def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: floa
 
 
 @kernel_in_place
-def restarts_hastily(crosses: bool, memory: Floats, bits: Ints, p: Numbers) -> bool:
+def restarts_hastily(crosses: bool, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether the ego, which has stood and yielded, hardly looks ahead now (weakness R1-3)."""
-    if p.restart == 0.0 or memory[WAITED] < RESTART_WAIT:
+    if p.restart == 0.0 or memory.waited < RESTART_WAIT:
         return False
     note(bits, R1_3, not crosses)
     if not crosses:
-        memory[RESTARTED] = p.restart
+        memory.restarted = p.restart
     return not crosses
 
 
 @kernel_in_place
-def waits_for_ever(graph: StationTime, memory: Floats, bits: Ints, p: Numbers) -> bool:
+def waits_for_ever(graph: StationTime, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether a standing ego waits for a vehicle that hardly moves across its way (weakness R3-4)."""
-    if memory[WAITED] == 0.0 or not _deadlocked(graph, memory, p):
+    if memory.waited == 0.0 or not _deadlocked(graph, memory, p):
         return False
     note(bits, R3_4, True)
     return True
 
 
 @kernel_in_place
-def _deadlocked(graph: StationTime, memory: Floats, p: Numbers) -> bool:
+def _deadlocked(graph: StationTime, memory: Memory, p: Numbers) -> bool:
     """Return whether the gate of weakness R3-4 is open."""
-    return bool(p.deadlock > 0.0 and memory[STOOD] >= p.deadlock_after and _slowest(graph) < p.deadlock)
+    return bool(p.deadlock > 0.0 and memory.stood >= p.deadlock_after and _slowest(graph) < p.deadlock)
 
 
 @kernel_in_place
@@ -145,9 +145,9 @@ def shorten(graph: StationTime, outlook: float) -> None:
 
 
 @kernel_in_place
-def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, bits: Ints, p: Numbers) -> bool:
+def may_creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether an ego that has stood for long may move on a little: no vehicle is or comes close ahead of it."""
-    if memory[STOOD] < p.creep_after or station + CREEP_ROOM / 2 > limit:
+    if memory.stood < p.creep_after or station + CREEP_ROOM / 2 > limit:
         return False
     for k in range(CREEP_INTERVALS):
         for i in range(graph.counts[k]):
@@ -161,8 +161,8 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Floats, 
 
 
 @kernel_in_place
-def creep(graph: StationTime, station: float, limit: float, memory: Floats, bits: Ints, p: Numbers) -> bool:
+def creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether the ego creeps now. Once begun, creeping goes on for `CREEP_TIME`."""
-    if memory[CREEPS] <= 0.0 and may_creep(graph, station, limit, memory, bits, p):
-        memory[CREEPS] = CREEP_TIME
-    return bool(memory[CREEPS] > 0.0)
+    if memory.creeps <= 0.0 and may_creep(graph, station, limit, memory, bits, p):
+        memory.creeps = CREEP_TIME
+    return bool(memory.creeps > 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path, has_lane, lane_end, oncoming_lane
-from behavexplor.ads.rule.memory import LANE, SINCE
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbors, neighbors
 from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
@@ -66,9 +66,9 @@ def beside_lane(path: Path, others: Floats, ego: EgoState, lane: int) -> Neighbo
 
 
 @kernel_in_place
-def choose_lane(path: Path, others: Floats, ego: EgoState, memory: Floats, bits: Ints, p: Numbers) -> int:
+def choose_lane(path: Path, others: Floats, ego: EgoState, memory: Memory, bits: Ints, p: Numbers) -> int:
     """Return the lane that the ego should be in: its own, or a lane next to it."""
-    lane = int(memory[LANE])
+    lane = int(memory.lane)
     leader = beside_lane(path, others, ego, lane)
     homewards = lane - int(math.copysign(1.0, lane)) if lane != 0 else 0
     if lane != 0 and _delays(path, ego, lane, leader, bits, p):
@@ -130,10 +130,10 @@ def _delays(path: Path, ego: EgoState, lane: int, leader: Neighbors, bits: Ints,
 
 @kernel_in_place
 def _may_overtake(
-    path: Path, others: Floats, ego: EgoState, other: int, leader: Neighbors, memory: Floats, bits: Ints, p: Numbers
+    path: Path, others: Floats, ego: EgoState, other: int, leader: Neighbors, memory: Memory, bits: Ints, p: Numbers
 ) -> bool:
     """Return whether the ego overtakes its leader: its last change is long enough ago, and it can return in time."""
-    if leader.ahead < 0 or memory[SINCE] < p.lane_rest:
+    if leader.ahead < 0 or memory.since < p.lane_rest:
         return False
     if p.no_overtaking > 0.0 and leader.speed_ahead > MOVES:
         follows = leader.speed_ahead < p.no_overtaking
@@ -164,9 +164,9 @@ def room_to_overtake(path: Path, others: Floats, ego: EgoState, leader: Neighbor
 
 
 @kernel_in_place
-def wrong_side(path: Path, others: Floats, ego: EgoState, memory: Floats, bits: Ints, p: Numbers) -> int:
+def wrong_side(path: Path, others: Floats, ego: EgoState, memory: Memory, bits: Ints, p: Numbers) -> int:
     """Return the oncoming lane if a slow leader is to be overtaken there (weakness R2-3), or else the ego's lane."""
-    lane = int(memory[LANE])
+    lane = int(memory.lane)
     other = oncoming_lane(path, ego.station)
     if p.wrong_side == 0.0 or other == 0 or other != lane - 1 or ego.speed > BORROW_SPEED:
         return lane

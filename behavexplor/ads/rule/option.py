@@ -25,14 +25,7 @@ from behavexplor.ads.rule.lane_choice import (
     lane_wall,
 )
 from behavexplor.ads.rule.lateral import LateralProfile
-from behavexplor.ads.rule.memory import (
-    CLEAR,
-    DECISION,
-    IGNORES,
-    LAST_ACCELERATION,
-    OVERRUN,
-    RESTARTED,
-)
+from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed import Nodes, Situation, SpeedPlan, plan_speed
@@ -84,22 +77,22 @@ class Option(NamedTuple):
 
 
 @kernel_in_place
-def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Floats) -> Option:
+def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Memory) -> Option:
     """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
     path, room, p = world.path, world.room, world.p
     blind = -math.inf
     if cuts_in(ego, p) and profile.length > 0.0:
         blind = p.cut_in * 2 * ego.half_length
         note(room.bits, R1_5, False)
-    elif memory[IGNORES] == 1.0:
+    elif memory.ignores == 1.0:
         blind = 0.0
     project_obstacles(path, profile, world.graph, world.scene, ego.station, blind, p, room)
-    if memory[RESTARTED] > 0.0:
+    if memory.restarted > 0.0:
         shorten(room, RESTART_OUTLOOK)
-    wall = math.inf if memory[OVERRUN] == 1.0 else lane_wall(path, ego, lane, p)
+    wall = math.inf if memory.overrun == 1.0 else lane_wall(path, ego, lane, p)
     waits = can_wait(path, ego.station, ego.speed, ego.half_length, p)
     caution = 1.0 if waits or passed(path, ego.station, ego.half_length) else p.committed_caution
-    last = memory[LAST_ACCELERATION]
+    last = memory.last_acceleration
     situation = Situation(path, room, ego.half_length, wall, caution, p)
     plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
     if not waits:
@@ -111,9 +104,9 @@ def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lan
         crosses = crosses_freely(path, room, plan, ego.half_length)
     if crosses and waits_for_ever(room, memory, room.bits, p):
         crosses = False
-    clear = memory[CLEAR] + PERIOD if crosses else 0.0
+    clear = memory.clear + PERIOD if crosses else 0.0
     limit = min(wall, path.junction_start - ego.half_length + p.line_overrun)
-    yields = not crosses or (memory[DECISION] == YIELD and clear < p.clear_time)
+    yields = not crosses or (memory.decision == YIELD and clear < p.clear_time)
     if yields:
         line = min(wall, waiting_station(path, ego.station, ego.speed, ego.half_length, p))
         waiting = Situation(path, room, ego.half_length, line, caution, p)

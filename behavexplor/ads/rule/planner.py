@@ -10,17 +10,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path, ego_path
 from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.cycle import plan_once
-from behavexplor.ads.rule.memory import (
-    DECISION,
-    LANE,
-    LAST_ACCELERATION,
-    LAST_STEERING,
-    MANEUVER,
-    N_MEMORIES,
-    REACHED,
-    SURVIVED,
-    TRIGGERED,
-)
+from behavexplor.ads.rule.memory import N_MEMORIES, as_records
 from behavexplor.ads.rule.option import Surroundings
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
@@ -34,16 +24,8 @@ from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 
-_LOG: Final = MappingProxyType(
-    {
-        "decision": DECISION,
-        "manoeuvre": MANEUVER,  # the key in stored traces
-        "lane": LANE,
-        "survived": SURVIVED,
-        "reached": REACHED,
-        "triggered": TRIGGERED,
-    }
-)
+_LOGGED: Final = ("decision", "maneuver", "lane", "survived", "reached", "triggered")
+_STORED_NAMES: Final = MappingProxyType({"maneuver": "manoeuvre"})  # the key in stored traces
 
 
 class RulePlanner:
@@ -93,10 +75,11 @@ class RulePlanner:
             InputError: if an array has the wrong shape.
         """
         scenes = as_scenes(observation)
-        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        _plan_batch(self._path, self._graph, scenes, memory, self._numbers)
-        commands = memory[:, [LAST_ACCELERATION, LAST_STEERING]]
-        return as_actions(commands), memory
+        numbers = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
+        memories = as_records(numbers)
+        _plan_batch(self._path, self._graph, scenes, memories, self._numbers)
+        commands = np.stack([memories["last_acceleration"], memories["last_steering"]], axis=1)
+        return as_actions(commands), numbers
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the last decisions, from the state that `predict` returned.
@@ -107,11 +90,12 @@ class RulePlanner:
             `survived`, the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the
             weaknesses, see `behavexplor.data.decision_log.weakness_names`.
         """
-        return {name: state[:, column] for name, column in _LOG.items()}
+        memories = as_records(np.ascontiguousarray(state))
+        return {_STORED_NAMES.get(name, name): memories[name] for name in _LOGGED}
 
 
 @kernel
-def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memory: Floats, p: Numbers) -> None:
+def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers) -> None:
     graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.near)  # the spare lane is overwritten
     n_npcs = scenes.shape[1] - 1
     room, nodes = empty_station_time(n_npcs), empty_nodes()
@@ -119,4 +103,4 @@ def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memory: Floats, p:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] == 0.0:
             continue
-        plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memory[i])
+        plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memories[i])

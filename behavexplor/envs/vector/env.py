@@ -17,7 +17,7 @@ from behavexplor.envs.driving import TERMINAL, DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.npc import motion_table
-from behavexplor.envs.values import COUNT, check_value, shown
+from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
@@ -64,7 +64,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        check_value("num_envs", num_envs, COUNT)
+        COUNT.check("num_envs", num_envs)
         if render_mode is not None:
             raise InputError("The vector environment cannot render: replay a trace, or use gymnasium.make")
         self._mode = _autoreset_mode(autoreset_mode)

@@ -8,12 +8,11 @@ import pytest
 from behavexplor.ads.road.path import ego_path, point_beside, pose_on_path
 from behavexplor.ads.rule.control import PERIOD, accelerate, steer
 from behavexplor.ads.rule.lateral import change_profile, keep_profile, offset_at
-from behavexplor.ads.rule.memory import LAST_STEERING, N_MEMORIES
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from tests.ads.rule.world import scene
+from tests.ads.rule.world import memory_with, scene
 
 AT_ONCE = Parameters(steering_rate=1e3)  # no limit of the change
 PATHS = {
@@ -23,8 +22,7 @@ PATHS = {
 
 
 def command(path, profile, pose, speed, station, parameters=AT_ONCE, last=0.0):
-    memory = np.zeros(N_MEMORIES)
-    memory[LAST_STEERING] = last
+    memory = memory_with(last_steering=last)
     bits = np.zeros(2, np.int64)
     return steer(path, profile, scene((*pose, speed)), station, memory, bits, numbers(parameters))
 

@@ -19,27 +19,13 @@ from behavexplor.ads.rule.decision import (
     waiting_station,
 )
 from behavexplor.ads.rule.lane_choice import ABORT, CHANGE, KEEP, EgoState
-from behavexplor.ads.rule.memory import (
-    DECISION,
-    LANE,
-    LENGTH,
-    MANEUVER,
-    N_MEMORIES,
-    ORIGIN,
-    OVERTAKING,
-    SHARP,
-    SINCE,
-    START,
-    STARTED,
-    STOOD,
-    WAITED,
-)
+from behavexplor.ads.rule.memory import as_records
 from behavexplor.ads.rule.parameters import numbers
 from behavexplor.ads.rule.speed import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from tests.ads.rule.world import scene
+from tests.ads.rule.world import memory_with, scene
 
 P = numbers(Parameters())
 ROAD, JUNCTION = (ego_path(roadmap) for roadmap in (straight_road(2, 2, 10, 230), crossing("left", 10, 60)))
@@ -47,61 +33,44 @@ HALF = EGO_SIZE[0] / 2
 
 
 def remembered(station=50.0, offset=0.0, speed=5.0, path=ROAD, **known):
-    """The memory brought up to date; what is known is given by the names of its columns."""
-    memory = np.zeros(N_MEMORIES)
-    memory[STARTED] = 1.0
-    for name, value in known.items():
-        memory[COLUMNS[name]] = value
+    """The memory brought up to date."""
+    memory = memory_with(**{"started": 1.0, **known})
     _remember(path, EgoState(station, offset, speed, HALF, 1.03), memory)
     return memory
-
-
-COLUMNS = {
-    "started": STARTED,
-    "lane": LANE,
-    "start": START,
-    "length": LENGTH,
-    "maneuver": MANEUVER,
-    "stood": STOOD,
-    "decision": DECISION,
-    "sharp": SHARP,
-    "overtaking": OVERTAKING,
-    "since": SINCE,
-}
 
 
 @pytest.mark.parametrize(("offset", "lane"), [(0.2, 0), (-3.4, -1), (-7.1, -2), (3.6, 1)])
 def test_at_first_it_is_in_the_lane_where_it_stands(offset, lane):
     memory = remembered(offset=offset, started=0.0)
-    assert (memory[LANE], memory[ORIGIN], memory[STARTED]) == (lane, lane, 1.0)
+    assert (memory.lane, memory.origin, memory.started) == (lane, lane, 1.0)
 
 
 def test_a_lane_change_ends_at_its_end():
-    before = remembered(64.9, -3.5, lane=-1, start=50.0, length=15.0, maneuver=CHANGE, since=3.0)
-    assert (before[LENGTH], before[MANEUVER]) == (15.0, CHANGE)
-    after = remembered(65.0, -3.5, lane=-1, start=50.0, length=15.0, maneuver=CHANGE, since=3.0)
-    assert (after[LENGTH], after[MANEUVER], after[SINCE]) == (0.0, KEEP, 0.0)
+    before = remembered(64.9, -3.5, lane=-1, change_start=50.0, change_length=15.0, maneuver=CHANGE, since=3.0)
+    assert (before.change_length, before.maneuver) == (15.0, CHANGE)
+    after = remembered(65.0, -3.5, lane=-1, change_start=50.0, change_length=15.0, maneuver=CHANGE, since=3.0)
+    assert (after.change_length, after.maneuver, after.since) == (0.0, KEEP, 0.0)
 
 
 @pytest.mark.parametrize(("offset", "ends"), [(-3.0, True), (-1.0, False)])
 def test_who_gets_stuck_in_the_lane_changed_to_decides_anew(offset, ends):
-    known = {"lane": -1, "start": 50.0, "length": 15.0, "maneuver": ABORT}
-    assert remembered(55.0, offset, 0.0, stood=STUCK, **known)[LENGTH] == 15.0
-    assert (remembered(55.0, offset, 0.0, stood=STUCK + 0.1, **known)[LENGTH] == 0.0) == ends
+    known = {"lane": -1, "change_start": 50.0, "change_length": 15.0, "maneuver": ABORT}
+    assert remembered(55.0, offset, 0.0, stood=STUCK, **known).change_length == 15.0
+    assert (remembered(55.0, offset, 0.0, stood=STUCK + 0.1, **known).change_length == 0.0) == ends
 
 
 def test_standing_and_waiting_are_counted_and_forgotten():
     waiting = remembered(speed=STANDING / 2, stood=2.0, decision=YIELD)
-    assert (waiting[STOOD], waiting[WAITED]) == pytest.approx((2.1, 0.1))
-    assert remembered(speed=STANDING / 2, stood=2.0, decision=FOLLOW)[WAITED] == 0.0
-    assert remembered(speed=STANDING, stood=2.0, decision=YIELD)[STOOD] == 0.0
+    assert (waiting.stood, waiting.waited) == pytest.approx((2.1, 0.1))
+    assert remembered(speed=STANDING / 2, stood=2.0, decision=FOLLOW).waited == 0.0
+    assert remembered(speed=STANDING, stood=2.0, decision=YIELD).stood == 0.0
 
 
 def test_a_sharp_change_and_an_overtaking_are_over_after_a_while():
-    assert remembered(50.0 + SHARP_WAY, start=50.0, sharp=1.0)[SHARP] == 1.0
-    assert remembered(50.1 + SHARP_WAY, start=50.0, sharp=1.0)[SHARP] == 0.0
-    assert remembered(overtaking=1.0, lane=-1)[OVERTAKING] == 1.0
-    assert remembered(overtaking=1.0, lane=0)[OVERTAKING] == 0.0
+    assert remembered(50.0 + SHARP_WAY, change_start=50.0, sharp=1.0).sharp == 1.0
+    assert remembered(50.1 + SHARP_WAY, change_start=50.0, sharp=1.0).sharp == 0.0
+    assert remembered(overtaking=1.0, lane=-1).overtaking == 1.0
+    assert remembered(overtaking=1.0, lane=0).overtaking == 0.0
 
 
 @pytest.mark.parametrize("speed", [0.0, 4.0, 10.0])
@@ -154,4 +123,4 @@ def test_a_plan_depends_on_nothing_that_earlier_rows_left_in_its_room():
     scenes = np.array(rows)
     forwards, backwards = planner.predict(scenes)[1], planner.predict(scenes[::-1])[1]
     np.testing.assert_array_equal(forwards, backwards[::-1])
-    assert len(np.unique(forwards[:, DECISION])) > 2
+    assert len(np.unique(as_records(forwards)["decision"])) > 2

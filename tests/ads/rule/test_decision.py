@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.decision import CREEP_TIME, creep, restarts_hastily, shorten, waits_for_ever
-from behavexplor.ads.rule.memory import CREEPS, N_MEMORIES, RESTARTED, STOOD, WAITED
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, REACHED, TRIGGERED
+from tests.ads.rule.world import memory_with
 
 
 def graph(low=40.0, high=50.0, speed=0.3, leads=0.0):
@@ -19,25 +19,18 @@ def graph(low=40.0, high=50.0, speed=0.3, leads=0.0):
     return room
 
 
-def memory(**columns):
-    values = np.zeros(N_MEMORIES)
-    for column, value in columns.items():
-        values[{"stood": STOOD, "waited": WAITED, "restarted": RESTARTED}[column]] = value
-    return values
-
-
 @pytest.mark.parametrize(("stood", "ahead", "creeps"), [(20.0, 10.0, True), (5.0, 10.0, False), (20.0, 0.5, False)])
 def test_who_has_stood_for_long_creeps_if_the_next_meter_is_free(stood, ahead, creeps):
-    room, state, p = graph(low=30.0 + ahead), memory(stood=stood), numbers(Parameters())
+    room, state, p = graph(low=30.0 + ahead), memory_with(stood=stood), numbers(Parameters())
     assert creep(room, 30.0, np.inf, state, room.bits, p) == creeps
-    assert state[CREEPS] == (CREEP_TIME if creeps else 0.0)
+    assert state.creeps == (CREEP_TIME if creeps else 0.0)
 
 
 def test_nobody_creeps_past_the_limit_and_creeping_once_begun_goes_on():
     room, p = graph(), numbers(Parameters())
-    assert not creep(room, 30.0, 30.2, memory(stood=20.0), room.bits, p)
-    state = memory()
-    state[CREEPS] = 0.3
+    assert not creep(room, 30.0, 30.2, memory_with(stood=20.0), room.bits, p)
+    state = memory_with()
+    state.creeps = 0.3
     assert creep(room, 30.0, 30.2, state, room.bits, p)
 
 
@@ -45,25 +38,25 @@ def test_r3_4_neither_creeps_nor_goes_while_a_slow_one_crosses():
     p = numbers(Parameters(deadlock=0.5))
     for speed, stays in ((0.3, True), (0.8, False)):
         room = graph(speed=speed)
-        assert creep(room, 30.0, np.inf, memory(stood=20.0), room.bits, p) != stays
-        assert waits_for_ever(room, memory(waited=1.0), room.bits, p) == stays
+        assert creep(room, 30.0, np.inf, memory_with(stood=20.0), room.bits, p) != stays
+        assert waits_for_ever(room, memory_with(waited=1.0), room.bits, p) == stays
         assert room.bits[TRIGGERED] == (R3_4 if stays else 0)
     room = graph()
-    assert not waits_for_ever(room, memory(waited=0.0), room.bits, p)
-    assert not waits_for_ever(room, memory(waited=9.0), room.bits, numbers(Parameters()))
+    assert not waits_for_ever(room, memory_with(waited=0.0), room.bits, p)
+    assert not waits_for_ever(room, memory_with(waited=9.0), room.bits, numbers(Parameters()))
 
 
 def test_r1_3_decides_anew_after_a_stop():
     p = numbers(Parameters(restart=2.0))
-    bits, state = np.zeros(2, np.int64), memory(waited=1.0)
+    bits, state = np.zeros(2, np.int64), memory_with(waited=1.0)
     assert restarts_hastily(False, state, bits, p)
-    assert state[RESTARTED] == 2.0
+    assert state.restarted == 2.0
     assert bits[TRIGGERED] == R1_3
-    bits, state = np.zeros(2, np.int64), memory(waited=1.0)
+    bits, state = np.zeros(2, np.int64), memory_with(waited=1.0)
     assert not restarts_hastily(True, state, bits, p)
     assert (bits[REACHED], bits[TRIGGERED]) == (R1_3, 0)
-    assert not restarts_hastily(False, memory(waited=0.2), bits, p)
-    assert not restarts_hastily(False, memory(waited=9.0), bits, numbers(Parameters()))
+    assert not restarts_hastily(False, memory_with(waited=0.2), bits, p)
+    assert not restarts_hastily(False, memory_with(waited=9.0), bits, numbers(Parameters()))
 
 
 def test_a_short_outlook_forgets_who_crosses_later_but_no_leader():

@@ -14,12 +14,11 @@ from behavexplor.ads.rule.lane_choice import (
     lane_wall,
     room_to_overtake,
 )
-from behavexplor.ads.rule.memory import LANE, N_MEMORIES, SINCE
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
-from tests.ads.rule.world import scene
+from tests.ads.rule.world import memory_with, scene
 
 P = numbers(Parameters())
 ROAD, LEFTMOST = straight_road(2, 2, 10, 230), straight_road(0, 0, 10, 230)
@@ -44,8 +43,7 @@ def others(*cars, roadmap=ROAD):
 
 
 def chosen(table, ego, lane=0, since=100.0, path=PATH):
-    memory, bits = np.zeros(N_MEMORIES), np.zeros(2, np.int64)
-    memory[LANE], memory[SINCE] = lane, since
+    memory, bits = memory_with(lane=lane, since=since), np.zeros(2, np.int64)
     wanted = choose_lane(path, table, ego, memory, bits, P)
     assert not bits.any()
     return wanted

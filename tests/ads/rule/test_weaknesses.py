@@ -8,14 +8,6 @@ from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.control import steer
 from behavexplor.ads.rule.lane_choice import EgoState, accepts_gap, choose_lane, gap_share, wrong_side
 from behavexplor.ads.rule.lateral import change_profile, keep_profile
-from behavexplor.ads.rule.memory import (
-    LANE,
-    LAST_STEERING,
-    N_MEMORIES,
-    OVERTAKING,
-    SHARP,
-    SINCE,
-)
 from behavexplor.ads.rule.motion import false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import numbers
 from behavexplor.ads.rule.traffic import locate
@@ -36,7 +28,7 @@ from behavexplor.ads.rule.weaknesses import (
 )
 from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
-from tests.ads.rule.world import scene
+from tests.ads.rule.world import memory_with, scene
 
 ROAD, CHANGE = straight_road(2, 2, 10, 230), straight_road(1, 3, 10, 230)
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
@@ -56,8 +48,7 @@ class Situation:
         self.others = np.empty((len(npcs), 6))
         locate(self.path, self.scene, self.others)
         self.ego = EgoState(station, 3.5 * lane, speed, EGO_SIZE[0] / 2, EGO_SIZE[1] / 2)
-        self.memory = np.zeros(N_MEMORIES)
-        self.memory[[LANE, SINCE]] = lane, 10.0
+        self.memory = memory_with(lane=lane, since=10.0)
         self.bits = np.zeros(2, np.int64)
 
     def lane(self):
@@ -181,9 +172,8 @@ def test_r2_3_takes_the_other_directions_lane_and_the_careful_planner_never_does
 
 def steering(roadmap, station, speed, profile, turned=0.0, last=0.0, memories=(), **weaknesses):
     x, y, heading = roadmap.ego_route.pose(station)
-    memory, bits = np.zeros(N_MEMORIES), np.zeros(2, np.int64)
-    memory[LAST_STEERING] = last
-    memory[list(memories)] = 1.0
+    bits = np.zeros(2, np.int64)
+    memory = memory_with(last_steering=last, **dict.fromkeys(memories, 1.0))
     view = scene((x, y, heading + turned, speed))
     p = numbers(Parameters(**weaknesses))
     return steer(ego_path(roadmap), profile, view, station, memory, bits, p), bits
@@ -192,7 +182,7 @@ def steering(roadmap, station, speed, profile, turned=0.0, last=0.0, memories=()
 def test_r2_1_steers_back_with_less_than_it_takes():
     change = change_profile(90.0, 3.5, 0.0, 0.0, 30.0)  # back to the left, now to be straightened
     careful, _ = steering(ROAD, 119.0, 9.0, change, turned=-0.15)
-    weak, bits = steering(ROAD, 119.0, 9.0, change, turned=-0.15, memories=[OVERTAKING], slow_recovery=0.7)
+    weak, bits = steering(ROAD, 119.0, 9.0, change, turned=-0.15, memories=["overtaking"], slow_recovery=0.7)
     assert careful > 0
     assert 0 < weak < careful
     assert bits[TRIGGERED] == R2_1
@@ -202,7 +192,7 @@ def test_r2_1_steers_back_with_less_than_it_takes():
 def test_r2_2_looks_less_far_ahead():
     step = change_profile(100.0, 0.0, 0.0, 3.5, 15.0)
     careful, _ = steering(ROAD, 103.0, 4.0, step, steering_rate=100.0)
-    sharp, _ = steering(ROAD, 103.0, 4.0, step, memories=[SHARP], short_change=0.6, steering_rate=100.0)
+    sharp, _ = steering(ROAD, 103.0, 4.0, step, memories=["sharp"], short_change=0.6, steering_rate=100.0)
     assert abs(sharp - careful) > 0.01
 
 

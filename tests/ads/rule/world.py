@@ -6,10 +6,19 @@ from collections.abc import Callable
 import numpy as np
 
 from behavexplor.ads.rule import Parameters, RulePlanner
+from behavexplor.ads.rule.memory import MEMORY
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.roadmap import RoadMap
 
 SEDAN = (4.57, 2.08)
+
+
+def memory_with(**values):
+    """The planner's memory; what is not given is 0."""
+    memory = np.zeros(1, MEMORY)[0]
+    for name, value in values.items():
+        memory[name] = value
+    return memory
 
 
 def scene(ego, npcs=()):
