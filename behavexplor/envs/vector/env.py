@@ -16,12 +16,12 @@ from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import TERMINAL, DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
-from behavexplor.envs.npc import motion_table
+from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
-from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, SPEED, make_slots, put_scenario
+from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, put_scenario
 from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world

@@ -9,13 +9,18 @@ from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.envs.npc import (
+    ACCELERATION,
     BEGIN,
+    HEADING,
     N_COLUMNS,
     N_PHASE_COLUMNS,
     PHASE_ACCELERATION,
     PHASE_SPEED,
+    SPEED,
     STATION,
     Routes,
+    X,
+    Y,
     fill_phases,
     npc_at,
     route_index,
@@ -28,8 +33,8 @@ from behavexplor.jit import kernel
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-X, Y, HEADING, SPEED, ACCELERATION, STEERING = range(6)  # columns of `ego`
-N_EGO = 6
+STEERING = N_COLUMNS  # column of `ego` after those of a motion table
+N_EGO = N_COLUMNS + 1
 VX, VY = 3, 4  # columns of `record` after X, Y and HEADING
 N_RECORD = 5
 
@@ -47,8 +52,8 @@ class Slots(NamedTuple):
     """B episodes in lock-step, each with at most N NPCs.
 
     Attributes:
-        ego: x [m], y [m], heading [rad], speed [m/s], and the command: acceleration [m/s2] and steering [rad];
-            shape (B, 6).
+        ego: the egos' motion, with the columns of a motion table, and the steering command [rad], shape (B, 6). The
+            acceleration is the commanded one.
         numbers: whole numbers, shape (B, 8): the latest frame, the number of frames for which the ego has stood still,
             the frame at which it first touched an illegal line (-1: none), the end of the episode, the number of NPCs,
             and for meta-actions the target lane, the position on the route and the index of the target speed.

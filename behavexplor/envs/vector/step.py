@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from behavexplor.data.conventions import is_rear_end
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.trace import ENDS
+from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
 from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle
 from behavexplor.envs.vector.slots import (
-    ACCELERATION,
     END,
     FRAME,
-    HEADING,
     LINE_FRAME,
     MEAN_ACCELERATION,
     N_NPCS,
@@ -27,7 +26,6 @@ from behavexplor.envs.vector.slots import (
     REAR_END,
     ROUTE_POSITION,
     RUNNING,
-    SPEED,
     SPEED_INDEX,
     STANDING,
     STEERING,
@@ -36,8 +34,6 @@ from behavexplor.envs.vector.slots import (
     VX,
     VY,
     Slots,
-    X,
-    Y,
     move_npcs,
 )
 from behavexplor.envs.vector.world import (
