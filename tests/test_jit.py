@@ -168,14 +168,14 @@ def test_compiling_is_announced_once_and_only_ours(caplog):
     notice.on_start(compiling("elsewhere.kernels"))
     notice.on_end(compiling("elsewhere.kernels"))
     assert caplog.messages == []
-    for module in ("behavexplor.envs.npc", "behavexplor.envs.vector.step"):
+    for module in ("behavexplor.data.npc_motion", "behavexplor.envs.vector.step"):
         notice.on_start(compiling(module))
         assert [record.name for record in caplog.records] == ["behavexplor.jit"]
     assert caplog.messages[0].startswith("Compiling to machine code")
 
 
 FIRST_USE = """
-from behavexplor.envs.npc import fill_phases
+from behavexplor.data.npc_motion import fill_phases
 import numpy as np
 fill_phases(np.ones((2, 2)), np.zeros((3, 4)))
 """

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
+from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scenario import Scenario
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.network import road_network
-from behavexplor.envs.npc import motion_table
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.scene_observation import SceneObservation
 from behavexplor.envs.vehicles import ScriptedVehicle, place_ego

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import Trace
-from behavexplor.envs.npc import HEADING, SPEED, X, Y
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from behavexplor.data.conventions import is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
+from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import Trace
 from behavexplor.envs.episode import episode_trace
-from behavexplor.envs.npc import HEADING, SPEED, X, Y
 from behavexplor.envs.reward import reward_terms
 
 Floats = NDArray[np.float64]

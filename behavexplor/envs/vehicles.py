@@ -10,8 +10,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.envs.c_library import with_c_library
-from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class ScriptedVehicle(Vehicle):  # type: ignore[misc]
     Args:
         road: the road on which the NPC drives.
         size: length and width [m].
-        motion: the NPC's part of `behavexplor.envs.npc.motion_table`, shape (T, 5).
+        motion: the NPC's part of `behavexplor.data.npc_motion.motion_table`, shape (T, 5).
         route: highway-env's indexes of the lanes that the NPC follows.
     """
 

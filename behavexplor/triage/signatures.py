@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from behavexplor.data.conventions import STANDING_SPEED, wrapped
 from behavexplor.data.decision_log import ENVIRONMENT, weakness_names
 from behavexplor.data.trace import Trace
-from behavexplor.judge.classes import CREEPING, LARGE, TURNED, heading_before, maneuver_of, speed_of
+from behavexplor.judge.classes import LARGE
 from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
 from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.situation import CREEPING, TURNED, heading_before, maneuver_of, speed_of
 
 Floats = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 import behavexplor
 from behavexplor.data.geometry import box_corners, boxes_overlap
+from behavexplor.data.npc_motion import SPEED, motion_table
 from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.envs import viewer
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.errors import InputError
 from tests.strategies import seeds
 

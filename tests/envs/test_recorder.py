@@ -11,10 +11,10 @@ from shapely import LineString, Polygon
 
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scenario import Scenario
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.npc import motion_table
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.reward import WEIGHTS
 

@@ -15,6 +15,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import behavexplor
+from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.data.trace import RESOLUTION
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
@@ -22,7 +23,6 @@ from behavexplor.envs.functional.intersection_straight import IntersectionStraig
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv, LaneFollowVectorEnv
 from behavexplor.envs.kinematics import FEATURES
-from behavexplor.envs.npc import motion_table
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
 from behavexplor.envs.vector.slots import FRAME

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
 from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
-from behavexplor.envs.npc import motion_table
 from behavexplor.envs.reward import WEIGHTS
 from behavexplor.envs.reward import reward_terms as terms_of_one
 from behavexplor.envs.vector import meta, slots, step

@@ -10,13 +10,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from behavexplor.data.npc_motion import SPEED, motion_table
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import TERMINAL, DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
-from behavexplor.envs.npc import SPEED, motion_table
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from behavexplor.data import scene
 from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.envs.kinematics import FEATURES, RELATIVE, Kinematics
-from behavexplor.envs.npc import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, wrap_to_pi
 from behavexplor.envs.vector.slots import N_NPCS, ROUTE, ROUTE_POSITION, Slots
 from behavexplor.envs.vector.world import World

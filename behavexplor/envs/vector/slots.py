@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
-from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scenario import Scenario
-from behavexplor.envs.npc import (
+from behavexplor.data.npc_motion import (
     ACCELERATION,
     BEGIN,
     HEADING,
@@ -25,6 +23,8 @@ from behavexplor.envs.npc import (
     npc_at,
     route_index,
 )
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scenario import Scenario
 from behavexplor.envs.vector.contact import touches_line
 from behavexplor.envs.vector.lanes import closest_lane
 from behavexplor.envs.vector.world import World
@@ -64,7 +64,7 @@ class Slots(NamedTuple):
         npc: current motion of the NPCs, with the columns of a motion table, shape (B, N, 5).
         npc_numbers: route, number of phases and current phase of every NPC, shape (B, N, 3).
         phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
-            `behavexplor.envs.npc.fill_phases`.
+            `behavexplor.data.npc_motion.fill_phases`.
     """
 
     ego: Floats

@@ -12,10 +12,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
+from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.envs import driving
 from behavexplor.envs.network import MapNetwork, road_network
-from behavexplor.envs.npc import Routes, route_arrays
 from behavexplor.envs.vector.lanes import LaneNetwork, lane_row
 
 Floats = NDArray[np.float64]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 
+from behavexplor.data.npc_motion import ACCELERATION, HEADING, MAX_ACCELERATION, MIN_ACCELERATION, SPEED, motion_table
 from behavexplor.data.scenario import NPC, Scenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.npc import ACCELERATION, HEADING, MAX_ACCELERATION, MIN_ACCELERATION, SPEED, motion_table
 from tests.strategies import scenarios
 
 LOGICAL = IntersectionStraightEnv.logical
