@@ -67,6 +67,24 @@ def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
     return table
 
 
+def motion_on_route(roadmap: RoadMap, route: Route, waypoints: Floats, time: Floats) -> Floats:
+    """Compute the motion of vehicles on one route, each as if it were alone.
+
+    Args:
+        roadmap: the map.
+        route: a route of NPCs of this map.
+        waypoints: position [m] and speed [m/s] of each vehicle's waypoints, shape (K, waypoints, 2).
+        time: times >= 0 in non-decreasing order, shape (T,) [s].
+
+    Returns:
+        x [m], y [m] and heading [rad], shape (K, T, 3).
+    """
+    table = np.empty((len(waypoints), len(time), N_COLUMNS))
+    for i in range(len(waypoints)):
+        fill_motion(route_arrays(roadmap), route_index(roadmap)[route.name], waypoints[i], time, table[i])
+    return table[..., : HEADING + 1]
+
+
 def waypoint_array(npc: NPC) -> Floats:
     """Return the position [m] and speed [m/s] of each waypoint, shape (waypoints, 2)."""
     return np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])

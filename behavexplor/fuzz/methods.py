@@ -15,6 +15,7 @@ METHODS = MappingProxyType(
         "nsga2": "behavexplor.fuzz.nsga2:NSGA2",
         "map-elites": "behavexplor.fuzz.map_elites:MAPElites",
         "novelty-search": "behavexplor.fuzz.novelty_search:NoveltySearch",
+        "encounters": "behavexplor.fuzz.encounters:Encounters",
         "uniform": "behavexplor.fuzz.uniform:Uniform",
     }
 )

@@ -1,0 +1,246 @@
+"""Encounters: a search of this project's own that aims vehicles at the ego and tunes near misses of every class.
+
+Two ideas carry it. Vehicles are aimed at drives of the ego that were recorded before (`behavexplor.fuzz.aiming`), so
+most of them matter to the ego. And an archive has a niche for each class of violations, where the nearest misses of
+this class are kept (`behavexplor.fuzz.near_misses`). The search works on niches that are near to a violation and were
+little tried, and turns away from those that have failed. So it looks for further classes instead of repeating one.
+
+It uses routes, traces and verdicts, and neither the driving system's log nor its internals. docs/encounters.md explains
+it with a picture.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Final
+
+import numpy as np
+
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.trace import Trace
+from behavexplor.data.validation import between, validated
+from behavexplor.fuzz.aiming import Aiming, AimingOptions, Drive
+from behavexplor.fuzz.near_misses import NearMiss, near_misses
+from behavexplor.fuzz.search import UNIFORM, Candidate, SearchExhausted, draws
+from behavexplor.judge.specs import Verdict
+
+EMPTY_ROAD, AIMED, TUNED, REDRAWN = "empty-road", "aimed", "tuned", "redrawn"  # origins of candidates
+_SCALE: Final = 3.0  # a degree of this size halves the weight of a niche
+_ATTEMPTS: Final = 1000
+
+
+@validated
+class EncountersOptions:
+    """Options of `Encounters`.
+
+    Attributes:
+        initial: number of first candidates. The very first is the empty road. The vehicles of the others are aimed at
+            the ego's drive on the empty road.
+        uniform_share: share of uniform scenarios.
+        aimed_share: share of mutants that get a vehicle aimed at their parent's drive.
+        redrawn_share: share of mutants in which one vehicle is drawn anew. The other mutants have a vehicle tuned.
+        near: greatest distance of a vehicle that counts as a near miss [m].
+        elites: number of scenarios that a niche keeps.
+        failure_cost: number of tries that a failure counts as.
+        aiming: options of aiming.
+
+    Raises:
+        InputError: if an option is out of range; the message names it.
+    """
+
+    initial: Annotated[int, between(1)] = 40
+    uniform_share: Annotated[float, between(0, 1)] = 0.1
+    aimed_share: Annotated[float, between(0, 1)] = 0.5
+    redrawn_share: Annotated[float, between(0, 1)] = 0.1
+    near: Annotated[float, between(0)] = 10.0
+    elites: Annotated[int, between(1)] = 4
+    failure_cost: Annotated[float, between(0)] = 0.5
+    aiming: AimingOptions = field(default_factory=AimingOptions)
+
+
+@dataclass(frozen=True)
+class Elite:
+    """A scenario that came near to a violation.
+
+    Attributes:
+        candidate: its candidate.
+        drive: the ego's drive in it.
+        miss: the near miss.
+    """
+
+    candidate: Candidate
+    drive: Drive
+    miss: NearMiss
+
+
+@dataclass
+class Niche:
+    """The nearest misses of one class of violations.
+
+    Attributes:
+        spec: the spec of the class.
+        elites: the nearest misses, the nearest one first; at least one.
+        tries: number of mutants made from the elites; halved whenever a nearer miss is found.
+        failures: number of violations of this class.
+    """
+
+    spec: str
+    elites: list[Elite] = field(default_factory=list)
+    tries: float = 0.0
+    failures: int = 0
+
+    def weight(self, failure_cost: float) -> float:
+        """Return how much the niche deserves another try."""
+        cost = 1 + self.tries + failure_cost * self.failures
+        return 1 / (cost * (1 + self.elites[0].miss.degree / _SCALE))
+
+
+class Encounters:
+    """Encounters: vehicles aimed at the ego, and an archive of near misses with a niche for every class of failures."""
+
+    Options: ClassVar[type] = EncountersOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: EncountersOptions) -> None:
+        self._logical, self._seed, self._options = logical, seed, options
+        self._aiming = Aiming(logical, options.aiming)
+        self._number = 0
+        self._asked: set[Scenario] = set()
+        self._empty_road: Drive | None = None
+        self._niches: dict[str, Niche] = {}
+
+    def ask(self) -> Candidate:
+        """Return the empty road first, then scenarios aimed at the drive on it, then mutants of near misses.
+
+        Raises:
+            SearchExhausted: if no new scenario was found.
+        """
+        number = self._number
+        rng = draws(self._seed, number)
+        for _ in range(_ATTEMPTS):
+            niche = self._pick_niche(rng) if number >= self._options.initial else None
+            candidate = self._propose(rng, number, niche)
+            if candidate.scenario not in self._asked:
+                break
+        else:
+            raise SearchExhausted(f"No new scenario in {_ATTEMPTS} attempts: the search space is exhausted")
+        if niche is not None and candidate.origin != UNIFORM:
+            niche.tries += 1
+        self._asked.add(candidate.scenario)
+        self._number += 1
+        return candidate
+
+    def _propose(self, rng: np.random.Generator, number: int, niche: Niche | None) -> Candidate:
+        if number == 0 and not self._asked:
+            return Candidate(number, Scenario(self._logical.name, ()), EMPTY_ROAD, None)
+        if self._empty_road is None or rng.random() < self._options.uniform_share:
+            return Candidate(number, self._logical.sample(rng), UNIFORM, None)
+        if niche is None:
+            return Candidate(number, self._aimed_scenario(rng, self._empty_road), AIMED, None)
+        elite = niche.elites[min(int(rng.exponential()), len(niche.elites) - 1)]
+        npcs, origin = self._mutate(rng, elite)
+        return Candidate(number, self._filled(rng, npcs), origin, elite.candidate.number)
+
+    def _aimed_scenario(self, rng: np.random.Generator, drive: Drive) -> Scenario:
+        """Return a scenario with some vehicles aimed at a drive and the other vehicles drawn uniformly."""
+        npcs: list[NPC] = []
+        for _ in range(rng.integers(self._logical.n_npcs) + 1 if self._logical.n_npcs else 0):
+            npcs = self._with_aimed(rng, drive, npcs)
+        return self._filled(rng, npcs)
+
+    def _with_aimed(self, rng: np.random.Generator, drive: Drive, npcs: list[NPC]) -> list[NPC]:
+        npc = self._aiming.aim(rng, drive, npcs)
+        return npcs if npc is None else [*npcs, npc]
+
+    def _filled(self, rng: np.random.Generator, npcs: list[NPC]) -> Scenario:
+        """Return a scenario with as many vehicles as are possible; those that are missing are drawn uniformly."""
+        for _ in range(self._logical.n_npcs - len(npcs)):
+            npcs = [*npcs, self._logical.place(lambda: self._logical.sample_npc(rng), npcs)]
+        return Scenario(self._logical.name, tuple(npcs))
+
+    def _pick_niche(self, rng: np.random.Generator) -> Niche | None:
+        """Draw a niche: a spec by the square root of its number of niches, then one of them by its weight."""
+        if not self._niches:
+            return None
+        specs = sorted({niche.spec for niche in self._niches.values()})
+        share = np.sqrt([sum(niche.spec == spec for niche in self._niches.values()) for spec in specs])
+        spec = specs[rng.choice(len(specs), p=share / share.sum())]
+        niches = [niche for niche in self._niches.values() if niche.spec == spec]
+        weight = np.array([niche.weight(self._options.failure_cost) for niche in niches])
+        return niches[rng.choice(len(niches), p=weight / weight.sum())]
+
+    def _mutate(self, rng: np.random.Generator, elite: Elite) -> tuple[list[NPC], str]:
+        """Return the vehicles of a mutant, and its origin. The vehicle that nearly met the ego is kept or tuned."""
+        npcs, partner = list(elite.candidate.scenario.npcs), elite.miss.partner
+        others = [i for i in range(len(npcs)) if i != partner]
+        kind = rng.random()
+        if kind < self._options.aimed_share or not npcs:
+            if len(npcs) == self._logical.n_npcs and npcs:
+                del npcs[others[rng.integers(len(others))] if others else 0]
+            return self._with_aimed(rng, elite.drive, npcs), AIMED
+        if kind < self._options.aimed_share + self._options.redrawn_share and others:
+            del npcs[others[rng.integers(len(others))]]
+            return npcs, REDRAWN
+        tunes_partner = partner >= 0 and rng.random() < 0.8
+        i = partner if tunes_partner else int(rng.integers(len(npcs)))
+        npc, rest = npcs[i], npcs[:i] + npcs[i + 1 :]
+        npcs[i] = self._logical.place(lambda: tuned(npc, self._logical, rng), rest)
+        return npcs, TUNED
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
+        """Keep the violation, or each near miss, in its niche.
+
+        Returns:
+            The number of niches that were `improved`: they have a nearer miss now, or their first one.
+        """
+        drive = Drive.of(trace)
+        if candidate.origin == EMPTY_ROAD:
+            self._empty_road = drive
+        misses = near_misses(trace, verdict, drive, self._options.near)
+        return {"improved": sum([self._keep(Elite(candidate, drive, miss)) for miss in misses])}
+
+    def _keep(self, elite: Elite) -> bool:
+        """Put an elite into its niche. Return whether it is the nearest one."""
+        niche = self._niches.setdefault(elite.miss.niche, Niche(elite.miss.spec))
+        improves = not niche.elites or elite.miss.degree < niche.elites[0].miss.degree
+        if improves:
+            niche.tries /= 2
+        niche.failures += elite.miss.degree == 0
+        niche.elites.append(elite)
+        niche.elites.sort(key=lambda kept: kept.miss.degree)
+        del niche.elites[self._options.elites :]
+        return improves
+
+    def status(self) -> Mapping[str, float]:
+        """Return the number of niches, and of those in which a violation was found."""
+        failed = sum(niche.failures > 0 for niche in self._niches.values())
+        return {"niches": len(self._niches), "failed niches": failed}
+
+
+def tuned(npc: NPC, logical: LogicalScenario, rng: np.random.Generator) -> NPC:
+    """Return a vehicle with changed speeds, or with some changed waypoints, regardless of other vehicles.
+
+    The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and
+    others a fine one.
+
+    Args:
+        npc: a vehicle that is valid in `logical`.
+        logical: logical scenario with the lanes and the speed range.
+        rng: random generator.
+    """
+    low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
+    position, speed = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints]).T
+    scale = 10 ** rng.uniform(-2, -0.5)
+    if rng.random() < 0.3:
+        speed = speed * math.exp(rng.normal(0, scale))
+    else:
+        moved, changed = rng.random((2, len(position))) < 0.5
+        position = position + moved * rng.normal(0, scale, len(position)) * (high - low)
+        speed = np.where(changed, speed * np.exp(rng.normal(0, 2 * scale, len(speed))), speed)
+        speed = speed + changed * rng.normal(0, 3 * scale, len(speed))
+    kinds = logical.vehicle_types
+    kind = kinds[rng.integers(len(kinds))] if rng.random() < 0.1 else npc.type
+    position = np.maximum.accumulate(np.clip(np.sort(position), low, high))
+    speed = np.clip(speed, *logical.speed_range)
+    speed[-1] = 0.0
+    return NPC(kind, npc.route, tuple(map(Waypoint, position.tolist(), speed.tolist())))
