@@ -7,9 +7,12 @@ from collections import Counter
 from pathlib import Path
 
 import gymnasium
+import numpy as np
 import pytest
 
 import behavexplor
+from behavexplor.behavior.miner import MinerOptions
+from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.envs.reward import WEIGHTS
 
 NAMES = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")
@@ -100,3 +103,36 @@ def test_modules_that_a_page_names_exist(page):
         found = [path for path in paths if path.is_dir() or path.with_suffix(".py").is_file()]
         assert found, f"{page.name} names {name}"
         assert len(parts) - len(found[-1].relative_to(ROOT).parts) <= 2, f"{page.name} names {name}"
+
+
+@pytest.fixture(scope="module")
+def behaviors():
+    """What docs/behaviors.py executes and abstracts."""
+    pytest.importorskip("matplotlib")
+    made = runpy.run_path(str(ROOT / "docs" / "behaviors.py"))
+    traces = made["executed"]()
+    return made, traces, made["abstracted"](traces, MinerOptions())
+
+
+def test_scenarios_a_b_and_c_are_a_slow_follow_a_normal_drive_and_a_bypass(behaviors):
+    _, traces, _ = behaviors
+    assert {trace.end for trace in traces.values()} == {"arrived"}
+    aside = {name: float(np.ptp(trace.position[:, 0, 1])) for name, trace in traces.items()}
+    speed = {name: float(np.median(np.hypot(*trace.velocity[:, 0].T))) for name, trace in traces.items()}
+    assert aside["A"] < 0.5
+    assert aside["B"] < 0.5
+    assert 3.0 < aside["C"] < 4.0  # a lane
+    assert speed["A"] == pytest.approx(4.0, abs=0.2)  # of the vehicle ahead
+    assert speed["B"] == pytest.approx(speed["C"], abs=0.1)
+    assert abs(traces["B"].duration - traces["C"].duration) < 1.0
+
+
+def test_the_distances_of_scenarios_a_b_and_c_are_those_that_the_page_says(behaviors):
+    """All are beyond the threshold, and without scaling a bypass cannot be told from a normal drive."""
+    made, traces, found = behaviors
+    page = (ROOT / "docs" / "method.md").read_text()
+    for a, b in made["PAIRS"]:
+        assert found.distances[a + b] > NOVELTY_THRESHOLD
+        assert f"| {a} and {b} | {found.distances[a + b]:.2f} |" in page
+    assert made["abstracted"](traces, MinerOptions(scaling="none")).distances["BC"] < 0.01
+    assert len(made["figure"](traces, found).axes) == 3

@@ -65,6 +65,7 @@ class Experiment:
         reference: method that is compared with each other method; by default the first one.
         baseline: method that each other method is compared with; empty for none.
         groups: names of additional tables, each with the methods that it shows.
+        contrasts: names of additional families of comparisons, each with the pairs of methods that it compares.
 
     Raises:
         InputError: if a value is out of range, or if a named method is not in the experiment.
@@ -86,6 +87,7 @@ class Experiment:
     reference: str = ""
     baseline: str = ""
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    contrasts: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _check_name("name of the experiment", self.name)
@@ -98,10 +100,13 @@ class Experiment:
         ):
             if not least <= value <= most:
                 raise InputError(f"{key} of the experiment must lie between {least} and {most}, not be {value}")
-        for group in self.groups:
-            _check_name("name of a group", group)
+        for kind, names in (("group", self.groups), ("contrast", self.contrasts)):
+            for name in names:
+                _check_name(f"name of a {kind}", name)
         named = [name for name in (self.reference, self.baseline) if name]
-        for name in [*named, *(member for members in self.groups.values() for member in members)]:
+        named += [member for members in self.groups.values() for member in members]
+        named += [member for pairs in self.contrasts.values() for pair in pairs for member in pair]
+        for name in named:
             if name not in self.methods:
                 raise unknown_name("method of the experiment", name, self.methods)
         count = len(self.envs) * len(self.ads) * len(self.methods) * self.seeds
@@ -140,6 +145,7 @@ class Experiment:
         values = asdict(self)
         values |= {key: list(values[key]) for key in ("envs", "ads", "trust", "specs")}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}
+        values["contrasts"] = {name: [list(pair) for pair in pairs] for name, pairs in self.contrasts.items()}
         return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
 
 

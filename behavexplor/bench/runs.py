@@ -13,7 +13,7 @@ from typing import Final
 from behavexplor.bench.campaign_service import RUN, campaign_recipe, campaign_request, take_outcome
 from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
-from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.config import check_revision, stored_config
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
@@ -68,12 +68,13 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
         root: the experiment's folder.
 
     Raises:
-        InputError: if the run folder holds another campaign, or cannot be read.
+        InputError: if the run folder holds another campaign, or one of another revision, or cannot be read.
     """
     folder = root / run.folder
     if not (folder / DATABASE).is_file():
         return RunState(0, finished=False)
     stored = stored_config(folder)
+    check_revision(stored, str(folder))
     if replace(stored, budget=run.config.budget) != run.config:
         raise InputError(f"{folder} holds a campaign with a different configuration: choose another --out")
     count, budget = _stored_executions(folder), int(run.config.budget)

@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.stats import pearsonr
 
 from behavexplor.bench.experiment import PlannedRun
+from behavexplor.bench.mutants import Mutant, correlation
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
 from behavexplor.data.decision_log import ENVIRONMENT
+from behavexplor.fuzz.mutation import ROUTES, WAYPOINTS
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import NPC_CAUSED
 from behavexplor.triage.signatures import signature
 
 LABELS: Final = {**REQUIREMENTS, ERROR: "error"}  # labels of the specs in tables; a user's spec keeps its name
 UNEXPLAINED: Final = "unexplained"
-_LEAST_PAIRS: Final = 3  # least number of pairs for a correlation
 
 
 @dataclass(frozen=True)
@@ -59,9 +59,10 @@ class Summary:
         novelty_rate: share of executions with a behavior that was new to the campaign.
         executing: time spent on executions [s].
         analysing: time spent on everything else [s].
-        r: Pearson's correlation of violation degree and behavior distance (the paper's r_BF); None if the method does
-            not measure that distance.
-        r_p: p-value of the correlation; None without it.
+        durations: simulated time of each execution [s]; empty if that was not recorded.
+        mutants: executions for which the method measured the distance of their behavior from the known ones.
+        mutations: numbers of waypoint mutations and of route mutations.
+        assignments: number of distinct assignments of types and routes to the NPCs.
         labels: labels of the specs in tables, in order: "R1", "R2", "R3", the user's specs, and "error".
     """
 
@@ -74,9 +75,35 @@ class Summary:
     novelty_rate: float
     executing: float
     analysing: float
-    r: float | None = None
-    r_p: float | None = None
+    durations: tuple[float, ...] = ()
+    mutants: tuple[Mutant, ...] = ()
+    mutations: tuple[int, int] = (0, 0)
+    assignments: int = 0
     labels: tuple[str, ...] = tuple(LABELS.values())
+
+    @property
+    def time(self) -> float:
+        """Simulated time and analysis time, the paper's budget [s]; nan if one of them was not recorded."""
+        return sum(self.durations) + self.analysing if self.durations else math.nan
+
+    def within(self, seconds: float) -> "Summary":
+        """Return the summary of the campaign as it was after some of its `time`, without mutants and mutations.
+
+        The analysis time is spread evenly over the executions.
+        """
+        spent = np.cumsum(self.durations) + self.analysing * np.arange(1, self.executions + 1) / self.executions
+        count = int(np.searchsorted(spent, seconds * (1 + 1e-12), side="right"))
+        share = count / self.executions
+        return replace(
+            self,
+            executions=count,
+            failures=tuple(failure for failure in self.failures if failure.number < count),
+            executing=self.executing * share,
+            analysing=self.analysing * share,
+            durations=self.durations[:count],
+            mutants=(),
+            mutations=(0, 0),
+        )
 
     def total(self, label: str | None = None) -> int:
         """Return the number of failures with a label, or of all failures."""
@@ -134,35 +161,45 @@ def summarize(run: PlannedRun, root: Path) -> Summary:
     """
     folder = root / run.folder
     store = Store.read(folder)
-    novel, pairs, failures = 0, [], []
-    count, specs = 0, dict.fromkeys(REQUIREMENTS)
-    for record in store.records():
-        count += 1
-        novel += record.novel
-        specs |= dict.fromkeys(record.degrees)
-        if "novelty" in record.search and record.error is None and record.degree is not None:
-            pairs.append((record.degree, float(record.search["novelty"])))
-        if record.failed:
-            failures.append(_failure(record))
-    failures = _with_signatures(failures, store)
+    records = list(store.records())
+    failures = _with_signatures([_failure(record) for record in records if record.failed], store)
     store.close()
     timing = read_timing(folder)
-    share = count / timing.executions if timing.executions else math.nan
-    r, p = correlation(pairs)
+    share = len(records) / timing.executions if timing.executions else math.nan
+    specs = dict.fromkeys([*REQUIREMENTS, *(name for record in records for name in record.degrees)])
+    origins = [record.origin for record in records]
     return Summary(
         run.env,
         run.ads,
         run.method,
         run.seed,
-        count,
+        len(records),
         tuple(failures),
-        novel / count,
+        sum(record.novel for record in records) / len(records),
         timing.executing * share,
         timing.analysing * share,
-        r,
-        p,
-        tuple(LABELS.get(name, name) for name in (*specs, ERROR)),
+        durations=_durations(records),
+        mutants=tuple(_mutants(records)),
+        mutations=(origins.count(WAYPOINTS), origins.count(ROUTES)),
+        assignments=len({_assignment(record) for record in records}),
+        labels=tuple(LABELS.get(name, name) for name in (*specs, ERROR)),
     )
+
+
+def _durations(records: Sequence[Record]) -> tuple[float, ...]:
+    durations = [record.duration for record in records if record.duration is not None]
+    return tuple(durations) if len(durations) == len(records) else ()
+
+
+def _mutants(records: Sequence[Record]) -> Iterator[Mutant]:
+    for record in records:
+        if "novelty" in record.search and record.error is None and record.degree is not None:
+            yield Mutant(record.degree, float(record.search["novelty"]), record.failed)
+
+
+def _assignment(record: Record) -> tuple[tuple[str, str], ...]:
+    """Return the type and the route of each NPC."""
+    return tuple((npc["type"], npc["route"]) for npc in record.scenario["npcs"])
 
 
 def _failure(record: Record) -> Failure:
@@ -181,15 +218,6 @@ def _with_signatures(failures: Sequence[Failure], store: Store) -> list[Failure]
         found = signature(trace, execution.record.violated)
         signed.append(replace(failure, signature=found or UNEXPLAINED))
     return signed
-
-
-def correlation(pairs: Sequence[tuple[float, float]]) -> tuple[float | None, float | None]:
-    """Return Pearson's r of pairs and its p-value; None if a side does not vary or there are too few pairs."""
-    values = np.asarray(pairs, dtype=float).reshape(-1, 2)
-    if len(values) < _LEAST_PAIRS or not np.ptp(values, axis=0).all():
-        return None, None
-    found = pearsonr(values[:, 0], values[:, 1])
-    return float(found.statistic), float(found.pvalue)
 
 
 def all_classified(summaries: Sequence[Summary]) -> bool:
@@ -240,7 +268,12 @@ def _row(summary: Summary, labels: Sequence[str], *, unique: bool, signed: bool)
     values["novelty_rate"] = _rounded(summary.novelty_rate, 6)
     values["executing_s"] = _rounded(summary.executing, 3)
     values["analysing_s"] = _rounded(summary.analysing, 3)
-    values |= {"r_BF": _rounded(summary.r, 6), "r_BF_p": "" if summary.r_p is None else f"{summary.r_p:.6g}"}
+    values["simulated_s"] = round(sum(summary.durations), 3) if summary.durations else ""
+    values |= dict(zip(("waypoint_mutations", "route_mutations"), summary.mutations, strict=True))
+    values["assignments"] = summary.assignments
+    for name, passed in (("r_BF", False), ("r_BF_passed", True)):
+        found = correlation(summary.mutants, passed=passed)
+        values |= {name: found and round(found.r, 6), f"{name}_p": found and f"{found.p:.6g}"}
     return values
 
 

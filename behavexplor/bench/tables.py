@@ -1,65 +1,38 @@
 """The tables of an experiment as values. `behavexplor.bench.writing` converts them to text."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
 
-from behavexplor.bench.experiment import Experiment, slug
-from behavexplor.bench.statistics import LEVEL, Estimate, compare, estimate, least_p
+from behavexplor.bench.comparisons import comparisons
+from behavexplor.bench.experiment import Experiment
+from behavexplor.bench.search_tables import correlations, mutations
+from behavexplor.bench.statistics import estimate
 from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_labels, all_signed
+from behavexplor.bench.table import (
+    Column,
+    Figure,
+    Table,
+    Value,
+    mean,
+    n_weaknesses,
+    of_group,
+    place_cells,
+    place_columns,
+    places,
+    total,
+    unique,
+)
 from behavexplor.campaign.record import ERROR
 
-Value = str | int | float | Estimate | None
-Figure = Callable[[Summary], float]
-
-_STRONG_P = 0.001  # significance level that the paper reports for its correlations
-_SIGNATURES = (
+SIGNATURES: Final = (
     "Signatures are derived from a failure's trace and decision log alone; `triage` reports how often they agree with "
     "the cause that replays show."
 )
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table.
-
-    Attributes:
-        name: heading of the column.
-        digits: number of digits after the decimal point.
-        interval: whether estimates are shown with their intervals. The CSV file always has the intervals.
-        best: whether the greatest estimate of each block is marked.
-        only_csv: whether the column is only in the CSV file, because it is too wide for other formats.
-    """
-
-    name: str
-    digits: int = 1
-    interval: bool = False
-    best: bool = False
-    only_csv: bool = False
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table.
-
-    Attributes:
-        name: name of its files.
-        title: title of the table.
-        columns: columns of the table.
-        rows: rows, each with a value for each column.
-        blocks: numbers of rows in consecutive blocks, which are set apart.
-        notes: sentences below the table.
-    """
-
-    name: str
-    title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Value, ...], ...]
-    blocks: tuple[int, ...]
-    notes: tuple[str, ...] = ()
-
-
-Group = tuple[str, str, str]  # environment, ADS, method
+RARITY: Final = (
+    "How rare each weakness is was set with the paper's findings in sight, so finding all sixteen replicates nothing."
+)
 
 
 def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
@@ -70,6 +43,7 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         summaries: summaries of its finished campaigns.
     """
     made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
+    made += filter(None, [in_equal_time(experiment, summaries)])
     for name, methods in experiment.groups.items():
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
     if all_classified(summaries):
@@ -77,8 +51,7 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     if all_signed(summaries):
         made.append(weaknesses(experiment, summaries))
     made.append(times(experiment, summaries))
-    if any(summary.r is not None for summary in summaries):
-        made.append(correlations(experiment, summaries))
+    made += filter(None, [mutations(experiment, summaries), correlations(experiment, summaries)])
     return made + comparisons(experiment, summaries)
 
 
@@ -86,38 +59,94 @@ def violations(
     name: str, title: str, experiment: Experiment, summaries: Sequence[Summary], methods: Sequence[str]
 ) -> Table:
     """Return the table of total and unique violations by spec, means over the seeds (the paper's RQ1, RQ2 and RQ3)."""
+    columns = [*_found(summaries), (Column("Novel %"), lambda summary: 100 * summary.novelty_rate)]
+    notes = (
+        "Question: how many failures does each method find, and of how many kinds? (RQ1 of the paper for different "
+        "methods, RQ2 for an ablation, RQ3 for windows)",
+        f"Means over n campaigns of {experiment.budget} executions, with the 95 % interval in brackets (Student's t).",
+        *_explained(summaries),
+    )
+    return _means(Table(name, title, (), (), (), notes), experiment, summaries, methods, columns)
+
+
+def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
+    """Return the table of violations that each method found in the same time; None if a time was not measured.
+
+    The time is that of the paper's budget: the simulated time of the executions, and the time for everything else. In
+    each environment, all campaigns are cut off when the one that took least was finished.
+    """
+    cut, limits = [], []
+    for env, ads in places(experiment):
+        here = [summary for summary in summaries if (summary.env, summary.ads) == (env, ads)]
+        if not here:
+            continue
+        limit = min(summary.time for summary in here)
+        if math.isnan(limit) or any(math.isnan(summary.time) for summary in here):
+            return None
+        cut += [summary.within(limit) for summary in here]
+        limits.append(f"{' with '.join(place_cells(experiment, env, ads))} {limit / 3600:.2f} h")
+    columns = [(Column("Executions"), _n_executions), *_found(summaries)]
+    notes = (
+        "Question: which method finds most in the same time, as the paper compares them, instead of in the same number "
+        "of executions?",
+        f"The time of the campaign that took least: {', '.join(limits)}. It is the simulated time of the executions, "
+        "and the measured time for everything else, spread evenly over the executions.",
+        *_explained(summaries),
+    )
+    table = Table("violations-equal-time", "Violations found in equal time", (), (), (), notes)
+    return _means(table, experiment, cut, tuple(experiment.methods), columns)
+
+
+def _n_executions(summary: Summary) -> int:
+    return summary.executions
+
+
+def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
+    """Return the columns of findings, with their figures."""
     columns: list[tuple[Column, Figure]] = [
-        *((Column(label), _total(label)) for label in _labels(summaries)),
-        (Column("Sum", interval=True, best=True), _total(None)),
+        *((Column(label), total(label)) for label in _labels(summaries)),
+        (Column("Sum", interval=True, best=True), total(None)),
         (Column("R1 by NPC"), lambda summary: summary.npc_caused),
     ]
     if all_classified(summaries):
-        columns += [(Column(f"Unique {label}"), _unique(label)) for label in _labels(summaries)]
-        columns += [(Column("Unique sum", interval=True, best=True), _unique(None))]
+        columns += [(Column(f"Unique {label}"), unique(label)) for label in _labels(summaries)]
+        columns += [(Column("Unique sum", interval=True, best=True), unique(None))]
     if all_signed(summaries):
-        columns += [(Column("Weaknesses", interval=True, best=True), _weaknesses)]
-    columns += [(Column("Novel %"), lambda summary: 100 * summary.novelty_rate)]
+        columns += [(Column("Weaknesses", interval=True, best=True), n_weaknesses)]
+    return columns
+
+
+def _explained(summaries: Sequence[Summary]) -> tuple[str, ...]:
+    """Return the notes on the columns of findings."""
+    return (
+        "Each failure is counted under its most severe type.",
+        "R1 by NPC: collisions in which an NPC drove into the back of the ego, or into a standing ego.",
+        *(("Weaknesses: number of the planner's sixteen. " + SIGNATURES,) if all_signed(summaries) else ()),
+        *((RARITY,) if all_signed(summaries) else ()),
+    )
+
+
+def _means(
+    table: Table,
+    experiment: Experiment,
+    summaries: Sequence[Summary],
+    methods: Sequence[str],
+    columns: Sequence[tuple[Column, Figure]],
+) -> Table:
+    """Return a table with a row for each method in each environment, and the means of the figures in its columns."""
     rows: list[tuple[Value, ...]] = []
     blocks = []
-    for env, ads in _places(experiment):
-        of_methods = [(method, _of(summaries, (env, ads, method))) for method in methods]
+    for env, ads in places(experiment):
+        of_methods = [(method, of_group(summaries, (env, ads, method))) for method in methods]
         block: list[tuple[Value, ...]] = [
-            (*_place(experiment, env, ads), method, len(found), *(_mean(found, figure) for _, figure in columns))
+            (*place_cells(experiment, env, ads), method, len(found), *(mean(found, figure) for _, figure in columns))
             for method, found in of_methods
             if found
         ]
         rows += block
         blocks.append(len(block))
-    heads = (*_place_columns(experiment), Column("Method"), Column("n"), *(column for column, _ in columns))
-    notes = (
-        "Question: how many failures does each method find, and of how many kinds? (RQ1 of the paper for different "
-        "methods, RQ2 for an ablation, RQ3 for windows)",
-        f"Means over n campaigns of {experiment.budget} executions, with the 95 % interval in brackets (Student's t).",
-        "Each failure is counted under its most severe type.",
-        "R1 by NPC: collisions in which an NPC drove into the back of the ego, or into a standing ego.",
-        *(("Weaknesses: number of the planner's sixteen. " + _SIGNATURES,) if all_signed(summaries) else ()),
-    )
-    return Table(name, title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
+    heads = (*place_columns(experiment), Column("Method"), Column("n"), *(column for column, _ in columns))
+    return replace(table, columns=heads, rows=tuple(rows), blocks=tuple(filter(None, blocks)))
 
 
 def distinct(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
@@ -154,7 +183,8 @@ def weaknesses(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     notes = (
         "Question: which weaknesses of the planner does each method reveal? (the paper's diversity)",
         "Number of campaigns in all scenarios with a failure whose signature is that weakness.",
-        _SIGNATURES,
+        SIGNATURES,
+        RARITY,
     )
     return Table("weaknesses", "Weaknesses of the planner found", heads, tuple(rows), (len(rows),), notes)
 
@@ -179,141 +209,7 @@ def times(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     return Table("times", "Time of a campaign", heads, tuple(rows), (len(rows),), notes)
 
 
-def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
-    """Return the table of correlations of violation degree and behavior distance (the paper's r_BF)."""
-    rows: list[tuple[Value, ...]] = []
-    blocks = []
-    for env, ads in _places(experiment):
-        block = [
-            (*_place(experiment, env, ads), method, *_correlation(_of(summaries, (env, ads, method))))
-            for method in experiment.methods
-            if any(summary.r is not None for summary in _of(summaries, (env, ads, method)))
-        ]
-        rows += block
-        blocks.append(len(block))
-    heads = (*_place_columns(experiment), Column("Method"), Column("n"), Column("r_BF", digits=2, interval=True))
-    heads += (Column(f"p < {_STRONG_P:g}"),)
-    notes = (
-        "Question: does new behavior come nearer to a violation?",
-        "Pearson's r of the violation degree of a mutant and its distance to the known behaviors, in each campaign.",
-        "A lower degree is nearer to a violation, so a negative r means that new behavior came nearer to one.",
-    )
-    title = "Correlation of violation degree and behavior distance"
-    return Table("correlations", title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
-
-
-def _correlation(found: Sequence[Summary]) -> tuple[Value, ...]:
-    measured = [summary for summary in found if summary.r is not None]
-    strong = sum(summary.r_p is not None and summary.r_p < _STRONG_P for summary in measured)
-    return len(measured), estimate([summary.r or 0.0 for summary in measured]), f"{strong} of {len(measured)}"
-
-
-def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """Return tables that compare the reference with each other method, and each method with the baseline.
-
-    There is one table for each of the two and each figure: failures, unique violations and weaknesses.
-    """
-    figures: list[tuple[str, str, Figure]] = [("failures", "failures", _total(None))]
-    if all_classified(summaries):
-        figures.append(("unique", "unique violations", _unique(None)))
-    if all_signed(summaries):
-        figures.append(("weaknesses", "weaknesses of the planner", _weaknesses))
-    others = [method for method in experiment.methods if method != experiment.compared]
-    families = [(experiment.compared, [(experiment.compared, other) for other in others])]
-    if experiment.baseline and experiment.baseline != experiment.compared:
-        rivals = [method for method in experiment.methods if method != experiment.baseline]
-        families.append((experiment.baseline, [(rival, experiment.baseline) for rival in rivals]))
-    return [
-        _compared(f"{key}-{slug(against).lower()}", f"Number of {words}: {against} compared", experiment, rows)
-        for against, pairs in families
-        for key, words, figure in figures
-        if (rows := _samples(experiment, summaries, pairs, figure))
-    ]
-
-
-Sample = tuple[str, str, str, str, list[float], list[float]]
-
-
-def _samples(
-    experiment: Experiment, summaries: Sequence[Summary], pairs: Sequence[tuple[str, str]], figure: Figure
-) -> list[Sample]:
-    """Return the samples of each pair of methods, for each environment and ADS in which both have finished campaigns.
-
-    A sample is the environment, the ADS, the names of both methods, and the values of a figure in their campaigns.
-    """
-
-    def values(env: str, ads: str, method: str) -> list[float]:
-        return [figure(summary) for summary in _of(summaries, (env, ads, method))]
-
-    found = [
-        (env, ads, one, other, values(env, ads, one), values(env, ads, other))
-        for env, ads in _places(experiment)
-        for one, other in pairs
-    ]
-    return [sample for sample in found if sample[4] and sample[5]]
-
-
-def _compared(name: str, title: str, experiment: Experiment, samples: Sequence[Sample]) -> Table:
-    """Return a table of comparisons, which form one family for the correction."""
-    found = compare([(first, second) for *_, first, second in samples])
-    rows: list[tuple[Value, ...]] = [
-        (*_place(experiment, env, ads), one, other, *c.n, *c.means, c.effect, _p(c.p), _p(c.corrected), c.verdict)
-        for (env, ads, one, other, _, _), c in zip(samples, found, strict=True)
-    ]
-    places = [sample[:2] for sample in samples]
-    blocks = tuple(places.count(place) for place in dict.fromkeys(places))
-    heads = (*_place_columns(experiment), Column("Method"), Column("Against"), Column("n"), Column("m"))
-    heads += (Column("Mean"), Column("Mean against"), Column("A12", digits=2), Column("p"), Column("p Holm"))
-    heads += (Column("Verdict"),)
-    notes = [
-        "Question: does the method find more than the one that it is compared with, beyond chance?",
-        f"Two-sided Mann-Whitney U test with Holm's correction for {len(found)} comparisons, level {LEVEL:g}.",
-        "A12: probability that a campaign of the method finds more than one of the other method; 0.5: no difference.",
-    ]
-    least = min(least_p(*c.n) for c in found) * len(found)
-    if least >= LEVEL:
-        notes.append(f"So few seeds cannot be significant here: the least corrected p is {_p(min(1.0, least))}.")
-    return Table(name, title, (*heads,), tuple(rows), blocks, tuple(notes))
-
-
-def _p(value: float) -> str:
-    return "<0.001" if value < 0.001 else f"{value:.3f}"
-
-
-def _total(label: str | None) -> Figure:
-    return lambda summary: summary.total(label)
-
-
-def _unique(label: str | None) -> Figure:
-    return lambda summary: len(summary.kinds(label))
-
-
-def _weaknesses(summary: Summary) -> int:
-    return len(summary.weaknesses())
-
-
-def _mean(found: Sequence[Summary], figure: Figure) -> Estimate:
-    return estimate([figure(summary) for summary in found])
-
-
 def _labels(summaries: Sequence[Summary]) -> list[str]:
     """Return the labels of all specs, with "error" only if there were errors."""
     seen = {failure.label for summary in summaries for failure in summary.failures}
     return [label for label in all_labels(summaries) if label != LABELS[ERROR] or label in seen]
-
-
-def _of(summaries: Sequence[Summary], group: Group) -> list[Summary]:
-    return [summary for summary in summaries if (summary.env, summary.ads, summary.method) == group]
-
-
-def _places(experiment: Experiment) -> list[tuple[str, str]]:
-    return [(env, ads) for env in experiment.envs for ads in experiment.ads]
-
-
-def _place(experiment: Experiment, env: str, ads: str) -> tuple[str, ...]:
-    """Return the first cells of a row: the environment, and the ADS if the experiment has several."""
-    return (env, ads) if len(experiment.ads) > 1 else (env,)
-
-
-def _place_columns(experiment: Experiment) -> tuple[Column, ...]:
-    return (Column("Scenario"), Column("ADS")) if len(experiment.ads) > 1 else (Column("Scenario"),)

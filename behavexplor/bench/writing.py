@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from behavexplor.bench.statistics import Estimate
-from behavexplor.bench.tables import Column, Table, Value
+from behavexplor.bench.table import Column, Table, Value
 
 _ESCAPES: Final = str.maketrans(
     {

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Final, Self
 
 import yaml
 from pydantic import ConfigDict
@@ -15,6 +15,7 @@ from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
+REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 
 
@@ -70,6 +71,9 @@ class CampaignConfig:
         specs: user-defined requirements in addition to R1, R2 and R3, each as "package.module:attribute"; see
             `behavexplor.judge.robustness`.
         options: options of the search method; see its `Options`.
+        revision: revision of the search methods, the environments and the judgment. The same campaign has the same
+            records in all versions of this program with the same revision. Campaigns of other revisions can be read,
+            but not continued. Campaigns that do not say it are of revision 1.
 
     Raises:
         InputError: if a value is out of range.
@@ -89,6 +93,7 @@ class CampaignConfig:
     trust: tuple[str, ...] = ()
     specs: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
+    revision: int = REVISION
 
     def __post_init__(self) -> None:
         Budget.parse(self.budget)
@@ -155,7 +160,24 @@ def stored_config(run: Path) -> CampaignConfig:
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty, so the configuration of the run is lost: restore it or start a new run")
-    return campaign_config(values)
+    return campaign_config({"revision": 1, **values})
+
+
+def check_revision(config: CampaignConfig, what: str) -> None:
+    """Refuse a campaign that this version of the program would continue differently.
+
+    Args:
+        config: configuration of the campaign.
+        what: name of the campaign for the message, such as its run folder.
+
+    Raises:
+        InputError: if the campaign has another revision.
+    """
+    if config.revision != REVISION:
+        raise InputError(
+            f"{what} is a campaign of revision {config.revision}, and this version of behavexplor runs revision "
+            f"{REVISION}, whose results differ: continue it with the version that began it, or start a new one"
+        )
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

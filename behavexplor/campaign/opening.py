@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behavexplor.campaign.campaign import Campaign, search_method
-from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
+from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import logical_scenario
@@ -55,8 +55,9 @@ def opened(
 
     Raises:
         InputError: if the ADS, the environment, the search method, a spec, the cluster or the run folder cannot be
-            used.
+            used, or if the campaign has another revision.
     """
+    check_revision(stored_config(folder) if resume else config, str(folder))
     logical = logical_scenario(config.env)
     search, specs = search_method(config, logical), load_specs(config.specs)
     with ExitStack() as stack:

@@ -13,7 +13,8 @@ from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, rea
 from behavexplor.bench.forecast import forecast
 from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
-from behavexplor.bench.tables import Table, tables
+from behavexplor.bench.table import Table
+from behavexplor.bench.tables import tables
 from behavexplor.bench.writing import table_csv, table_latex
 from behavexplor.campaign.campaign import search_method
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program

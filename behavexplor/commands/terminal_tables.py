@@ -3,7 +3,7 @@
 from rich.console import Console
 from rich.table import Table as Grid
 
-from behavexplor.bench.tables import Table
+from behavexplor.bench.table import Table
 from behavexplor.bench.writing import marked, shown
 
 _WIDTH = 10_000  # wide enough that no line is broken

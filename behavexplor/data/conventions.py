@@ -4,6 +4,7 @@ import math
 from typing import Final
 
 STANDING_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
+ARRIVAL_DISTANCE: Final = 1.0  # an ego whose center is within this distance of its destination has arrived [m]
 REAR_END_ANGLE: Final = 0.8  # least angle between the headings at which a contact is no rear-end collision [rad]
 
 

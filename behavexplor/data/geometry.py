@@ -59,6 +59,25 @@ def point_segment_distance(point: Floats, start: Floats, end: Floats) -> Floats:
     return np.asarray(np.hypot(point[..., 0] - nearest[..., 0], point[..., 1] - nearest[..., 1]))
 
 
+def point_box_distance(point: Floats, position: Floats, heading: Floats, size: Floats) -> Floats:
+    """Compute the distance from a point to boxes, 0 within them.
+
+    Args:
+        point: the point, shape (2,) [m].
+        position: centers, shape (..., 2) [m].
+        heading: headings, shape (...) [rad].
+        size: length and width, shape (2,) [m].
+
+    Returns:
+        Distances, shape (...).
+    """
+    gap = point - position
+    cos, sin = np.cos(heading), np.sin(heading)
+    ahead = np.abs(gap[..., 0] * cos + gap[..., 1] * sin) - size[0] / 2
+    across = np.abs(gap[..., 1] * cos - gap[..., 0] * sin) - size[1] / 2
+    return np.asarray(np.hypot(np.maximum(ahead, 0.0), np.maximum(across, 0.0)))
+
+
 def box_distance(a: Floats, b: Floats) -> Floats:
     """Compute the shortest distance between boxes [m], 0 if they touch or overlap.
 

@@ -11,7 +11,7 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
-from behavexplor.data.conventions import STANDING_SPEED
+from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED
 from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scenario import Scenario
@@ -25,7 +25,6 @@ from behavexplor.envs.vehicles import ScriptedVehicle, place_ego
 from behavexplor.envs.viewer import MapViewer
 from behavexplor.errors import InputError, unknown_name
 
-ARRIVAL_DISTANCE = 1.0  # distance of the ego's center from the destination [m]
 PASSED_DISTANCE = 5.0  # distance beyond the destination, along its lane [m]
 STANDSTILL_TIME = 30.0  # [s]
 

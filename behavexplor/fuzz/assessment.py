@@ -8,11 +8,16 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from behavexplor.data.geometry import point_box_distance
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, RoadMap
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
+from behavexplor.judge.arrival import final_distance
 from behavexplor.judge.specs import Collision, Lines, Verdict
+
+Floats = NDArray[np.float64]
 
 _REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section III-B2
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
@@ -25,7 +30,10 @@ class AssessmentOptions:
     Attributes:
         degree: violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the
             terms D_b, D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
-        box_shrink: length by which every vehicle is made shorter and narrower for the clipped terms [m].
+        box_shrink: length by which every vehicle is made shorter and narrower [m], for the clipped terms and for a
+            distance from the ego's box; twice the margin on each of its sides.
+        destination_from: part of the ego whose distance from the destination counts: its "center", or its "box", within
+            which the distance is 0.
         destination_threshold: distance from the destination beyond which the end of an execution counts as a failure
             [m]; None for the verdict of the spec.
         retreat: growth of the distance to the destination within one frame beyond which an execution counts as a
@@ -37,6 +45,7 @@ class AssessmentOptions:
 
     degree: Literal["sum", "clipped"] = "sum"
     box_shrink: Annotated[float, between(0, MAX_SHRINK)] = 0.0
+    destination_from: Literal["center", "box"] = "center"
     destination_threshold: Annotated[float, between(0)] | None = None
     retreat: Annotated[float, between(0)] | None = None
 
@@ -65,24 +74,34 @@ def assess(trace: Trace, verdict: Verdict, roadmap: RoadMap, options: Assessment
         roadmap: map of the execution, which gives the kinds of the illegal lines in the trace.
         options: options of the assessment.
     """
-    seen = _until_retreat(trace, options.retreat)
-    degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, roadmap, options.box_shrink)
+    seen = _until_retreat(trace, options)
+    degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, roadmap, options)
     failed = verdict.failed
     if options.destination_threshold is not None:
         others = [name for name in verdict.violated if name != "destination"]
-        failed = bool(others) or seen.destination_distance > options.destination_threshold
+        failed = bool(others) or _final_distance(seen, options) > options.destination_threshold
     return Assessment(seen, degree, failed or seen is not trace)
 
 
-def _until_retreat(trace: Trace, limit: float | None) -> Trace:
-    """Return the trace up to the first frame in which the distance to the destination grew by more than `limit`.
+def _distances(trace: Trace, options: AssessmentOptions) -> Floats:
+    """Compute the ego's distance from its destination in each frame, shape (T,) [m]."""
+    position, heading = trace.position[:, 0], trace.heading[:, 0]
+    size = trace.size[0] - options.box_shrink if options.destination_from == "box" else np.zeros(2)
+    return point_box_distance(trace.destination, position, heading, size)
 
-    Without such a frame, or with a limit of None, return the trace itself.
+
+def _final_distance(trace: Trace, options: AssessmentOptions) -> float:
+    return final_distance(trace) if options.destination_from == "center" else float(_distances(trace, options)[-1])
+
+
+def _until_retreat(trace: Trace, options: AssessmentOptions) -> Trace:
+    """Return the trace up to the first frame in which the distance to the destination grew by more than the limit.
+
+    Without such a frame, or without a limit, return the trace itself.
     """
-    if limit is None:
+    if options.retreat is None:
         return trace
-    apart = trace.position[:, 0] - trace.destination
-    growing = np.flatnonzero(np.diff(np.hypot(apart[:, 0], apart[:, 1])) > limit)
+    growing = np.flatnonzero(np.diff(_distances(trace, options)) > options.retreat)
     if not len(growing):
         return trace
     frames = int(growing[0]) + 2  # keep the frame in which the distance grew
@@ -95,12 +114,13 @@ def _until_retreat(trace: Trace, limit: float | None) -> Trace:
         velocity=trace.velocity[:frames],
         actions=trace.actions[commands],
         action_frame=trace.action_frame[commands],
+        end="timeout",
         decisions={name: values[commands] for name, values in trace.decisions.items()},
     )
 
 
-def _clipped_degree(trace: Trace, roadmap: RoadMap, shrink: float) -> float:
-    smaller = replace(trace, size=trace.size - shrink)
+def _clipped_degree(trace: Trace, roadmap: RoadMap, options: AssessmentOptions) -> float:
+    smaller = replace(trace, size=trace.size - options.box_shrink)
     kinds = np.array(roadmap.line_kinds)
     terms = [Collision().degree(smaller)]
     terms += [
@@ -108,4 +128,4 @@ def _clipped_degree(trace: Trace, roadmap: RoadMap, shrink: float) -> float:
         for kind in (DOUBLE_YELLOW, CURB)
     ]
     clipped = [min(term, 1.0) for term in terms]
-    return float(np.mean([*clipped, 1 - min(trace.destination_distance, _REACH) / _REACH]))
+    return float(np.mean([*clipped, 1 - min(_final_distance(trace, options), _REACH) / _REACH]))

@@ -14,7 +14,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
 from behavexplor.fuzz.corpus import Corpus, Testcase
-from behavexplor.fuzz.energy import SELECTION_CHANGE, degree_change, failure_change
+from behavexplor.fuzz.energy import GAMMA, SELECTION_CHANGE, degree_change, failure_change
 from behavexplor.fuzz.mutation import (
     MAX_KEEP_PROBABILITY,
     MIN_SIGMA,
@@ -47,6 +47,7 @@ class BehAVExplorOptions:
             ones.
         selection: selection of the testcase to mutate, by "energy" or "uniform" (the paper's w/o Energy).
         mutation: choice of the mutation, by the testcase's "energy" or at "random" (w/o Energy).
+        waypoint_share: probability of a waypoint mutation if mutations are chosen at random.
         waypoint_energy: theta_e. Testcases with more energy get a waypoint mutation, all others a route mutation.
         waypoint_keep_probability: epsilon of waypoint mutation, the probability that an NPC stays unchanged.
         route_keep_probability: epsilon of route mutation, the probability that an NPC stays unchanged.
@@ -56,13 +57,16 @@ class BehAVExplorOptions:
         failure_weight: w_1, weight of the failure frequency.
         degree_weight: w_2, weight of the change of the violation degree.
         selection_weight: w_3, weight of the selection frequency.
-        route_cost: energy that a parent loses with each route mutation, in addition to the three terms.
+        route_cost: energy that a parent loses with each route mutation in place of the three terms. The mutant then
+            counts neither as failed nor as passed. None for the three terms, as for any other mutant.
+        least_energy: energy below which no testcase falls; None for no limit.
         mutant_energy: initial energy of a kept mutant. "degree-change" is 1 + w_2 dE_V (paper equation 17).
             "degree-and-novelty" is 1 + dO / 2 + d / 2, with the mutant's gain in degree dO and its novelty d.
         success: mutants that count as failures in the failure frequency, "failed" ones or "failed-or-novel" ones.
         degree_distance: the distance d in the denominator 1 - d of the change of the violation degree: the mutant's
             distance from its "parent", or from the nearest of all "known" behaviors.
         bounded: whether the change of the violation degree is bounded by tanh. The paper prints it unbounded.
+        gamma: the small number in the denominator 1 - d + gamma of the change of the violation degree.
         assessment: options for the violation degree and the failure of an execution, as the search sees them.
         miner: options for abstracting behaviors.
 
@@ -77,6 +81,7 @@ class BehAVExplorOptions:
     known: Literal["kept", "novel"] = "kept"
     selection: Literal["energy", "uniform"] = "energy"
     mutation: Literal["energy", "random"] = "energy"
+    waypoint_share: Annotated[float, between(0, 1)] = 0.5
     waypoint_energy: float = 0.5
     waypoint_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
     route_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
@@ -86,11 +91,13 @@ class BehAVExplorOptions:
     failure_weight: float = 0.5
     degree_weight: float = 0.5
     selection_weight: float = 1.0
-    route_cost: float = 0.0
+    route_cost: float | None = None
+    least_energy: float | None = None
     mutant_energy: Literal["degree-change", "degree-and-novelty"] = "degree-change"
     success: Literal["failed", "failed-or-novel"] = "failed"
     degree_distance: Literal["parent", "known"] = "parent"
     bounded: bool = True
+    gamma: Annotated[float, between(1e-12, 1)] = GAMMA
     assessment: AssessmentOptions = field(default_factory=AssessmentOptions)
     miner: MinerOptions = field(default_factory=MinerOptions)
 
@@ -137,7 +144,7 @@ class BehAVExplor:
     def _kind(self, parent: Testcase, rng: np.random.Generator) -> str:
         """Choose the mutation of the parent (Algorithm 2, line 3)."""
         if self._options.mutation == "random":
-            return WAYPOINTS if rng.random() < 0.5 else ROUTES
+            return WAYPOINTS if rng.random() < self._options.waypoint_share else ROUTES
         return WAYPOINTS if parent.energy > self._options.waypoint_energy else ROUTES
 
     def _mutate(self, parent: Testcase, kind: str, rng: np.random.Generator) -> Scenario:
@@ -187,9 +194,9 @@ class BehAVExplor:
         novel = novelty > options.novelty_threshold
         kept = not run.failed and (novel or run.degree < parent.degree)
         apart = distance if options.degree_distance == "parent" else novelty
-        change = degree_change(parent.degree, run.degree, apart, bounded=options.bounded)
-        self._update_energy(parent, change, run.failed or (novel and options.success == "failed-or-novel"))
-        parent.energy -= options.route_cost * (candidate.origin == ROUTES)
+        change = degree_change(parent.degree, run.degree, apart, bounded=options.bounded, gamma=options.gamma)
+        failed = run.failed or (novel and options.success == "failed-or-novel")
+        self._update_energy(parent, candidate.origin, change, failed)
         learned = {
             "novelty": novelty,
             "novel": novel,
@@ -222,13 +229,18 @@ class BehAVExplor:
             return 1 + gain / 2 + novelty / 2
         return 1 + self._options.degree_weight * change  # paper equation 17
 
-    def _update_energy(self, parent: Testcase, change: float, failed: bool) -> None:
+    def _update_energy(self, parent: Testcase, kind: str, change: float, failed: bool) -> None:
         """Update E_s of the parent after its mutant s' (paper equation 14)."""
         options = self._options
-        parent.n_failed += failed
-        parent.n_passed += not failed
-        parent.energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
-        parent.energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
+        if kind == ROUTES and options.route_cost is not None:
+            parent.energy -= options.route_cost
+        else:
+            parent.n_failed += failed
+            parent.n_passed += not failed
+            parent.energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
+            parent.energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
+        if options.least_energy is not None:
+            parent.energy = max(parent.energy, options.least_energy)
 
     def _keep(
         self, candidate: Candidate, behavior: Behavior | None, run: Assessment, energy: float, *, known: bool

@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 
 SELECTION_CHANGE = -0.05  # dE_S, the decay with each selection
 _BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
-_GAMMA = 1e-5  # gamma of equation 16, against division by zero
+GAMMA = 1e-5  # gamma of equation 16, against division by zero
 
 
 def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
@@ -25,7 +25,7 @@ def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
     return -_BENIGN_SHARE * n_passed / (n_passed + n_failed)
 
 
-def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool) -> float:
+def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool, gamma: float) -> float:
     """Compute dE_V of a mutant and its parent (paper equation 16).
 
     Args:
@@ -34,8 +34,9 @@ def degree_change(parent_degree: float, degree: float, distance: float, *, bound
         distance: dis(s', s), the distance of their behaviors, in [0, 1].
         bounded: whether the printed formula is bounded by tanh. Unbounded, a single mutant at distance 1 changes the
             energy by 1e5 per meter, and the selection never recovers from it.
+        gamma: the small number in the denominator, against division by zero.
     """
-    change = (parent_degree - degree) / (1 - distance + _GAMMA)
+    change = (parent_degree - degree) / (1 - distance + gamma)
     return math.tanh(change) if bounded else change
 
 

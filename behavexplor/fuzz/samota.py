@@ -7,7 +7,7 @@ code follows.
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +27,21 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
+_MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn
 
 
 @validated
 class SAMOTAOptions:
-    """Options of `SAMOTA`.
+    """Options of `SAMOTA`. The defaults are the published values where the publication states them.
+
+    The preset `samota-seeded` has a variant whose searches begin with the best executions, failures included.
 
     Attributes:
         population: number of initial scenarios, and of predicted individuals in a generation of a global search.
         adaptive_samples: number of points drawn for each initial scenario. The farthest from all earlier ones is taken.
+        start: first generation of a search: "random" individuals, or the "best" executed scenarios (in a local search
+            the executed scenarios of the cluster).
+        repeats: what happens to a proposed scenario that was executed already: "skip" it, or "redraw" one of its NPCs.
         generations: number of generations of predicted individuals in a global search.
         database_limit: greatest number of executions that a global surrogate learns from; half of them are the best
             ones. It bounds the cost of an execution, which grows with the cube of this number.
@@ -44,9 +50,13 @@ class SAMOTAOptions:
         cluster_size: least number of executions in a cluster of a local search.
         local_population: number of predicted individuals in a generation of a local search.
         local_generations: number of generations of predicted individuals in a local search.
-        crossover_probability: probability that an NPC comes from the second parent.
-        mutation_probability: probability that a gene gets noise.
-        mutation_sigma: standard deviation of the noise, as a share of the gene's range.
+        tournament: number of individuals from which the fittest becomes a parent; 1 for parents without selection.
+        crossover: "one-point" crossover of two vectors, or an exchange of whole "npcs".
+        crossover_probability: probability that two parents are crossed at a point, or that an NPC comes from the second
+            parent.
+        mutation: "uniform" for genes that are drawn anew, or "gaussian" for noise on genes.
+        mutation_probability: probability that a gene mutates; None for 1 / n with n genes.
+        mutation_sigma: standard deviation of "gaussian" noise, as a share of the gene's range.
 
     Raises:
         InputError: if an option is out of range; the message names it.
@@ -54,16 +64,35 @@ class SAMOTAOptions:
 
     population: Annotated[int, between(2, MAX_POPULATION)] = 6
     adaptive_samples: Annotated[int, between(1)] = 10
+    start: Literal["random", "best"] = "random"
+    repeats: Literal["skip", "redraw"] = "skip"
     generations: Annotated[int, between(1)] = 200
     database_limit: Annotated[int, between(10, 10_000)] = 300
     local_share: Annotated[float, between(0.001, 1)] = 0.2
     local_limit: Annotated[int, between(10, 10_000)] = 100
     cluster_size: Annotated[int, between(2, MAX_POPULATION)] = 5
-    local_population: Annotated[int, between(2, MAX_POPULATION)] = 20
-    local_generations: Annotated[int, between(1)] = 50
-    crossover_probability: Annotated[float, between(0.001, 1)] = 0.3
-    mutation_probability: Annotated[float, between(0.001, 1)] = 0.05
+    local_population: Annotated[int, between(2, MAX_POPULATION)] = 6
+    local_generations: Annotated[int, between(1)] = 200
+    tournament: Annotated[int, between(1, MAX_POPULATION)] = 10
+    crossover: Literal["one-point", "npcs"] = "one-point"
+    crossover_probability: Annotated[float, between(0.001, 1)] = 0.75
+    mutation: Literal["uniform", "gaussian"] = "uniform"
+    mutation_probability: Annotated[float, between(0.001, 1)] | None = None
     mutation_sigma: Annotated[float, between(0.001, 1)] = 0.2
+
+
+class _Extremes:
+    """The points with the least values seen so far, one point for each of k objectives."""
+
+    def __init__(self, k: int, n: int) -> None:
+        self.points: Floats = np.zeros((k, n))
+        self._least = np.full(k, np.inf)
+
+    def update(self, points: Floats, values: Floats) -> None:
+        """Take points into account, shape (p, n), by their values, shape (p, k)."""
+        better = values.min(0) < self._least
+        self.points[better] = points[values.argmin(0)[better]]
+        self._least = np.minimum(self._least, values.min(0))
 
 
 class SAMOTA:
@@ -87,11 +116,20 @@ class SAMOTA:
     def ask(self) -> Candidate:
         """Return an initial scenario, or the next scenario of a search."""
         rng = self._asker.draws()
+        vector, origin = self._next(rng)
+        if self._options.repeats == "skip":  # SAMOTA: what was executed before is not executed again
+            for _ in range(_MOST_SKIPPED):
+                if not self._asker.has_asked(vector):
+                    break
+                vector, origin = self._next(rng)
+        return self._asker.candidate(vector, rng, origin)
+
+    def _next(self, rng: np.random.Generator) -> tuple[Floats, str]:
+        """Return the next proposal, a point with its origin."""
         if not self._queue:
             with threadpool_limits(limits=1):  # the last bits of a model must not depend on the number of threads
                 self._queue.extend(self._plan(rng))
-        vector, origin = self._queue.popleft()
-        return self._asker.candidate(vector, rng, origin)
+        return self._queue.popleft()
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
         """Add an execution to the database.
@@ -122,20 +160,27 @@ class SAMOTA:
         rows = self._training_rows(values, rng)
         features = self._asker.encoding.features
         ensemble = fit_ensemble(features(vectors[rows]), values[rows], rng)
-        population = vectors[survivors(values, min(self._options.population, len(values)))]
-        predicted, unsure = ensemble.predict(features(population))
-        best, doubtful = population[predicted.argmin(0)], population[unsure.argmax(0)]
-        least, most = np.full(values.shape[1], np.inf), np.full(values.shape[1], -np.inf)
+        best, doubtful = (_Extremes(values.shape[1], vectors.shape[1]) for _ in range(2))
+        if self._options.start == "best":
+            population = vectors[survivors(values, min(self._options.population, len(values)))]
+            predicted, _ = ensemble.predict(features(population))
+        else:
+            population = self._asker.uniform(rng, self._options.population)
+            predicted, unsure = ensemble.predict(features(population))
+            best.update(population, predicted)
+            doubtful.update(population, -unsure)
+            fittest = survivors(predicted, len(population))
+            population, predicted = population[fittest], predicted[fittest]
         for _ in range(self._options.generations):
             children = self._children(population, self._options.population, rng)
             expected, unsure = ensemble.predict(features(children))
-            better, wider = expected.min(0) < least, unsure.max(0) > most
-            best[better], doubtful[wider] = children[expected.argmin(0)[better]], children[unsure.argmax(0)[wider]]
-            least, most = np.minimum(least, expected.min(0)), np.maximum(most, unsure.max(0))
+            best.update(children, expected)
+            doubtful.update(children, -unsure)
             population, predicted = np.concatenate([population, children]), np.concatenate([predicted, expected])
             fittest = survivors(predicted, self._options.population)
             population, predicted = population[fittest], predicted[fittest]
-        return _distinct([*((vector, PROMISING) for vector in best), *((vector, UNCERTAIN) for vector in doubtful)])
+        proposed = [*((vector, PROMISING) for vector in best.points)]
+        return _distinct([*proposed, *((vector, UNCERTAIN) for vector in doubtful.points)])
 
     def _training_rows(self, values: Floats, rng: np.random.Generator) -> Ints:
         """Choose the executions to learn from: all of them, or up to the limit the best ones and random other ones."""
@@ -171,26 +216,68 @@ class SAMOTA:
         """Find the point of least predicted value in the box around the members by a genetic algorithm; shape (n,)."""
         low, high = members.min(0), members.max(0)
         features = self._asker.encoding.features
-        population = members
-        expected = model.predict(features(members))[0][:, 0]
+        population, count = members, self._options.local_population
+        if self._options.start == "random":
+            population = low + self._asker.uniform(rng, count) * (high - low)
+        expected = model.predict(features(population))[0][:, 0]
+        if self._options.start == "random":
+            fittest = np.argsort(expected, kind="stable")
+            population, expected = population[fittest], expected[fittest]
         for _ in range(self._options.local_generations):
-            children = np.clip(self._children(population, self._options.local_population, rng), low, high)
+            children = self._children(population, count, rng, low, high)
             population = np.concatenate([population, children])
             expected = np.concatenate([expected, model.predict(features(children))[0][:, 0]])
-            fittest = np.argsort(expected, kind="stable")[: self._options.local_population]
+            fittest = np.argsort(expected, kind="stable")[:count]
             population, expected = population[fittest], expected[fittest]
         return np.asarray(population[0])
 
-    def _children(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
-        """Breed points: exchange NPCs between two parents, then add noise to some genes; shape (count, n)."""
-        options, n_npcs = self._options, self._asker.encoding.n_npcs
-        first, second = rng.integers(len(parents), size=(2, count))
-        other = rng.random((count, n_npcs)) < options.crossover_probability
-        other_genes = np.repeat(other, self._asker.encoding.n_genes, axis=1)
-        children = np.where(other_genes, parents[second], parents[first])
-        noisy = rng.random(children.shape) < options.mutation_probability
-        noise = rng.normal(0.0, options.mutation_sigma, children.shape)
-        return np.asarray(np.clip(children + noise * noisy, 0.0, 1.0))
+    def _children(
+        self,
+        parents: Floats,
+        count: int,
+        rng: np.random.Generator,
+        low: Floats | float = 0.0,
+        high: Floats | float = 1.0,
+    ) -> Floats:
+        """Breed points by selection, crossover and mutation.
+
+        Args:
+            parents: points from which the parents are selected, the fittest first, shape (p, n).
+            count: number of points to breed.
+            rng: random generator.
+            low: lower bounds of the genes, a number or shape (n,).
+            high: upper bounds of the genes, a number or shape (n,).
+
+        Returns:
+            The points, shape (count, n).
+        """
+        bred = self._crossed_npcs if self._options.crossover == "npcs" else self._crossed_at_a_point
+        children = bred(parents, count, rng)
+        probability = self._options.mutation_probability or 1 / children.shape[1]
+        mutated = rng.random(children.shape) < probability
+        if self._options.mutation == "gaussian":
+            noise = rng.normal(0.0, self._options.mutation_sigma, children.shape)
+            return np.asarray(np.clip(children + noise * mutated, low, high))
+        return np.where(mutated, low + rng.random(children.shape) * (high - low), children)
+
+    def _selected(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
+        """Select two lists of parents, each parent the fittest of a tournament; shape (2, count, n)."""
+        return np.asarray(parents[rng.integers(len(parents), size=(2, count, self._options.tournament)).min(2)])
+
+    def _crossed_npcs(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
+        """Exchange NPCs between two parents; shape (count, n)."""
+        first, second = self._selected(parents, count, rng)
+        other = rng.random((count, self._asker.encoding.n_npcs)) < self._options.crossover_probability
+        return np.asarray(np.where(np.repeat(other, self._asker.encoding.n_genes, axis=1), second, first))
+
+    def _crossed_at_a_point(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
+        """SAMOTA, one-point crossover: two parents have two children, which swap what lies behind a point."""
+        pairs, n = (count + 1) // 2, parents.shape[1]
+        first, second = self._selected(parents, pairs, rng)
+        swapped = np.arange(n) >= rng.integers(1, n, size=(pairs, 1))
+        swapped &= rng.random((pairs, 1)) < self._options.crossover_probability
+        children = np.concatenate([np.where(swapped, second, first), np.where(swapped, first, second)])
+        return np.asarray(children[:count])
 
     def status(self) -> Mapping[str, float]:
         """Return the number of planned searches, and of uncovered objectives."""

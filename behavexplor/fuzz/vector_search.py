@@ -64,6 +64,10 @@ class Asker:
         squared = (points**2).sum(1)[:, None] + (known**2).sum(1) - 2 * products
         return vectors[np.argsort(-squared.min(1), kind="stable")[:count]]
 
+    def has_asked(self, vector: Floats) -> bool:
+        """Return whether the scenario of a point, shape (n,), has been a candidate."""
+        return self.encoding.decode(vector) in self._asked
+
     def candidate(self, vector: Floats, rng: np.random.Generator, origin: str, parent: int | None = None) -> Candidate:
         """Make the next candidate.
 

@@ -1,7 +1,8 @@
 """Requirements on a driving system: specs R1-R3, their violation degrees, and the verdict on a trace.
 
 Source: paper section II-C (R1, R2, R3) and III-B2 (violation degree O). Traces are judged outside the search methods,
-so that every method is scored by the same code.
+so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
+arrival (`behavexplor.judge.arrival`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,9 +14,11 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
 from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.errors import InputError
+from behavexplor.judge.arrival import final_distance, until_arrival
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -85,7 +88,8 @@ class Destination:
     """R3: the ego ends at its destination.
 
     The degree is max(10 - D, 0) (paper section III-B2), where D is the final distance of the ego's center from the
-    destination [m]. So the farther from the destination the episode ends, the lower is the degree.
+    destination [m], see `behavexplor.judge.arrival.final_distance`. So the farther from the destination the episode
+    ends, the lower is the degree.
 
     Attributes:
         name: name in records and reports.
@@ -94,16 +98,16 @@ class Destination:
     """
 
     name: str = field(default="destination", init=False)
-    threshold: float = 1.0
+    threshold: float = ARRIVAL_DISTANCE
     reach: float = 10.0
 
     def degree(self, trace: Trace) -> float:
         """Return max(reach - D, 0) [m]."""
-        return max(self.reach - trace.destination_distance, 0.0)
+        return max(self.reach - final_distance(trace), 0.0)
 
     def violated(self, trace: Trace) -> bool:
         """Return whether D exceeds the threshold."""
-        return trace.destination_distance > self.threshold
+        return final_distance(trace) > self.threshold
 
 
 def default_specs() -> tuple[Spec, ...]:
@@ -162,6 +166,7 @@ def _npc_distance(trace: Trace) -> float:
     """Return D_b [m]. Circles inside and around the boxes bound each distance, so few exact distances are needed."""
     if len(trace.size) == 1:
         return NOTHING_NEAR
+    trace = until_arrival(trace)
     pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)
     frames = _changes(pose.reshape(len(pose), -1))
     position, heading = trace.position[frames], trace.heading[frames]
@@ -187,6 +192,7 @@ def _line_distance(trace: Trace) -> float:
     lines = trace.illegal_lines
     if not len(lines):
         return NOTHING_NEAR
+    trace = until_arrival(trace)
     frames = _changes(np.column_stack([trace.position[:, 0], trace.heading[:, 0]]))
     position, heading = trace.position[frames, 0], trace.heading[frames, 0]
     reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2

@@ -115,6 +115,12 @@ def test_a_summary_counts_what_is_in_the_run_folder(whole):
     ]
     assert int(row["failed"]) == sum(bool(line["violated"]) for line in lines)
     assert int(row["failed_R1"]) == sum(line["violated"][:1] == ["collision"] for line in lines)
+    assert float(row["simulated_s"]) == pytest.approx(sum(line["duration"] for line in lines), abs=1e-3)
+    for kind in ("waypoint", "route"):
+        assert int(row[f"{kind}_mutations"]) == sum(line["origin"] == f"{kind}s" for line in lines)
+    assert int(row["waypoint_mutations"]) + int(row["route_mutations"]) > 0
+    assigned = {str([(npc["type"], npc["route"]) for npc in line["scenario"]["npcs"]]) for line in lines}
+    assert int(row["assignments"]) == len(assigned)
     assert float(row["novelty_rate"]) == pytest.approx(sum(line["novel"] for line in lines) / 20, abs=1e-6)
 
 

@@ -3,15 +3,19 @@
 import csv
 import io
 import math
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
+from scipy.stats import pearsonr
 
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import experiment_config
+from behavexplor.bench.mutants import Mutant, correlation
 from behavexplor.bench.statistics import Estimate
-from behavexplor.bench.summaries import Failure, Summary, correlation, summaries_csv
-from behavexplor.bench.tables import Column, Table, tables
+from behavexplor.bench.summaries import Failure, Summary, summaries_csv
+from behavexplor.bench.table import Column, Table
+from behavexplor.bench.tables import tables
 from behavexplor.bench.writing import escaped, marked, table_csv, table_latex
 from behavexplor.commands.terminal_tables import text
 
@@ -38,19 +42,24 @@ def failures(*labels, kinds=None, signatures=None):
     )
 
 
-def campaign(method, seed, labels, env="lane-follow", kinds=None, r=None, signatures=None):
+def campaign(method, seed, labels, env="lane-follow", kinds=None, mutants=(), signatures=None):
     found = failures(*labels, kinds=kinds, signatures=signatures)
-    return Summary(env, "rule", method, seed, 100, found, 0.2, 8.0, 2.0, r, None if r is None else 10.0**-seed)
+    return Summary(env, "rule", method, seed, 100, found, 0.2, 8.0, 2.0, mutants=tuple(mutants))
+
+
+def line(degree, distance):
+    """Four mutants whose distances fall as their degrees rise."""
+    return [Mutant(float(degree + i), distance - 0.1 * i, False) for i in range(4)]
 
 
 SUMMARIES = [
-    campaign("Search", 1, ["R1", "R1", "R2"], r=-0.2),
-    campaign("Search", 2, ["R1", "R3", "R3", "R3", "R3"], r=-0.3),
-    campaign("Search", 3, ["R2", "R2", "R2", "R2"], r=-0.1),
+    campaign("Search", 1, ["R1", "R1", "R2"], mutants=line(1, 0.9)),
+    campaign("Search", 2, ["R1", "R3", "R3", "R3", "R3"], mutants=line(1, 0.9)),
+    campaign("Search", 3, ["R2", "R2", "R2", "R2"], mutants=line(1, 0.9)),
     campaign("w/o it", 1, ["R1"]),
     campaign("w/o it", 2, []),
     campaign("Uniform_1", 1, ["R3", "R3", "R3"]),
-    campaign("Search", 1, ["R2"], env="lane-change", r=-0.5),
+    campaign("Search", 1, ["R2"], env="lane-change", mutants=line(1, 0.9)),
 ]
 CLASSIFIED = [
     campaign("Search", 1, ["R1", "R1", "R2"], kinds=["R1-a", "R1-a", "R2-a"]),
@@ -146,17 +155,99 @@ def test_unmeasured_campaigns_have_no_time():
 def test_correlations_are_of_the_methods_that_have_one():
     table = made("correlations")
     assert column(table, "Method") == ["Search", "Search"]
-    assert column(table, "r_BF")[0].mean == pytest.approx(-0.2)
-    assert column(table, "p < 0.001") == ["0 of 3", "0 of 1"]
+    assert column(table, "n") == [3, 1]
+    assert "correlations" not in [found.name for found in tables(EXPERIMENT, SUMMARIES[3:6])]
+
+
+def test_correlations_are_pooled_over_the_campaigns_of_a_scenario_with_one_p():
+    """Each campaign alone falls, and both together rise."""
+    together = [campaign("Search", seed, [], mutants=line(4 * seed, seed)) for seed in (1, 2)]
+    table = made("correlations", together)
+    assert column(table, "Mutants") == [8]
+    assert column(table, "of a campaign")[0].mean == pytest.approx(-1)
+    pooled = pearsonr([4, 5, 6, 7, 8, 9, 10, 11], [1, 0.9, 0.8, 0.7, 2, 1.9, 1.8, 1.7])
+    assert column(table, "r_BF") == [pytest.approx(pooled.statistic)]
+    assert column(table, "p") == [f"{pooled.pvalue:.3f}"]
+
+
+def test_correlations_of_passed_mutants_alone():
+    """Failing mutants that are far and low make a correlation which the others do not have."""
+    passed, failing = [Mutant(d, 0.3 + 0.1 * (-1) ** d, False) for d in range(4)], [Mutant(-9.0, 1.0, True)] * 4
+    table = made("correlations", [campaign("Search", 1, [], mutants=(*passed, *failing))])
+    assert column(table, "r_BF")[0] < -0.9
+    assert column(table, "r_BF passed") == [correlation(passed).r]
+    assert correlation(passed).r > -0.5
+    assert column(table, "Passed") == [4]
+    failed_alone = made("correlations", [campaign("Search", 1, [], mutants=(*failing, Mutant(1.0, 0.1, True)))])
+    assert column(failed_alone, "r_BF passed") == [None]
+    assert "None" not in text(failed_alone)
 
 
 def test_a_correlation_is_pearsons():
-    r, p = correlation([(1, 2), (2, 1), (3, 4), (4, 3)])
-    assert r == pytest.approx(0.6)
-    assert p == pytest.approx(0.4)
-    assert correlation([(1, 2), (2, 2), (3, 2)]) == (None, None)
-    assert correlation([(1, 2), (2, 3)]) == (None, None)
-    assert correlation([]) == (None, None)
+    def found(pairs):
+        return correlation([Mutant(degree, distance, False) for degree, distance in pairs])
+
+    assert found([(1, 2), (2, 1), (3, 4), (4, 3)]) == pytest.approx((4, 0.6, 0.4))
+    assert found([(1, 2), (2, 2), (3, 2)]) is found([(1, 2), (2, 3)]) is found([]) is None
+
+
+def test_mutations_are_shares_of_methods_that_make_them():
+    """Methods with mutations of their own kind, such as uniform sampling, have no row."""
+    runs = [
+        replace(campaign("Search", 1, []), mutations=(90, 10), assignments=7),
+        replace(campaign("Search", 2, []), mutations=(70, 30), assignments=9),
+        campaign("Uniform_1", 1, []),
+    ]
+    table = made("mutations", runs)
+    assert [row[:3] for row in table.rows] == [("lane-follow", "Search", 2)]
+    assert column(table, "Waypoint mutations %")[0].mean == pytest.approx(80)
+    assert column(table, "Assignments")[0].mean == pytest.approx(8)
+    assert "mutations" not in [found.name for found in tables(EXPERIMENT, SUMMARIES)]
+
+
+def test_in_equal_time_a_method_with_long_runs_has_fewer_executions():
+    """100 executions of 1 s with 2 s of analysis against 100 of 4 s: after 102 s the latter have had 25.4 of them."""
+    short = replace(campaign("Search", 1, ["R1", "R1", "R2"]), durations=(1.0,) * 100)
+    long = replace(campaign("w/o it", 1, ["R2"] * 8), durations=(4.0,) * 100)
+    table = made("violations-equal-time", [short, long])
+    assert [mean.mean for mean in column(table, "Executions")] == [100, 25]
+    assert [mean.mean for mean in column(table, "Sum")] == [3, 5]  # a failure at every fifth execution
+    assert "lane-follow 0.03 h" in " ".join(table.notes)
+
+
+def test_in_equal_time_analysis_counts():
+    durations = (1.0,) * 100
+    cheap = replace(campaign("Search", 1, []), durations=durations, analysing=0.0)
+    costly = replace(campaign("w/o it", 1, []), durations=durations, analysing=100.0)
+    assert [mean.mean for mean in column(made("violations-equal-time", [cheap, costly]), "Executions")] == [100, 50]
+
+
+def test_in_equal_time_scenarios_have_a_time_each():
+    runs = [
+        replace(campaign("Search", 1, ["R1"], env=env), durations=(seconds,) * 100)
+        for env, seconds in zip(ENVS, (1.0, 4.0), strict=True)
+    ]
+    assert [mean.mean for mean in column(made("violations-equal-time", runs), "Executions")] == [100, 100]
+
+
+@pytest.mark.parametrize("unknown", [{"durations": ()}, {"analysing": math.nan}])
+def test_there_is_no_table_of_equal_time_if_a_time_is_not_known(unknown):
+    runs = [replace(campaign("Search", seed, []), durations=(1.0,) * 100) for seed in (1, 2)]
+    runs[1] = replace(runs[1], **unknown)
+    assert "violations-equal-time" not in [table.name for table in tables(EXPERIMENT, runs)]
+
+
+def test_a_contrast_is_a_family_of_its_own():
+    experiment = replace(EXPERIMENT, contrasts={"causes": (("w/o it", "Uniform_1"), ("Search", "w/o it"))})
+    table = next(found for found in tables(experiment, SUMMARIES) if found.name == "failures-contrast-causes")
+    assert [row[1:3] for row in table.rows] == [("w/o it", "Uniform_1"), ("Search", "w/o it")]
+    assert "for 2 comparisons" in table.notes[1]
+
+
+def test_tables_of_weaknesses_say_that_they_replicate_nothing():
+    for name in ("violations", "weaknesses"):
+        assert any("with the paper's findings in sight" in note for note in made(name, SIGNED).notes)
+    assert not any("in sight" in note for note in made("violations").notes)
 
 
 def test_comparisons_are_of_the_reference_and_of_the_baseline():
@@ -239,7 +330,8 @@ def test_a_summary_is_a_row():
     }
     assert expected.items() <= rows[0].items()
     assert (rows[0]["R1_npc_caused"], rows[0]["R1_other"]) == ("1", "1")
-    assert (rows[0]["r_BF"], rows[0]["executing_s"]) == ("-0.2", "8.0")
+    assert (rows[0]["r_BF"], rows[0]["r_BF_passed"], rows[0]["executing_s"]) == ("-1.0", "-1.0", "8.0")
+    assert (rows[3]["r_BF"], rows[3]["simulated_s"], rows[3]["waypoint_mutations"]) == ("", "", "0")
     assert "unique" not in rows[0]
     classified = list(csv.DictReader(io.StringIO(summaries_csv(CLASSIFIED))))
     assert (classified[0]["unique"], classified[0]["unique_R1"], classified[0]["classes"]) == ("2", "1", "R1-a R2-a")

@@ -11,6 +11,7 @@ from behavexplor.data.geometry import (
     box_distance,
     box_segment_distance,
     boxes_overlap,
+    point_box_distance,
     point_segment_distance,
     project_on_polyline,
 )
@@ -30,6 +31,13 @@ def corners(box):
 def test_corners_of_a_turned_box():
     quarter_turn = box_corners(np.array([10.0, 20.0]), np.array(np.pi / 2), np.array([4.0, 2.0]))
     assert quarter_turn == pytest.approx(np.array([[9, 22], [11, 22], [11, 18], [9, 18]]))
+
+
+@given(points, boxes)
+def test_point_box_distance_is_shapelys(point, box):
+    position, heading, size = map(np.array, box)
+    expected = shapely.Polygon(corners(box)).distance(shapely.Point(point))
+    assert float(point_box_distance(np.array(point), position, heading, size)) == pytest.approx(expected, abs=1e-9)
 
 
 @given(boxes, boxes)

@@ -13,7 +13,9 @@ from behavexplor.judge.specs import Verdict, judge
 from tests.fakes import LOGICAL, make_trace, simulate
 
 ROADMAP = IntersectionStraightEnv.logical.roadmap
-RELEASED = AssessmentOptions(degree="clipped", box_shrink=0.1, destination_threshold=10.0, retreat=0.06)
+RELEASED = AssessmentOptions(
+    degree="clipped", box_shrink=0.2, destination_from="box", destination_threshold=10.0, retreat=0.06
+)
 
 TRACE = simulate(LOGICAL.sample(np.random.default_rng(4)))
 PLAIN = judge(TRACE)
@@ -64,6 +66,36 @@ def test_boxes_that_touch_count_0_and_shrunk_ones_do_not():
     assert shrunk - plain == pytest.approx(0.1 / 4)
 
 
+@pytest.mark.parametrize(("end", "term"), [(92.0, 1 - (8 - 2.25) / 10), (97.8, 1 - 0.0), (98.5, 1.0), (80.0, 0.0)])
+def test_the_distance_from_the_box(end, term):
+    """The box of the ego is 4.70 m long, 0.1 m of which is taken off at each end."""
+    options = AssessmentOptions(degree="clipped", box_shrink=0.2, destination_from="box")
+    run = assess(along([0, 50, end]), PASSED, on_map(-9.0, 9.0), options)
+    assert run.degree == pytest.approx(np.mean([1, 1, 1, term]))
+
+
+@pytest.mark.parametrize(("end", "failed"), [(87.8, False), (87.7, True)])
+def test_the_destination_threshold_from_the_box(end, failed):
+    options = AssessmentOptions(box_shrink=0.2, destination_from="box", destination_threshold=10.0)
+    missed = Verdict(PASSED.degrees, ("destination",))
+    assert assess(along([0, 50, end]), missed, ROADMAP, options).failed is failed
+
+
+def test_the_distance_from_a_turning_box_may_grow_though_its_center_comes_nearer():
+    trace = along([0, 10, 10.01, 50])
+    turning = replace(trace, heading=np.array([[0.0], [0.0], [1.0], [0.0]]))
+    from_center, from_box = (
+        assess(turning, PASSED, ROADMAP, AssessmentOptions(retreat=0.06, destination_from=place)).failed
+        for place in ("center", "box")
+    )
+    assert (from_center, from_box) == (False, True)
+
+
+def test_a_run_that_is_cut_off_has_not_arrived():
+    trace = replace(along([0, 10, 9, 99.5]), end="arrived")
+    assert assess(trace, PASSED, ROADMAP, AssessmentOptions(retreat=0.06)).trace.end == "timeout"
+
+
 @pytest.mark.parametrize(("end", "failed"), [(92.0, False), (89.0, True), (99.5, False)])
 def test_the_destination_threshold(end, failed):
     trace = along([0, 50, end])
@@ -108,7 +140,7 @@ def test_the_degree_of_a_run_that_retreats_is_that_of_its_beginning():
     whole, cut = (
         assess(trace, PASSED, on_map(-9.0, 9.0), o).degree for o in (replace(RELEASED, retreat=None), RELEASED)
     )
-    assert whole == pytest.approx(np.mean([0.6, 1, 1, 1]))
+    assert whole == pytest.approx(np.mean([0.7, 1, 1, 1]))
     assert cut == pytest.approx(np.mean([1, 1, 1, 0]))
 
 

@@ -6,6 +6,8 @@ from math import tanh
 import numpy as np
 import pytest
 
+from behavexplor.campaign.config import read_config
+from behavexplor.data.validation import checked
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.assessment import AssessmentOptions
@@ -302,13 +304,58 @@ def test_random_mutation_takes_no_notice_of_energy():
         assert kinds.count("routes") == pytest.approx(50, abs=20)
 
 
-def test_the_cost_of_a_route_mutation():
-    for energy, cost in ((0.4, 0.1), (1.0, 0.0)):
-        before, after = (
-            tell_next(started(initial_energy=energy, route_cost=c), OTHER, verdict(10.0))[1]["parent_energy"]
-            for c in (0.0, 0.1)
-        )
-        assert before - after == pytest.approx(cost)
+def test_the_share_of_waypoint_mutations_among_random_ones():
+    search = started(mutation="random", waypoint_share=0.9)
+    kinds = [search.ask().origin for _ in range(300)]
+    assert kinds.count("routes") == pytest.approx(30, abs=15)
+
+
+def test_without_energy_selection_differs_from_the_other_ablations_in_one_factor_each():
+    """From w/o Energy in the mixture of mutations, from BehAVExplor in the selection, for the same mixture."""
+    only_selection, neither = (read_config(f"without-energy{name}")["options"] for name in ("-selection", ""))
+    assert only_selection == {**neither, "waypoint_share": 0.94}
+    assert BehAVExplorOptions().selection != neither["selection"]
+
+
+@pytest.mark.parametrize("failed", [False, True])
+def test_a_route_mutation_may_cost_a_flat_amount_in_place_of_the_terms(failed):
+    """And counts neither as failed nor as passed, so that dE_F of later mutants does not know it."""
+    search = started(initial_energy=0.4, route_cost=0.1)
+    _, learned = tell_next(search, OTHER, verdict(4.0, failed=failed))
+    parent = search._corpus[0]
+    assert learned["parent_energy"] == pytest.approx(0.4 - 0.1)
+    assert (parent.n_failed, parent.n_passed) == (0, 0)
+
+
+def test_a_waypoint_mutation_has_the_three_terms_whatever_a_route_mutation_costs():
+    with_cost, without = (
+        tell_next(started(initial_energy=1.0, route_cost=cost), OTHER, verdict(9.0))[1]["parent_energy"]
+        for cost in (0.1, None)
+    )
+    assert with_cost == without == pytest.approx(1 - 0.05 + 0.5 * tanh(1 / (1 + 1e-5)) - 0.05)
+
+
+def test_energies_may_have_a_lower_limit():
+    search = started(initial_energy=0.05, route_cost=0.1, least_energy=0.0)
+    assert tell_next(search, OTHER, verdict(10.0))[1]["parent_energy"] == 0.0
+    assert tell_next(started(initial_energy=0.05, route_cost=0.1), OTHER, verdict(10.0))[1]["parent_energy"] < 0
+
+
+def test_the_guard_of_the_denominator():
+    """A mutant as far from its parent as possible: a change of 1e-6 is divided by the guard alone."""
+    for gamma, change in ((1e-5, tanh(0.1)), (1e-10, 1.0)):
+        search = started(drive(0.0, seconds=20), degree=10.0, gamma=gamma, novelty="random")
+        search._novelty = lambda *_: (0.0, 1.0)
+        _, learned = tell_next(search, drive(0.0), verdict(10.0 - 1e-6))
+        assert learned["parent_energy"] == pytest.approx(1 - 0.05 + 0.5 * change - 0.05)
+
+
+def test_the_preset_released_is_as_the_released_program():
+    """Its energies are bounded by tanh and stay at 0 or above, and a route mutation has a flat cost."""
+    options = checked(BehAVExplorOptions, read_config("released")["options"], "options")
+    assert (options.bounded, options.gamma) == (True, 1e-10)
+    assert (options.route_cost, options.least_energy) == (0.1, 0.0)
+    assert (options.assessment.box_shrink, options.assessment.destination_from) == (0.2, "box")
 
 
 def test_mutants_may_start_with_their_gain_and_novelty():
@@ -359,6 +406,8 @@ def test_the_energy_of_a_testcase_far_from_violation_grows():
         ("point_keep_probability", 1.0),
         ("sigma_position", 0.0),
         ("sigma_speed", -1.0),
+        ("waypoint_share", 1.1),
+        ("gamma", 0.0),
     ],
 )
 def test_options_out_of_range(option, value):

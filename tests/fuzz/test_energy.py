@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.fuzz.energy import SELECTION_CHANGE, degree_change, failure_change, selection_probabilities
+from behavexplor.fuzz.energy import GAMMA, SELECTION_CHANGE, degree_change, failure_change, selection_probabilities
 
 
 @pytest.mark.parametrize(
@@ -36,13 +36,13 @@ def test_failure_frequency(failed, n_failed, n_passed, change):
     ],
 )
 def test_change_of_the_violation_degree(parent_degree, degree, distance, printed):
-    assert degree_change(parent_degree, degree, distance, bounded=False) == pytest.approx(printed)
-    bounded = degree_change(parent_degree, degree, distance, bounded=True)
+    assert degree_change(parent_degree, degree, distance, bounded=False, gamma=GAMMA) == pytest.approx(printed)
+    bounded = degree_change(parent_degree, degree, distance, bounded=True, gamma=GAMMA)
     assert bounded == pytest.approx((math.exp(2 * printed) - 1) / (math.exp(2 * printed) + 1) if printed < 300 else 1)
 
 
 def test_a_mutant_that_behaves_otherwise_counts_for_more():
-    near, far = (degree_change(5.0, 4.8, distance, bounded=True) for distance in (0.1, 0.8))
+    near, far = (degree_change(5.0, 4.8, distance, bounded=True, gamma=GAMMA) for distance in (0.1, 0.8))
     assert 0 < near < far < 1
 
 

@@ -1,0 +1,107 @@
+"""The tables of comparisons of an experiment's methods."""
+
+from collections.abc import Sequence
+
+from behavexplor.bench.experiment import Experiment, slug
+from behavexplor.bench.statistics import LEVEL, compare, least_p
+from behavexplor.bench.summaries import Summary, all_classified, all_signed
+from behavexplor.bench.table import (
+    Column,
+    Figure,
+    Table,
+    Value,
+    n_weaknesses,
+    of_group,
+    p_text,
+    place_cells,
+    place_columns,
+    places,
+    total,
+    unique,
+)
+
+
+def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
+    """Return tables that compare the reference with each other method, and each method with the baseline.
+
+    There is one table for each of the two and each figure: failures, unique violations and weaknesses; and one for each
+    of the experiment's contrasts and each figure.
+    """
+    figures: list[tuple[str, str, Figure]] = [("failures", "failures", total(None))]
+    if all_classified(summaries):
+        figures.append(("unique", "unique violations", unique(None)))
+    if all_signed(summaries):
+        figures.append(("weaknesses", "weaknesses of the planner", n_weaknesses))
+    families = _families(experiment)
+    return [
+        _compared(f"{key}-{slug(name).lower()}", f"Number of {words}: {title}", experiment, rows)
+        for name, title, pairs in families
+        for key, words, figure in figures
+        if (rows := _samples(experiment, summaries, pairs, figure))
+    ]
+
+
+def _families(experiment: Experiment) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Return the families of comparisons: their names, titles and pairs of methods."""
+    others = [method for method in experiment.methods if method != experiment.compared]
+    reference, baseline = experiment.compared, experiment.baseline
+    families = [(reference, f"{reference} compared", [(reference, other) for other in others])]
+    if baseline and baseline != reference:
+        rivals = [method for method in experiment.methods if method != baseline]
+        families.append((baseline, f"{baseline} compared", [(rival, baseline) for rival in rivals]))
+    return families + [(f"contrast-{name}", name, list(pairs)) for name, pairs in experiment.contrasts.items()]
+
+
+Sample = tuple[str, str, str, str, list[float], list[float]]
+
+
+def _samples(
+    experiment: Experiment, summaries: Sequence[Summary], pairs: Sequence[tuple[str, str]], figure: Figure
+) -> list[Sample]:
+    """Return the samples of each pair of methods, for each environment and ADS in which both have finished campaigns.
+
+    A sample is the environment, the ADS, the names of both methods, and the values of a figure in their campaigns.
+    """
+
+    def values(env: str, ads: str, method: str) -> list[float]:
+        return [figure(summary) for summary in of_group(summaries, (env, ads, method))]
+
+    found = [
+        (env, ads, one, other, values(env, ads, one), values(env, ads, other))
+        for env, ads in places(experiment)
+        for one, other in pairs
+    ]
+    return [sample for sample in found if sample[4] and sample[5]]
+
+
+def _compared(name: str, title: str, experiment: Experiment, samples: Sequence[Sample]) -> Table:
+    """Return a table of comparisons, which form one family for the correction."""
+    found = compare([(first, second) for *_, first, second in samples])
+    rows: list[tuple[Value, ...]] = [
+        (
+            *place_cells(experiment, env, ads),
+            one,
+            other,
+            *c.n,
+            *c.means,
+            c.effect,
+            p_text(c.p),
+            p_text(c.corrected),
+            c.verdict,
+        )
+        for (env, ads, one, other, _, _), c in zip(samples, found, strict=True)
+    ]
+    places = [sample[:2] for sample in samples]
+    blocks = tuple(places.count(place) for place in dict.fromkeys(places))
+    heads = (*place_columns(experiment), Column("Method"), Column("Against"), Column("n"), Column("m"))
+    heads += (Column("Mean"), Column("Mean against"), Column("A12", digits=2), Column("p"), Column("p Holm"))
+    heads += (Column("Verdict"),)
+    notes = [
+        "Question: does the method find more than the one that it is compared with, beyond chance?",
+        f"Two-sided Mann-Whitney U test with Holm's correction for {len(found)} comparisons, level {LEVEL:g}.",
+        "A12: probability that a campaign of the method finds more than one of the other method; 0.5: no difference.",
+    ]
+    least = min(least_p(*c.n) for c in found) * len(found)
+    if least >= LEVEL:
+        notes.append(f"So few seeds cannot be significant here: the least corrected p is {p_text(min(1.0, least))}.")
+    return Table(name, title, (*heads,), tuple(rows), blocks, tuple(notes))
