@@ -10,6 +10,8 @@ from behavexplor.bench.table import (
     Figure,
     Table,
     Value,
+    n_at_fault,
+    n_kinds_at_fault,
     n_weaknesses,
     of_group,
     p_text,
@@ -24,12 +26,14 @@ from behavexplor.bench.table import (
 def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     """Return tables that compare the reference with each other method, and each method with the baseline.
 
-    There is one table for each of the two and each figure: failures, unique violations and weaknesses; and one for each
-    of the experiment's contrasts and each figure.
+    There is one table for each of the two and each figure: failures at fault and their classes, all failures, unique
+    violations and weaknesses; and one for each of the experiment's contrasts and each figure.
     """
-    figures: list[tuple[str, str, Figure]] = [("failures", "failures", total(None))]
+    figures: list[tuple[str, str, Figure]] = [("at-fault", "failures at fault", n_at_fault)]
     if all_classified(summaries):
+        figures.append(("at-fault-classes", "classes of failures at fault", n_kinds_at_fault))
         figures.append(("unique", "unique violations", unique(None)))
+    figures.append(("failures", "failures", total(None)))
     if all_signed(summaries):
         figures.append(("weaknesses", "weaknesses of the planner", n_weaknesses))
     families = _families(experiment)

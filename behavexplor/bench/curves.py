@@ -12,7 +12,8 @@ from behavexplor.bench.statistics import Estimate, estimate
 from behavexplor.bench.summaries import Summary, all_classified, all_signed
 
 POINTS: Final = 50  # approximate number of points of a curve
-FAILURES, UNIQUE, WEAKNESSES = "failures", "unique violations", "weaknesses of the planner"
+AT_FAULT, FAILURES = "classes of failures at fault", "failures"
+UNIQUE, WEAKNESSES = "unique violations", "weaknesses of the planner"
 
 _COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
 
@@ -22,7 +23,8 @@ class Curve:
     """The mean over campaigns of a count of findings, by number of executions.
 
     Attributes:
-        figure: counted findings: "failures", "unique violations" or "weaknesses of the planner".
+        figure: counted findings: "failures", "classes of failures at fault", "unique violations" or "weaknesses of the
+            planner".
         env: environment.
         ads: driving system under test.
         method: name of the search method in the experiment.
@@ -46,6 +48,7 @@ def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
     """
     figures: list[tuple[str, Callable[[Summary, int], int]]] = [(FAILURES, _failed_by)]
     if all_classified(summaries):
+        figures.append((AT_FAULT, lambda summary, count: len(summary.kinds_at_fault(before=count))))
         figures.append((UNIQUE, lambda summary, count: len(summary.kinds(before=count))))
     if all_signed(summaries):
         figures.append((WEAKNESSES, lambda summary, count: len(summary.weaknesses(before=count))))

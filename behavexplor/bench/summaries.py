@@ -17,6 +17,7 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
 from behavexplor.data.decision_log import ENVIRONMENT
 from behavexplor.fuzz.mutation import ROUTES, WAYPOINTS
+from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import NPC_CAUSED
 from behavexplor.triage.signatures import signature
@@ -43,6 +44,11 @@ class Failure:
     npc_caused: bool
     kind: str | None
     signature: str | None = None
+
+    @property
+    def at_fault(self) -> bool:
+        """True if the ADS was at fault, as far as the trace can tell."""
+        return not self.npc_caused
 
 
 @dataclass(frozen=True)
@@ -117,6 +123,28 @@ class Summary:
             before: number of the execution before which failures count; None for no limit.
         """
         return frozenset(failure.kind for failure in self._failed(label, before) if failure.kind is not None)
+
+    def at_fault(self, before: int | None = None) -> int:
+        """Return the number of failures for which the ADS was at fault.
+
+        Args:
+            before: number of the execution before which failures count; None for no limit.
+        """
+        return sum(failure.at_fault for failure in self._failed(None, before))
+
+    def kinds_at_fault(self, before: int | None = None) -> frozenset[str]:
+        """Return the classes of the failures for which the ADS was at fault.
+
+        Args:
+            before: number of the execution before which failures count; None for no limit.
+        """
+        at_fault = (failure.kind for failure in self._failed(None, before) if failure.at_fault)
+        return frozenset(kind for kind in at_fault if kind is not None)
+
+    @property
+    def discovery(self) -> Discovery:
+        """What the campaign has not found yet."""
+        return Discovery.of((failure.kind for failure in self.failures if failure.kind is not None), self.executions)
 
     def weaknesses(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
         """Return the weaknesses of the rule planner in the signatures of the failures.
@@ -257,11 +285,14 @@ def summaries_csv(summaries: Sequence[Summary]) -> str:
 
 def _row(summary: Summary, labels: Sequence[str], *, unique: bool, signed: bool) -> dict[str, object]:
     values: dict[str, object] = {name: getattr(summary, name) for name in ("env", "ads", "method", "seed")}
-    values |= {"executions": summary.executions, "failed": summary.total()}
+    values |= {"executions": summary.executions, "failed": summary.total(), "at_fault": summary.at_fault()}
     values |= {f"failed_{label}": summary.total(label) for label in labels}
     values |= {"R1_npc_caused": summary.npc_caused, "R1_other": summary.total("R1") - summary.npc_caused}
     if unique:
         values |= {"unique": len(summary.kinds()), **{f"unique_{label}": len(summary.kinds(label)) for label in labels}}
+        values["at_fault_classes"] = len(summary.kinds_at_fault())
+        values |= {"new_class_chance": _rounded(summary.discovery.new_chance, 6)}
+        values |= {"unseen_classes": _rounded(summary.discovery.unseen, 3)}
         values["classes"] = " ".join(sorted(summary.kinds()))
     if signed:
         values |= {"weaknesses": len(summary.weaknesses()), "signatures": " ".join(sorted(summary.weaknesses()))}

@@ -92,6 +92,16 @@ def unique(label: str | None) -> Figure:
     return lambda summary: len(summary.kinds(label))
 
 
+def n_at_fault(summary: Summary) -> int:
+    """Return the number of failures for which the ADS was at fault."""
+    return summary.at_fault()
+
+
+def n_kinds_at_fault(summary: Summary) -> int:
+    """Return the number of classes of failures for which the ADS was at fault."""
+    return len(summary.kinds_at_fault())
+
+
 def n_weaknesses(summary: Summary) -> int:
     """Return the number of weaknesses that a campaign found."""
     return len(summary.weaknesses())

@@ -16,6 +16,8 @@ from behavexplor.bench.table import (
     Table,
     Value,
     mean,
+    n_at_fault,
+    n_kinds_at_fault,
     n_weaknesses,
     of_group,
     place_cells,
@@ -103,7 +105,10 @@ def _n_executions(summary: Summary) -> int:
 
 def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
     """Return the columns of findings, with their figures."""
-    columns: list[tuple[Column, Figure]] = [
+    columns: list[tuple[Column, Figure]] = [(Column("At fault", interval=True, best=True), n_at_fault)]
+    if all_classified(summaries):
+        columns += [(Column("At-fault classes", interval=True, best=True), n_kinds_at_fault)]
+    columns += [
         *((Column(label), total(label)) for label in _labels(summaries)),
         (Column("Sum", interval=True, best=True), total(None)),
         (Column("R1 by NPC"), lambda summary: summary.npc_caused),
@@ -119,6 +124,7 @@ def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
 def _explained(summaries: Sequence[Summary]) -> tuple[str, ...]:
     """Return the notes on the columns of findings."""
     return (
+        "At fault: failures other than R1 by NPC. At-fault classes: the number of their classes.",
         "Each failure is counted under its most severe type.",
         "R1 by NPC: collisions in which an NPC drove into the back of the ego, or into a standing ego.",
         *(("Weaknesses: number of the planner's sixteen. " + SIGNATURES,) if all_signed(summaries) else ()),

@@ -246,11 +246,16 @@ class Campaign:
             executions=progress.executions + 1,
             failed=progress.failed + record.failed,
             violations={**progress.violations, **{name: progress.violations.get(name, 0) + 1 for name in first}},
-            classes=progress.classes if kind is None else {**progress.classes, kind: progress.classes.get(kind, 0) + 1},
+            classes=_counted(progress.classes, kind),
+            at_fault=_counted(progress.at_fault, kind if record.at_fault else None),
             novel=progress.novel + record.novel,
             resumed=progress.resumed + resumed,
             last={**progress.last, **dict.fromkeys(marks, execution.id)},
         )
+
+
+def _counted(counts: Mapping[str, int], name: str | None) -> Mapping[str, int]:
+    return counts if name is None else {**counts, name: counts.get(name, 0) + 1}
 
 
 def _class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> str | None:

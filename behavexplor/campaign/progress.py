@@ -14,6 +14,8 @@ class Progress:
         violations: numbers of failures by the most severe spec that they violate. R1 comes before R2 and R3, because a
             collision also keeps the ego from its destination. "error" counts failures of the ADS itself.
         classes: numbers of failures by their class, see `behavexplor.judge.classes`. Each class is a unique violation.
+        at_fault: numbers of the failures for which the driving system was at fault as far as the trace can tell, by
+            their class.
         novel: number of executions with a behavior that was new to the campaign.
         elapsed: running time, including the time before an interruption [s].
         earlier: running time before the interruption [s].
@@ -27,6 +29,7 @@ class Progress:
     failed: int = 0
     violations: Mapping[str, int] = field(default_factory=dict)
     classes: Mapping[str, int] = field(default_factory=dict)
+    at_fault: Mapping[str, int] = field(default_factory=dict)
     novel: int = 0
     elapsed: float = 0.0
     earlier: float = 0.0

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Final, Self
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from behavexplor.data.scenario import Scenario
+from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.specs import ERROR
 
 __all__ = ["ERROR", "Record"]
@@ -59,6 +60,11 @@ class Record:
     def failed(self) -> bool:
         """True if the execution violated a spec."""
         return bool(self.violated)
+
+    @property
+    def at_fault(self) -> bool:
+        """True if the execution failed, and the driving system was at fault as far as the trace can tell."""
+        return self.failed and is_at_fault(self.fault)
 
     def load_scenario(self) -> Scenario:
         """Return the executed scenario.

@@ -3,7 +3,7 @@
 import shlex
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from threading import Timer
 from types import TracebackType
@@ -17,6 +17,7 @@ from rich.table import Table
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
+from behavexplor.judge.discovery import Discovery
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _LISTED_FAILURES = 3  # number of listed failures for each spec
@@ -82,7 +83,7 @@ class Display:
         violations = ", ".join(f"{name} {count}" for name, count in progress.violations.items())
         return (
             f"{clock(progress.elapsed)}  {self._done(progress)}, {rate(progress):.1f}/s, "
-            f"{progress.failed} failed ({violations}) in {class_count(len(progress.classes))}, "
+            f"{progress.failed} failed ({violations}) in {class_count(len(progress.classes))}, {_at_fault(progress)}, "
             f"{share(progress.novel, progress)} novel, "
             f"{self._left(progress)} left"
         )
@@ -101,7 +102,8 @@ class Display:
         ]
         right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
         right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
-        right += [("unique violations", f"{len(progress.classes)}{_ago(progress, 'class')}")]
+        right += [("classes of failures", f"{len(progress.classes)}{_ago(progress, 'class')}")]
+        right += [("at fault", f"{sum(progress.at_fault.values())} in {class_count(len(progress.at_fault))}")]
         right += [(name.replace("_", " "), f"{value:.4g}") for name, value in progress.method.items()]
         blank = ("", "")
         for i in range(max(len(left), len(right))):
@@ -133,13 +135,13 @@ def summary(progress: Progress, store: Store, program: str) -> str:
         lines += [f"None failed. All results are in {store.folder}", f"Search with a larger budget: {command}"]
         return "\n".join(lines)
     failures = [_Failure(*row) for row in store.failures()]
-    kinds = {failure.kind for failure in failures if failure.kind is not None}
-    unique = f" in {class_count(len(kinds))}" if kinds else ""
+    kinds = [failure.kind for failure in failures if failure.kind is not None]
+    unique = f" in {class_count(len(set(kinds)))}, {_at_fault(progress)}" if kinds else ""
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
     lines += [f"{failed}; each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
-    lines += _listed_classes(failures)
+    lines += [*_listed_classes(failures), *_outlook(kinds, progress)]
     lines += [f"All results are in {store.folder}, with a file for each failure in its folder failures"]
     folder = shlex.quote(str(store.folder))
     lines += [
@@ -147,6 +149,21 @@ def summary(progress: Progress, store: Store, program: str) -> str:
         f"Write a report on the run: {program} report {folder}",
     ]
     return "\n".join(line for line in lines if line)
+
+
+def _at_fault(progress: Progress) -> str:
+    """Return the failures for which the driving system was at fault, in words."""
+    return f"{sum(progress.at_fault.values())} at fault in {class_count(len(progress.at_fault))}"
+
+
+def _outlook(kinds: Sequence[str], progress: Progress) -> list[str]:
+    """Return a line on what has not been found yet; none without classes."""
+    if not kinds:
+        return []
+    found = Discovery.of(kinds, progress.executions)
+    chance = f"The next execution shows a new class with a probability of about {found.new_chance:.2%}"
+    more = f"an estimated {found.unseen:.0f} classes (95 %: {found.unseen_low:.0f} to {found.unseen_high:.0f})"
+    return [f"{chance}; {more} have not been seen yet"]
 
 
 class _Failure(NamedTuple):

@@ -15,6 +15,8 @@ from behavexplor.commands import BAD_INPUT, OK, program
 def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:
     """Print the record of each execution as one line of JSON, in order. Equal campaigns print equal lines.
 
+    A failure also says whether the driving system was at fault, as far as its trace can tell.
+
     From a damaged run, all readable records are printed, losses are reported on stderr, and the exit code is 2.
 
     Args:
@@ -22,7 +24,8 @@ def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RU
     """
     store, losses = Store.read(run), Losses()
     for record in store.records(losses):
-        sys.stdout.write(json.dumps(record.to_dict(), separators=(",", ":")) + "\n")
+        values = record.to_dict() | ({"at_fault": record.at_fault} if record.failed else {})
+        sys.stdout.write(json.dumps(values, separators=(",", ":")) + "\n")
     sys.stdout.flush()
     store.close()
     lost = losses.sentences(run)

@@ -27,6 +27,18 @@ CUT_IN_TIME: Final = 3.0  # time after its lane change in which the ego is at fa
 LATERAL_SPEED: Final = 0.3  # an ego that moves faster than this across its route is changing lanes [m/s]
 
 
+def is_at_fault(fault: str | None) -> bool:
+    """Return whether the driving system is at fault for a failure.
+
+    It is, unless an NPC caused a collision, or triage has shown that no driver could have avoided it. A touched line, a
+    missed destination and an error are always its own fault.
+
+    Args:
+        fault: verdict on the collision; None for another failure.
+    """
+    return fault not in NOT_AT_FAULT
+
+
 def contact_fault(trace: Trace) -> Fault | None:
     """Return the verdict on the collision at the end of a trace.
 

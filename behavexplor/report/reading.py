@@ -11,7 +11,8 @@ from typing import Any, Self
 from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.errors import InputError
-from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT
+from behavexplor.judge.discovery import Discovery
+from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT, is_at_fault
 from behavexplor.judge.specs import SPECS
 from behavexplor.triage.findings import (
     TRIAGE,
@@ -117,6 +118,15 @@ class Run:
         """Return the number of collisions that were the ego's fault, and of those that were not."""
         faults = [finding.fault for finding in self.findings if finding.id in self.examined]
         return sum(fault in AT_FAULT for fault in faults), sum(fault in NOT_AT_FAULT for fault in faults)
+
+    def at_fault(self) -> list[Finding]:
+        """Return the failures for which the driving system was at fault: by triage, or else by the trace."""
+        return [finding for finding in self.findings if is_at_fault(finding.fault)]
+
+    @property
+    def discovery(self) -> Discovery:
+        """What the campaign has not found yet."""
+        return Discovery.of((finding.class_id for finding in self.findings), len(self.entries))
 
     def flaky(self) -> int:
         """Return the number of failures that did not reproduce."""

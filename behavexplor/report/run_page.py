@@ -20,6 +20,8 @@ _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
     "collision (R1), lines (R2), destination (R3)": lambda run: ", ".join(map(str, run.specs().values())),
     "classes": lambda run: str(len(run.classes)),
     "first failure": lambda run: str(run.findings[0].id) if run.findings else "none",
+    "failures at fault": lambda run: str(len(run.at_fault())),
+    "classes of failures at fault": lambda run: str(len({finding.class_id for finding in run.at_fault()})),
     "collisions at fault": lambda run: str(run.faults()[0]) if run.examined else _NOT_EXAMINED,
     "did not reproduce": lambda run: str(run.flaky()) if run.examined else _NOT_EXAMINED,
     "new behavior": lambda run: f"{run.novel / len(run.entries):.1%}",

@@ -37,7 +37,8 @@ class Finding:
         words: the class as a sentence.
         same_verdict: whether the failure violated the same specs when it was executed again.
         same_trace: whether the second execution had the same trace.
-        fault: kind of a `behavexplor.triage.blame.Blame`; None unless the failure is a collision.
+        fault: kind of a `behavexplor.triage.blame.Blame`; before triage the verdict on the trace alone. None unless the
+            failure is a collision.
         in_junction: whether the ego was in a junction at the collision.
         avoidance: name of the witness, stored in the file that `witness_path` returns; None without a witness.
         tried: number of evasions that were executed in search of a witness.
@@ -218,7 +219,15 @@ def trace_finding(record: Record, trace: Trace) -> Finding:
     kind = violation_class(trace, record.violated)
     spec = kind.spec if kind else REQUIREMENTS.get(record.violated[0], record.violated[0])
     class_id, words = (kind.id, kind.words) if kind else (spec, "Violated " + ", ".join(record.violated))
-    return Finding(id=record.id, spec=spec, class_id=class_id, words=words, same_verdict=False, same_trace=False)
+    return Finding(
+        id=record.id,
+        spec=spec,
+        class_id=class_id,
+        words=words,
+        same_verdict=False,
+        same_trace=False,
+        fault=record.fault,
+    )
 
 
 def error_finding(record: Record, *, happened_again: bool) -> Finding:
