@@ -1,6 +1,6 @@
 """Requirements on a driving system: specs R1-R3, their violation degrees, and the verdict on a trace.
 
-Source: paper section II-C (R1, R2, R3) and III-B2 (violation degree O). Traces are judged outside the search methods,
+Source: paper section 2.3 (R1, R2, R3) and 3.2.2 (violation degree O). Traces are judged outside the search methods,
 so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
 arrival (`behavexplor.judge.arrival`).
 """
@@ -87,7 +87,7 @@ class Lines:
 class Destination:
     """R3: the ego ends at its destination.
 
-    The degree is max(10 - D, 0) (paper section III-B2), where D is the final distance of the ego's center from the
+    The degree is max(10 - D, 0) (paper section 3.2.2), where D is the final distance of the ego's center from the
     destination [m], see `behavexplor.judge.arrival.final_distance`. So the farther from the destination the episode
     ends, the lower is the degree.
 
