@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from behavexplor.campaign.config import CONFIG
+from behavexplor.campaign.config import CONFIG, REVISION
 from behavexplor.campaign.damage import DATABASE, FAILURES, Losses
 from behavexplor.campaign.store import LOCK, Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
@@ -22,6 +22,7 @@ from tests.campaign.test_store import execution
 ROOT = Path(__file__).parents[2]
 OLD = ROOT / "tests" / "stored" / "format-1"
 CAMPAIGN = ["fuzz", "--ads", "constant:1", "--env", "lane-follow", "--method", "uniform", "--seed", "7", "--quiet"]
+CAMPAIGN_CONFIG = f"env: lane-follow\nrevision: {REVISION}\n"
 COUNT = 120
 
 
@@ -29,7 +30,7 @@ COUNT = 120
 def whole(tmp_path_factory):
     """A run folder of many executions, every third a failure."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    store = Store.create(folder, "env: lane-follow\n")
+    store = Store.create(folder, CAMPAIGN_CONFIG)
     for number in range(COUNT):
         store.add(execution(number, ["collision"] if number % 3 == 0 else []))
     store.commit()
@@ -157,7 +158,7 @@ def test_a_table_that_is_none_is_refused(folder):
 
 @pytest.mark.parametrize("left", ["nothing", "database", "header", "tables"])
 def test_a_run_that_was_ended_while_it_was_made_can_be_resumed(tmp_path, left):
-    store = Store.create(tmp_path / "run", "env: lane-follow\n")
+    store = Store.create(tmp_path / "run", CAMPAIGN_CONFIG)
     store.close()
     if left == "nothing":
         (tmp_path / "run" / DATABASE).unlink()
@@ -183,8 +184,8 @@ def test_a_run_that_was_ended_while_it_was_made_can_be_resumed(tmp_path, left):
 def test_a_folder_in_which_only_a_lock_was_made_is_empty(tmp_path):
     for name in (LOCK, f"{CONFIG}.part"):
         (tmp_path / name).write_text("en")
-    store = Store.create(tmp_path, "env: lane-follow\n")
-    assert (tmp_path / CONFIG).read_text() == "env: lane-follow\n"
+    store = Store.create(tmp_path, CAMPAIGN_CONFIG)
+    assert (tmp_path / CONFIG).read_text() == CAMPAIGN_CONFIG
     store.close()
 
 
