@@ -94,7 +94,7 @@ def test_those_that_refine_what_they_found_find_more_of_both_optima(name, preset
         assert compare(name, preset, spec)[1] < LEVEL
 
 
-def test_samota_as_published_finds_one_optimum_and_not_the_other():
+def test_samota_as_published_finds_no_more_collisions_than_uniform_sampling():
     """Its searches do not begin with what was found."""
     _, p = compare("samota", spec="collision")
     assert p > LEVEL
