@@ -136,3 +136,18 @@ def test_the_distances_of_scenarios_a_b_and_c_are_those_that_the_page_says(behav
         assert f"| {a} and {b} | {found.distances[a + b]:.2f} |" in page
     assert made["abstracted"](traces, MinerOptions(scaling="none")).distances["BC"] < 0.01
     assert len(made["figure"](traces, found).axes) == 3
+
+
+def test_tables_are_put_into_their_places(tmp_path):
+    (tmp_path / "times.md").write_text("| new |\n")
+    filled = runpy.run_path(str(ROOT / "docs" / "results.py"))["filled"]
+    page = "a\n<!-- table: times -->\nold\n<!-- end -->\nb\n<!-- table: other -->\nold\n<!-- end -->\n"
+    expected = page.replace("old", "\n| new |\n", 1)
+    assert filled(page, tmp_path) == expected
+    assert filled(expected, tmp_path) == expected
+
+
+def test_the_results_have_places_for_the_tables_of_the_second_question():
+    places = re.findall(r"<!-- table: (\S+) -->", (ROOT / "docs" / "results.md").read_text())
+    contrasts = [f"{figure}-contrast-ablation" for figure in ("failures", "unique", "weaknesses")]
+    assert {"mutations", "correlations", "violations-equal-time", *contrasts} <= set(places)

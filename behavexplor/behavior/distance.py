@@ -1,4 +1,4 @@
-"""Distance between two behaviors, given as abstract traces (paper section III-B1, equation 9)."""
+"""Distance between two behaviors, given as abstract traces (paper section 3.2.1, equation 9)."""
 
 from typing import Final
 

@@ -1,6 +1,6 @@
 """Features of the ego's behavior: its states on an even time grid, and their statistics over sliding windows.
 
-Source: paper section III-B1, state interpolation and state merging.
+Source: paper section 3.2.1, state interpolation and state merging.
 """
 
 from typing import Final, Literal
@@ -17,7 +17,7 @@ Tail = Literal["padded", "cut"]
 HeadingFrame = Literal["route", "world"]
 
 TIME_STEP: Final = 0.1  # step of the even grid [s]
-ATTRIBUTES: Final = (  # the paper's M = 8 attributes of a state
+ATTRIBUTES: Final = (  # of a state; the paper leaves their number M open
     "speed",  # [m/s]
     "speed-change",  # signed acceleration [m/s2]
     "velocity-along",  # along the heading [m/s]

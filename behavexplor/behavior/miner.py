@@ -1,6 +1,6 @@
 """BehaviorMiner: convert traces to sequences of abstract states, which can be compared.
 
-Source: paper section III-B1. The cost of refitting the clusters would grow with every behavior. Here, a refit starts
+Source: paper section 3.2.1. The cost of refitting the clusters would grow with every behavior. Here, a refit starts
 from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
 """
 

@@ -42,8 +42,8 @@ def correlation(mutants: Iterable[Mutant], *, passed: bool = False) -> Correlati
 
     Args:
         mutants: the mutants, of one campaign or of several.
-        passed: whether only mutants that did not fail count. A run that fails is cut short, so that it is far from
-            other behaviors and low in degree for that reason alone.
+        passed: whether only mutants that did not fail count. A failing run ends early at a collision or late at a
+            standstill, so that its length makes it far from other behaviors, and its violation makes its degree low.
     """
     chosen = [(mutant.degree, mutant.distance) for mutant in mutants if not (passed and mutant.failed)]
     values = np.asarray(chosen, dtype=float).reshape(-1, 2)

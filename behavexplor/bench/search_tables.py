@@ -62,8 +62,8 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table 
         "Pearson's r of the violation degree of a mutant and its distance to the known behaviors, over the mutants of "
         "all n campaigns together, as in the paper; of a campaign: the mean of the campaigns' own correlations.",
         "A lower degree is nearer to a violation, so a negative r means that new behavior came nearer to one.",
-        "Passed: over mutants that did not fail. A failing run is cut short, and thereby far from all other behaviors "
-        "and low in degree.",
+        "Passed: over mutants that did not fail. A failing run ends early at a collision or late at a standstill, so "
+        "that its length makes it far from other behaviors, and its violation makes its degree low.",
         "The p-values take mutants as independent. They are not, since one is made of another.",
     )
     title = "Correlation of violation degree and behavior distance"

@@ -1,4 +1,4 @@
-"""Export of tables as CSV with full precision, and as LaTeX."""
+"""Export of tables as CSV with full precision, as LaTeX, and as Markdown."""
 
 import csv
 import io
@@ -102,6 +102,18 @@ def table_latex(table: Table) -> str:
             row += 1
     lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]
     return "\n".join(lines) + "\n"
+
+
+def table_markdown(table: Table) -> str:
+    """Return a table in Markdown. The best value of each block is bold, and the notes stand below the table."""
+    columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
+    best = marked(table)
+    lines = [[table.columns[i].name for i in columns], ["---"] * len(columns)]
+    for number, row in enumerate(table.rows):
+        cells = [shown(row[i], table.columns[i]) for i in columns]
+        lines.append([f"**{cell}**" if (number, i) in best else cell for i, cell in zip(columns, cells, strict=True)])
+    rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return f"**{table.title}**\n\n{rows}\n\n{' '.join(table.notes)}\n"
 
 
 def _latex(value: Value, column: Column, *, bold: bool) -> str:

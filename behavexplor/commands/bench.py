@@ -15,7 +15,7 @@ from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_sta
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.table import Table
 from behavexplor.bench.tables import tables
-from behavexplor.bench.writing import table_csv, table_latex
+from behavexplor.bench.writing import table_csv, table_latex, table_markdown
 from behavexplor.campaign.campaign import search_method
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import clock
@@ -195,7 +195,7 @@ def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) ->
 
 
 def _files(table: Table) -> dict[str, str]:
-    return {"csv": table_csv(table), "tex": table_latex(table)}
+    return {"csv": table_csv(table), "tex": table_latex(table), "md": table_markdown(table)}
 
 
 def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:

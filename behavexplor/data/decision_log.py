@@ -1,6 +1,6 @@
 """Decision log of the rule planner in a trace: which weaknesses were reached and triggered, as bits.
 
-The sixteen weaknesses are those that the paper found in Apollo 6.0 (section IV-B2).
+The sixteen weaknesses are those that the paper found in Apollo 6.0 (section 4.1.2).
 """
 
 from typing import Final

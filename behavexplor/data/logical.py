@@ -1,6 +1,6 @@
 """Logical scenarios: ranges of concrete scenarios on a map, which can be checked and sampled.
 
-Source: paper section II-B, for the parameters that are searched (the NPCs' routes and waypoints).
+Source: paper section 2.2, for the parameters that are searched (the NPCs' routes and waypoints).
 """
 
 import math

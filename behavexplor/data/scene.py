@@ -1,6 +1,6 @@
 """Layout of the `Scene` observation: the ego and the vehicles around it, without noise.
 
-As in the paper (section V-E, threats), perception is bypassed: positions and motions are the true ones. Environments
+As in the paper (section 4.4, threats), perception is bypassed: positions and motions are the true ones. Environments
 fill the scene and planners read it. This module is the single definition of its rows and columns.
 """
 

@@ -19,7 +19,7 @@ from behavexplor.judge.specs import Collision, Lines, Verdict
 
 Floats = NDArray[np.float64]
 
-_REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section III-B2
+_REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section 3.2.2
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
 
 

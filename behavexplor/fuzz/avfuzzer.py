@@ -3,6 +3,9 @@
 Source: Li et al., "AV-Fuzzer: Finding Safety Violations in Autonomous Driving Systems", ISSRE 2020. In this
 implementation, a gene is an NPC, a slice is a waypoint, and a maneuver is a route. Docstrings and comments that begin
 with "AV-Fuzzer" name the step of the publication that the code follows.
+
+The fitness is not the publication's, which minimizes the safety potential: the distance to a vehicle less the ego's
+stopping distance. It is that of the baseline AVFuzzer of the ISSTA 2023 paper, as its authors' program computes it.
 """
 
 from collections import deque
@@ -32,7 +35,7 @@ _NEAR = 256  # pairs of frame and NPC whose exact distances are computed at once
 
 @validated
 class AVFuzzerOptions:
-    """Options of `AVFuzzer`. The defaults are the published values.
+    """Options of `AVFuzzer`. The defaults are the published values, where the publication states them.
 
     Attributes:
         population: number of individuals in a generation.
@@ -241,10 +244,11 @@ class AVFuzzer:
 
 
 def fitness(trace: Trace, *, collided: bool) -> float:
-    """Compute AV-Fuzzer's objective. A greater value is riskier [1/(m s)].
+    """Compute the fitness of an execution. A greater value is riskier [1/(m s)].
 
-    The objective is the largest |v_ego - v_npc| / (d + 1)^2 over all frames and NPCs, where d is the distance of the
-    boxes [m]. After a collision, it is 100 + |v_ego - v_npc| for the nearest NPC in the last frame.
+    The fitness is that of the ISSTA 2023 paper's baseline, see the module. It is the largest value of
+    |v_ego - v_npc| / (d + 1)^2 over all frames and NPCs, where d is the distance of the boxes [m]. After a collision,
+    it is 100 + |v_ego - v_npc| for the nearest NPC in the last frame.
 
     Args:
         trace: trace of the execution.

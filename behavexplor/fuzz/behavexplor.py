@@ -32,13 +32,13 @@ _NOVELTY_DRAWS = 1  # purpose of the draws, to tell them apart from those that m
 
 @validated
 class BehAVExplorOptions:
-    """Options of `BehAVExplor`. The defaults are the paper's configuration (section IV).
+    """Options of `BehAVExplor`. The defaults are the paper's configuration (section 4), where it states one.
 
     Other values of these options give the behavior of the authors' released program and the paper's ablations. The
     presets are in `configs/`, and docs/methods.md has a table of them.
 
     Attributes:
-        initial_corpus: number of scenarios executed before the first mutation.
+        initial_corpus: number of scenarios executed before the first mutation. The paper does not state it.
         initial_energy: E of the initial testcases.
         novelty: source of novelty. "measured" is the novelty of a mutant's behavior. "random" is a control in which
             novelty and distance are drawn from [0, 1]. "none" is the paper's w/o BG.

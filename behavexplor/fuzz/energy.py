@@ -1,4 +1,4 @@
-"""Energy of testcases, which determines their selection and their mutation (paper section III-C)."""
+"""Energy of testcases, which determines their selection and their mutation (paper section 3.3)."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The paper's Random: mutations of random testcases without feedback (section IV, baselines and ablation)."""
+"""The paper's Random: mutations of random testcases without feedback (section 4, baselines and ablation)."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar

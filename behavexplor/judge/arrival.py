@@ -7,14 +7,15 @@ So an episode is judged up to the moment of arrival.
 """
 
 import math
-from dataclasses import replace
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.trace import Trace
+
+Floats = NDArray[np.float64]
 
 ARRIVED: Final = "arrived"  # end of an episode, one of `behavexplor.data.trace.ENDS`
 
@@ -40,34 +41,32 @@ def final_distance(trace: Trace) -> float:
     return math.hypot(beyond, across)
 
 
-@lru_cache(maxsize=2)
-def until_arrival(trace: Trace) -> Trace:
-    """Return the trace of an episode up to the moment of arrival.
+def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
+    """Return the poses of all vehicles in an episode up to the moment of arrival.
 
     The last frame of an ego that arrived is moved back to the moment at which its center came within
-    `ARRIVAL_DISTANCE` of the destination. All vehicles are interpolated linearly between the last two frames. A trace
-    with any other end is returned as it is.
+    `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
+    between these two frames. The poses of an episode with any other end are those of the trace.
+
+    Returns:
+        Positions, shape (T, N, 2) [m], and headings, shape (T, N) [rad].
     """
-    if trace.end != ARRIVED or len(trace.time) < 2:
-        return trace
-    share = _arrival_share(trace)
-    if share is None:
-        return trace
-    last = {name: getattr(trace, name).copy() for name in ("time", "position", "heading", "velocity")}
-    for name, values in last.items():
-        change = values[-1] - values[-2]
-        if name == "heading":
-            change = np.remainder(change + np.pi, 2 * np.pi) - np.pi
-        values[-1] = values[-2] + share * change
-    return replace(trace, **last)
+    share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
+    if share == 1.0:
+        return trace.position, trace.heading
+    position, heading = trace.position.copy(), trace.heading.copy()
+    turned = np.remainder(heading[-1] - heading[-2] + np.pi, 2 * np.pi) - np.pi
+    position[-1] = position[-2] + share * (position[-1] - position[-2])
+    heading[-1] = heading[-2] + share * turned
+    return position, heading
 
 
-def _arrival_share(trace: Trace) -> float | None:
-    """Return the share of the last time step after which the ego arrived, in (0, 1]; None if it was there before."""
+def _arrival_share(trace: Trace) -> float:
+    """Return the share of the last time step after which the ego arrived, in [0, 1]."""
     start, end = trace.position[-2:, 0] - trace.destination
-    if not np.hypot(*end) <= ARRIVAL_DISTANCE < np.hypot(*start):
-        return None
     way = end - start
     squared, inward = float(way @ way), -float(start @ way)
+    if squared == 0 or np.hypot(*end) > ARRIVAL_DISTANCE:
+        return 1.0
     within = inward**2 - squared * (float(start @ start) - ARRIVAL_DISTANCE**2)
-    return min((inward - math.sqrt(max(within, 0.0))) / squared, 1.0)
+    return min(max((inward - math.sqrt(max(within, 0.0))) / squared, 0.0), 1.0)

@@ -1,6 +1,6 @@
 """Requirements on a driving system: specs R1-R3, their violation degrees, and the verdict on a trace.
 
-Source: paper section II-C (R1, R2, R3) and III-B2 (violation degree O). Traces are judged outside the search methods,
+Source: paper section 2.3 (R1, R2, R3) and 3.2.2 (violation degree O). Traces are judged outside the search methods,
 so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
 arrival (`behavexplor.judge.arrival`).
 """
@@ -18,7 +18,7 @@ from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
 from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.errors import InputError
-from behavexplor.judge.arrival import final_distance, until_arrival
+from behavexplor.judge.arrival import final_distance, poses_until_arrival
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -87,7 +87,7 @@ class Lines:
 class Destination:
     """R3: the ego ends at its destination.
 
-    The degree is max(10 - D, 0) (paper section III-B2), where D is the final distance of the ego's center from the
+    The degree is max(10 - D, 0) (paper section 3.2.2), where D is the final distance of the ego's center from the
     destination [m], see `behavexplor.judge.arrival.final_distance`. So the farther from the destination the episode
     ends, the lower is the degree.
 
@@ -166,10 +166,10 @@ def _npc_distance(trace: Trace) -> float:
     """Return D_b [m]. Circles inside and around the boxes bound each distance, so few exact distances are needed."""
     if len(trace.size) == 1:
         return NOTHING_NEAR
-    trace = until_arrival(trace)
-    pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)
+    position, heading = poses_until_arrival(trace)
+    pose = np.concatenate([position, heading[..., None]], axis=2)
     frames = _changes(pose.reshape(len(pose), -1))
-    position, heading = trace.position[frames], trace.heading[frames]
+    position, heading = position[frames], heading[frames]
     reach = np.hypot(trace.size[:, 0], trace.size[:, 1]) / 2
     within = trace.size.min(1) / 2
     apart = position[:, 1:] - position[:, :1]
@@ -192,9 +192,9 @@ def _line_distance(trace: Trace) -> float:
     lines = trace.illegal_lines
     if not len(lines):
         return NOTHING_NEAR
-    trace = until_arrival(trace)
-    frames = _changes(np.column_stack([trace.position[:, 0], trace.heading[:, 0]]))
-    position, heading = trace.position[frames, 0], trace.heading[frames, 0]
+    positions, headings = poses_until_arrival(trace)
+    frames = _changes(np.column_stack([positions[:, 0], headings[:, 0]]))
+    position, heading = positions[frames, 0], headings[frames, 0]
     reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2
 
     first = np.arange(0, len(frames), _BLOCK)  # all positions of a block lie within `spread` of its first one

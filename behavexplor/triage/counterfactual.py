@@ -1,6 +1,6 @@
 """Causes of the rule planner's failures: the weaknesses without which a failure does not happen.
 
-The weaknesses are those of paper section IV-B2, whose authors found them in recordings. Here, a failed execution is
+The weaknesses are those of paper section 4.1.2, whose authors found them in recordings. Here, a failed execution is
 replayed exactly up to some seconds before its violation, and continues from there with other weaknesses. A weakness is
 *necessary* if the violation disappears when that weakness is switched off. It is *sufficient* if the violation remains
 when all other weaknesses of the same spec are switched off. Where two weaknesses lead to the same violation, each is

@@ -1,6 +1,6 @@
 """Signatures: the likely cause of a failure of the rule planner, from its trace and its decision log alone.
 
-The rules follow the paper's sixteen paragraphs (section IV-B2), as a person would apply them to a recording. A
+The rules follow the paper's sixteen paragraphs (section 4.1.2), as a person would apply them to a recording. A
 signature names a weakness that changed the output of its module shortly before the violation, in a situation typical of
 that weakness. Of several weaknesses, it names the one farthest upstream, and those whose situation is nearly always
 given come last. The rules need no replay. `behavexplor.triage.counterfactual` shows how often they are right.

@@ -103,7 +103,7 @@ def test_every_cell_is_run_and_everything_is_written(whole):
     assert f"Report: {folder / 'out' / 'report.html'}" in result.stdout
     assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
-    assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv"} <= names
+    assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv", "times.md"} <= names
 
 
 def test_a_summary_counts_what_is_in_the_run_folder(whole):

@@ -16,7 +16,7 @@ from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Summary, summaries_csv
 from behavexplor.bench.table import Column, Table
 from behavexplor.bench.tables import tables
-from behavexplor.bench.writing import escaped, marked, table_csv, table_latex
+from behavexplor.bench.writing import escaped, marked, table_csv, table_latex, table_markdown
 from behavexplor.commands.terminal_tables import text
 
 ENVS = ("lane-follow", "lane-change")
@@ -306,6 +306,19 @@ def test_a_latex_table_escapes_names_and_says_what_it_is():
     assert r"Scenario & Method & n & At fault & R1 & R2 & R3 & Sum & R1 by NPC & Novel \% \\" in lines[6]
     assert [line for line in lines if r"Uniform\_1 & 1 & 0.0" in line]
     assert r"\label{tab:violations}" in lines[3]
+
+
+def test_a_markdown_table_marks_the_best_and_has_its_notes():
+    lines = table_markdown(made("distinct", CLASSIFIED)).splitlines()
+    assert lines[:5] == [
+        "**Distinct violations over all campaigns**",
+        "",
+        "| Method | Campaigns | R1 | R2 | R3 | Sum |",
+        "| --- | --- | --- | --- | --- | --- |",
+        "| Search | 2 | 2 | 1 | 1 | 4 |",
+    ]
+    assert lines[-1].startswith("Question: ")
+    assert "| **4.0 [1.5, 6.5]** |" in table_markdown(made("violations"))
 
 
 def test_a_csv_table_has_every_digit_and_the_interval():

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
-from behavexplor.judge.arrival import final_distance, until_arrival
+from behavexplor.judge.arrival import final_distance, poses_until_arrival
 from behavexplor.judge.specs import Collision, Destination, Lines, judge
 from tests.fakes import RATE, make_trace
 
@@ -95,34 +95,44 @@ def test_a_line_that_comes_nearer_until_the_end_counts_until_the_moment_of_arriv
 @given(speeds, offsets, phases)
 def test_the_last_frame_is_moved_to_the_moment_of_arrival(speed, offset, phase):
     trace = arriving(speed, offset, phase, npcs=[lambda time: np.stack([30 + 5 * time, 0 * time, 0 * time], axis=1)])
-    ended = until_arrival(trace)
-    assert np.hypot(*ended.position[-1, 0]) == pytest.approx(ARRIVAL_DISTANCE, abs=ROUNDED)
-    assert trace.time[-2] < ended.time[-1] <= trace.time[-1]
-    share = (ended.time[-1] - trace.time[-2]) / STEP
+    position, heading = poses_until_arrival(trace)
+    assert np.hypot(*position[-1, 0]) == pytest.approx(ARRIVAL_DISTANCE, abs=ROUNDED)
+    share = (position[-1, 0, 0] - trace.position[-2, 0, 0]) / (speed * STEP)
+    assert -ROUNDED <= share <= 1 + ROUNDED
     expected = (1 - share) * trace.position[-2] + share * trace.position[-1]
-    assert ended.position[-1] == pytest.approx(expected, abs=ROUNDED)
-    assert (ended.position[:-1] == trace.position[:-1]).all()
+    assert position[-1] == pytest.approx(expected, abs=1e-5)
+    assert (position[:-1] == trace.position[:-1]).all()
+    assert (heading == trace.heading).all()
+
+
+def test_an_ego_that_was_seen_just_at_the_distance_of_arrival():
+    """The trace rounds the frame before the last one onto the circle."""
+    trace = arriving(0.95, 0.0, 0.0)
+    assert np.hypot(*trace.position[-2, 0]) == ARRIVAL_DISTANCE
+    assert poses_until_arrival(trace)[0][-1, 0] == pytest.approx([-1.0, 0.0])
 
 
 def test_headings_turn_the_short_way():
     ego = np.array([[-2.0, 0.0, 3.1], [-0.5, 0.0, -3.1]])
-    ended = until_arrival(replace(make_trace(ego), end="arrived"))
-    assert abs(abs(ended.heading[-1, 0]) - np.pi) < 0.05
+    _, heading = poses_until_arrival(replace(make_trace(ego), end="arrived"))
+    assert abs(abs(heading[-1, 0]) - np.pi) < 0.05
 
 
 @pytest.mark.parametrize("end", ["timeout", "passed", "collision", "standstill"])
 def test_other_ends_are_judged_by_their_last_frame(end):
     trace = replace(arriving(10.0, 0.5, 0.3), end=end)
-    assert until_arrival(trace) is trace
+    position, heading = poses_until_arrival(trace)
+    assert position is trace.position
+    assert heading is trace.heading
     assert final_distance(trace) == trace.destination_distance > 0.5
 
 
 def test_an_ego_that_stands_or_was_there_from_the_start():
     still = replace(make_trace(np.full((5, 3), [0.6, 0.0, 0.0])), end="arrived")
-    assert until_arrival(still) is still
+    assert (poses_until_arrival(still)[0] == still.position).all()
     assert final_distance(still) == pytest.approx(0.6)
     alone = replace(make_trace([(0.5, 0.0, 0.0)]), end="arrived")
-    assert until_arrival(alone) is alone
+    assert (poses_until_arrival(alone)[0] == alone.position).all()
     assert final_distance(alone) == pytest.approx(0.5)
 
 

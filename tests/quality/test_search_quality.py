@@ -84,10 +84,20 @@ def test_so_do_variants_of_behavexplor(preset):
     assert p < LEVEL
 
 
-@pytest.mark.parametrize("name", ["nsga2", "map-elites", "samota"])
-def test_those_that_refine_what_they_found_find_more_of_both_optima(name):
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [("nsga2", None), ("map-elites", None), ("samota", "samota-seeded")],
+    ids=lambda value: value or "",
+)
+def test_those_that_refine_what_they_found_find_more_of_both_optima(name, preset):
     for spec in ("collision", "lines"):
-        assert compare(name, spec=spec)[1] < LEVEL
+        assert compare(name, preset, spec)[1] < LEVEL
+
+
+def test_samota_as_published_finds_no_more_collisions_than_uniform_sampling():
+    """Its searches do not begin with what was found."""
+    _, p = compare("samota", spec="collision")
+    assert p > LEVEL
 
 
 def test_behavexplor_finds_one_optimum_and_not_the_other():

@@ -3,7 +3,7 @@
 Each weakness has a severity, which is one number in `Parameters`: 0 turns it off, and greater is worse. No weakness
 depends on chance, so that a search can tell when it comes nearer to a violation. Each has a gate, the situation in
 which it can matter at all. Each has two bits in the decision log: *reached* when its gate is open, and *triggered* when
-it changed the output of its module. Source of all: paper section IV-B2, the paragraph of the same name.
+it changed the output of its module. Source of all: paper section 4.1.2, the paragraph of the same name.
 """
 
 from dataclasses import dataclass
