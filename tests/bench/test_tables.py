@@ -304,7 +304,7 @@ def test_a_latex_table_escapes_names_and_says_what_it_is():
     assert lines[0] == r"\begin{table}"
     assert r"    \toprule" in lines
     assert r"Scenario & Method & n & At fault & R1 & R2 & R3 & Sum & R1 by NPC & Novel \% \\" in lines[6]
-    assert [line for line in lines if r"Uniform\_1 & 1 & 0.0" in line]
+    assert [line for line in lines if r"Uniform\_1 & 1 & " in line]
     assert r"\label{tab:violations}" in lines[3]
 
 
