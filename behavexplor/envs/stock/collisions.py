@@ -1,0 +1,130 @@
+"""Collisions of vehicles with one another and with obstacles: `RoadObject.handle_collisions`."""
+
+import math
+from typing import TypeAlias
+
+from behavexplor.envs.stock.state import OBSTACLE, Scene, Traits, Vehicle
+from behavexplor.jit import kernel_in_place
+
+Corner: TypeAlias = tuple[float, float]
+Corners: TypeAlias = tuple[Corner, Corner, Corner, Corner]
+
+
+@kernel_in_place
+def collide(scene: Scene, dt: float) -> None:
+    """Find collisions of all pairs, and note what they do to the vehicles.
+
+    Most pairs are passed over at once, because they are too far apart along one axis.
+
+    Args:
+        scene: the episode, changed in place.
+        dt: duration of a frame, for which a collision is foreseen [s].
+    """
+    n_vehicles = scene.episode.n_vehicles
+    for i in range(n_vehicles):
+        vehicle, traits = scene.vehicles[i], scene.traits[i]
+        x, y, ahead = vehicle.x, vehicle.y, vehicle.speed * dt
+        for j in range(i + 1, n_vehicles + scene.episode.n_obstacles):
+            other = scene.vehicles[j]
+            reach = (traits.diameter + scene.traits[j].diameter) / 2 + ahead
+            dx, dy = other.x - x, other.y - y
+            if abs(dx) > reach or abs(dy) > reach:
+                continue
+            if not (traits.checks_collisions or scene.traits[j].checks_collisions):
+                continue
+            if not math.sqrt(dx * dx + dy * dy) > reach:
+                _collide_pair(vehicle, traits, other, scene.traits[j], dt)
+
+
+@kernel_in_place
+def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits: Traits, dt: float) -> None:
+    a, b = _corners(vehicle, traits), _corners(other, other_traits)
+    dx = vehicle.speed * vehicle.cos * dt - other.speed * other.cos * dt
+    dy = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt
+    is_now, is_soon, push_x, push_y = _contact(a, b, dx, dy)
+    if is_soon:
+        share = 1.0 if other_traits.kind == OBSTACLE else 2.0
+        vehicle.impact_x, vehicle.impact_y, vehicle.has_impact = push_x / share, push_y / share, True
+        if other_traits.kind != OBSTACLE:
+            other.impact_x, other.impact_y, other.has_impact = -push_x / 2, -push_y / 2, True
+    if is_now:
+        vehicle.crashed = other.crashed = True
+
+
+@kernel_in_place
+def _corners(vehicle: Vehicle, traits: Traits) -> Corners:
+    """Compute the corners of a vehicle: `RoadObject.polygon`."""
+    a, b = traits.length / 2, traits.width / 2
+    return _corner(vehicle, -a, -b), _corner(vehicle, -a, b), _corner(vehicle, a, b), _corner(vehicle, a, -b)
+
+
+@kernel_in_place
+def _corner(vehicle: Vehicle, along: float, aside: float) -> Corner:
+    x = vehicle.cos * along + -vehicle.sin * aside + vehicle.x
+    return x, vehicle.sin * along + vehicle.cos * aside + vehicle.y
+
+
+@kernel_in_place
+def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, float, float]:
+    """Return whether two boxes overlap, whether they will, and the push that parts them [m].
+
+    This is `highway_env.utils.are_polygons_intersecting`. It ends early only if the rest cannot change the result.
+
+    Args:
+        a: corners of a box [m].
+        b: corners of the other box [m].
+        dx: motion of the first box relative to the other [m].
+        dy: motion of the first box relative to the other [m].
+    """
+    is_now = is_soon = True
+    least = math.inf
+    push_x = push_y = 0.0
+    for side in range(8):
+        box = a if side < 4 else b
+        start, end = box[side % 4], box[(side + 1) % 4]
+        nx, ny = -end[1] + start[1], end[0] - start[0]
+        norm = math.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / norm, ny / norm
+        low_a, high_a = _span(a, nx, ny)
+        low_b, high_b = _span(b, nx, ny)
+        if _gap(low_a, high_a, low_b, high_b) > 0:
+            is_now = False
+        motion = nx * dx + ny * dy
+        if motion < 0:
+            low_a += motion
+        else:
+            high_a += motion
+        gap = _gap(low_a, high_a, low_b, high_b)
+        if gap > 0:
+            is_soon = False
+        if not is_now and not is_soon:
+            break
+        if abs(gap) < least:
+            least = abs(gap)
+            ax, ay = _center(a)
+            bx, by = _center(b)
+            sign = 1.0 if (ax - bx) * nx + (ay - by) * ny > 0 else -1.0
+            push_x, push_y = sign * nx, sign * ny
+    return is_now, is_soon, least * push_x, least * push_y
+
+
+@kernel_in_place
+def _span(box: Corners, nx: float, ny: float) -> tuple[float, float]:
+    """Compute the least and greatest projection of the corners on an axis: `highway_env.utils.project_polygon`."""
+    low = high = box[0][0] * nx + box[0][1] * ny
+    for corner in box:
+        along = corner[0] * nx + corner[1] * ny
+        low, high = min(low, along), max(high, along)
+    return low, high
+
+
+@kernel_in_place
+def _gap(low_a: float, high_a: float, low_b: float, high_b: float) -> float:
+    """Compute the distance of two intervals, negative if they overlap: `highway_env.utils.interval_distance`."""
+    return low_b - high_a if low_a < low_b else low_a - high_b
+
+
+@kernel_in_place
+def _center(box: Corners) -> Corner:
+    a, b, c, d = box
+    return (a[0] + b[0] + c[0] + d[0]) / 4, (a[1] + b[1] + c[1] + d[1]) / 4

@@ -1,0 +1,124 @@
+"""Simulate one decision of every episode: the ego's command, then frames of decisions, motion and collisions."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.stock.collisions import collide
+from behavexplor.envs.stock.control import steering, take_maneuver, throttle
+from behavexplor.envs.stock.lane_network import Network
+from behavexplor.envs.stock.lanes import closest_lane, lane_coordinates
+from behavexplor.envs.stock.motion import move
+from behavexplor.envs.stock.neighbors import forget_neighbors
+from behavexplor.envs.stock.regulation import enforce_rules
+from behavexplor.envs.stock.routing import follow_road
+from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
+from behavexplor.envs.stock.traffic import drive
+from behavexplor.envs.stock.world import World
+from behavexplor.jit import kernel_in_place
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@kernel_in_place
+def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active: Bools) -> None:
+    """Simulate one decision of many episodes.
+
+    Args:
+        world: the environment's road and rules.
+        slots: the episodes, changed in place.
+        scratch: memory that is used within a frame.
+        commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the index
+            of the maneuver in `behavexplor.envs.vector.meta.MANEUVERS`.
+        active: whether each slot is stepped, shape (B,).
+    """
+    for b in range(len(active)):
+        if active[b]:
+            scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+            simulate(world, scene, commands[b, 0], commands[b, 1])
+
+
+@kernel_in_place
+def simulate(world: World, scene: Scene, first: float, second: float) -> None:
+    """Simulate one decision: `AbstractEnv._simulate`.
+
+    Args:
+        world: the environment's road and rules.
+        scene: the episode, changed in place.
+        first: first number of the ego's command; see `step`.
+        second: second number of the ego's command.
+    """
+    rules, episode = world.rules[0], scene.episode
+    episode.time += rules.policy_period
+    ego = scene.vehicles[episode.ego]
+    if scene.traits[episode.ego].kind == MDP:
+        take_maneuver(world.network, world.speeds, ego, scene.routes[episode.ego], int(first))
+    else:
+        ego.acceleration, ego.steering = first, second
+    for _ in range(rules.n_frames):
+        run_frame(world, scene)
+        episode.frames += 1
+
+
+@kernel_in_place
+def run_frame(world: World, scene: Scene) -> None:
+    """Simulate one frame: `Road.act` and `Road.step`."""
+    network, rules, episode = world.network, world.rules[0], scene.episode
+    forget_neighbors(scene)
+    for i in range(episode.n_vehicles):
+        _decide(network, scene, i)
+    if rules.regulation_period > 0:
+        episode.road_frames += 1
+        if episode.road_frames % rules.regulation_period == 0:
+            enforce_rules(network, scene)
+    for i in range(episode.n_vehicles):
+        vehicle, traits = scene.vehicles[i], scene.traits[i]
+        if traits.kind in (IDM, LINEAR):
+            vehicle.timer += rules.dt
+        move(vehicle, traits, rules.dt)
+        vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
+    collide(scene, rules.dt)
+
+
+@kernel_in_place
+def _decide(network: Network, scene: Scene, i: int) -> None:
+    """Decide the command of a vehicle in a frame. A vehicle without a controller keeps the one it has."""
+    kind = scene.traits[i].kind
+    if kind == MDP:
+        vehicle = scene.vehicles[i]
+        follow_road(network, vehicle, scene.routes[i])
+        vehicle.steering = steering(network, vehicle, scene.traits[i].length)
+        vehicle.acceleration = throttle(vehicle)
+    elif kind != PLAIN:
+        drive(network, scene, i)
+
+
+@kernel_in_place
+def clear_vehicles(network: Network, scene: Scene) -> None:
+    """Remove the traffic that leaves an intersection, in its order: `IntersectionEnv._clear_vehicles`.
+
+    The scene has no obstacles.
+    """
+    kept = 0
+    for i in range(scene.episode.n_vehicles):
+        is_ego = scene.traits[i].kind in (PLAIN, MDP)
+        if not is_ego and _is_leaving(network, scene, i):
+            continue
+        if kept != i:
+            scene.vehicles[kept], scene.traits[kept] = scene.vehicles[i], scene.traits[i]
+            for k in range(scene.vehicles[i].route_length):
+                scene.routes[kept, k] = scene.routes[i, k]
+            if scene.episode.ego == i:
+                scene.episode.ego = kept
+        kept += 1
+    scene.episode.n_vehicles = kept
+
+
+@kernel_in_place
+def _is_leaving(network: Network, scene: Scene, i: int) -> bool:
+    vehicle = scene.vehicles[i]
+    if vehicle.route_length == NO_ROUTE:
+        return True
+    lane = network.lanes[vehicle.lane]
+    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    return bool(lane.is_goal and station >= lane.length - 4 * scene.traits[i].length)
