@@ -1,0 +1,96 @@
+"""The start of an episode of highway-env's `IntersectionEnv`, and the vehicles that appear while it runs."""
+
+import math
+
+from behavexplor.envs.stock.lanes import lane_heading, lane_point
+from behavexplor.envs.stock.pcg64 import Words, integer, normal, two_of, uniform
+from behavexplor.envs.stock.placing import draw_behavior, place_vehicle, plan_route
+from behavexplor.envs.stock.state import Scene
+from behavexplor.envs.stock.step import run_frame
+from behavexplor.envs.stock.task import DRAWN, Task
+from behavexplor.envs.stock.world import EGO, OTHER, World
+from behavexplor.jit import kernel_in_place
+
+
+@kernel_in_place
+def start_at_intersection(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Begin an episode: `IntersectionEnv._make_vehicles`.
+
+    Args:
+        world: the road and the vehicles' classes.
+        task: the environment's starts.
+        scene: the episode, changed in place.
+        words: its random generator, changed in place.
+    """
+    rules, starts = task.rules[0], task.starts
+    for gap in starts.gaps:
+        _spawn(world, task, scene, words, gap, 1.0, 1.0, 0.6, False)
+    scene.episode.ego = -1
+    for _ in range(rules.n_warm_up):
+        run_frame(world, scene)
+    _spawn(world, task, scene, words, 60.0, 0.1, 0.0, 1.0, True)
+    destination: int = rules.ego_destination
+    if destination == DRAWN:
+        destination = 1 + integer(words, 3)
+    lane = world.network.lanes[starts.lanes[0]]
+    x, y = lane_point(lane, 60.0 + 5.0 * (1.0 + normal(words)))
+    ego = place_vehicle(world, scene, EGO, x, y, lane_heading(lane, 60.0), lane.speed_limit)
+    plan_route(world, scene, ego, starts.plans[destination])
+    _clear_around(scene, ego)
+
+
+@kernel_in_place
+def spawn_vehicle(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Let a vehicle appear after a decision, or not: `IntersectionEnv._spawn_vehicle`."""
+    _spawn(world, task, scene, words, 0.0, 1.0, 1.0, task.rules[0].spawn_probability, False)
+
+
+@kernel_in_place
+def _spawn(
+    world: World,
+    task: Task,
+    scene: Scene,
+    words: Words,
+    station: float,
+    station_deviation: float,
+    speed_deviation: float,
+    probability: float,
+    goes_straight: bool,
+) -> None:
+    if uniform(words, 0.0, 1.0) > probability:
+        return
+    origin, destination = two_of(words, 4)
+    if goes_straight:
+        destination = (origin + 2) % 4
+    station = station + 5.0 + normal(words) * station_deviation
+    speed = 8.0 + normal(words) * speed_deviation
+    lane = world.network.lanes[task.starts.lanes[origin]]
+    x, y = lane_point(lane, station)
+    for j in range(scene.episode.n_vehicles):
+        if _distance(scene, j, x, y) < 15:
+            return
+    i = place_vehicle(world, scene, OTHER, x, y, lane_heading(lane, station), speed)
+    plan_route(world, scene, i, task.starts.plans[destination])
+    draw_behavior(words, scene, i)
+
+
+@kernel_in_place
+def _clear_around(scene: Scene, ego: int) -> None:
+    """Remove the vehicles within 20 m of the ego, which is the last one. The others keep their order."""
+    x, y = scene.vehicles[ego].x, scene.vehicles[ego].y
+    kept = 0
+    for i in range(ego + 1):
+        if i < ego and _distance(scene, i, x, y) < 20:
+            continue
+        if kept < i:
+            scene.vehicles[kept], scene.traits[kept] = scene.vehicles[i], scene.traits[i]
+            for k in range(scene.routes.shape[1]):
+                scene.routes[kept, k] = scene.routes[i, k]
+        kept += 1
+    scene.episode.n_vehicles, scene.episode.ego = kept, kept - 1
+
+
+@kernel_in_place
+def _distance(scene: Scene, i: int, x: float, y: float) -> float:
+    dx, dy = scene.vehicles[i].x - x, scene.vehicles[i].y - y
+    return math.sqrt(dx * dx + dy * dy)
