@@ -3,7 +3,8 @@
 import math
 from typing import TypeAlias
 
-from behavexplor.envs.stock.state import OBSTACLE, Scene, Traits, Vehicle
+from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.state import OBSTACLE, Traits, Vehicle
 from behavexplor.jit import kernel_in_place
 
 Corner: TypeAlias = tuple[float, float]
@@ -11,29 +12,28 @@ Corners: TypeAlias = tuple[Corner, Corner, Corner, Corner]
 
 
 @kernel_in_place
-def collide(scene: Scene, dt: float) -> None:
+def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float) -> None:
     """Find collisions of all pairs, and note what they do to the vehicles.
 
     Most pairs are passed over at once, because they are too far apart along one axis.
 
     Args:
-        scene: the episode, changed in place.
+        vehicles: the vehicles and obstacles, changed in place.
+        traits: their traits.
+        n_vehicles: number of vehicles, which come first.
+        n_obstacles: number of obstacles.
         dt: duration of a frame, for which a collision is foreseen [s].
     """
-    n_vehicles = scene.episode.n_vehicles
     for i in range(n_vehicles):
-        vehicle, traits = scene.vehicles[i], scene.traits[i]
-        x, y, ahead = vehicle.x, vehicle.y, vehicle.speed * dt
-        for j in range(i + 1, n_vehicles + scene.episode.n_obstacles):
-            other = scene.vehicles[j]
-            reach = (traits.diameter + scene.traits[j].diameter) / 2 + ahead
-            dx, dy = other.x - x, other.y - y
-            if abs(dx) > reach or abs(dy) > reach:
-                continue
-            if not (traits.checks_collisions or scene.traits[j].checks_collisions):
+        x, y, ahead = vehicles[i].x, vehicles[i].y, vehicles[i].speed * dt
+        diameter, checks = traits[i].diameter, traits[i].checks_collisions
+        for j in range(i + 1, n_vehicles + n_obstacles):
+            reach = (diameter + traits[j].diameter) / 2 + ahead
+            dx, dy = vehicles[j].x - x, vehicles[j].y - y
+            if abs(dx) > reach or abs(dy) > reach or not (checks or traits[j].checks_collisions):
                 continue
             if not math.sqrt(dx * dx + dy * dy) > reach:
-                _collide_pair(vehicle, traits, other, scene.traits[j], dt)
+                _collide_pair(vehicles[i], traits[i], vehicles[j], traits[j], dt)
 
 
 @kernel_in_place

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.lane_network import Network
+from behavexplor.envs.stock.lane_network import Lane, Network
 from behavexplor.envs.stock.lanes import is_reachable, lane_coordinates, lane_heading
 from behavexplor.envs.stock.records import Records
 from behavexplor.envs.stock.routing import follow_road
@@ -15,7 +15,6 @@ from behavexplor.envs.vector.meta import (
     FASTER,
     KP_HEADING,
     KP_LATERAL,
-    KP_SPEED,
     LANE_LEFT,
     LANE_RIGHT,
     MAX_STEERING,
@@ -23,6 +22,7 @@ from behavexplor.envs.vector.meta import (
     SLOWER,
     SLOWEST,
     nearest_speed,
+    throttle,
 )
 from behavexplor.jit import kernel_in_place
 
@@ -68,16 +68,33 @@ def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Rec
 
 
 @kernel_in_place
-def throttle(vehicle: Vehicle) -> float:
-    """Compute the acceleration toward the target speed [m/s2]: `ControlledVehicle.speed_control`."""
-    return float(KP_SPEED * (vehicle.target_speed - vehicle.speed))
+def keep_lane_and_speed(network: Network, vehicle: Vehicle, route: Records, length: float) -> None:
+    """Steer toward the target lane and accelerate toward the target speed: `ControlledVehicle.act` without an action.
+
+    Args:
+        network: the road network.
+        vehicle: the vehicle, changed in place.
+        route: its route.
+        length: its length [m].
+    """
+    follow_road(network, vehicle, route)
+    lane = network.lanes[vehicle.target_lane]
+    station, offset = lane_coordinates(lane, vehicle.x, vehicle.y)
+    vehicle.steering = steering(lane, vehicle, station, offset, length)
+    vehicle.acceleration = throttle(vehicle.target_speed, vehicle.speed)
 
 
 @kernel_in_place
-def steering(network: Network, vehicle: Vehicle, length: float) -> float:
-    """Compute the steering angle toward the target lane [rad]: `ControlledVehicle.steering_control`."""
-    lane = network.lanes[vehicle.target_lane]
-    station, offset = lane_coordinates(lane, vehicle.x, vehicle.y)
+def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length: float) -> float:
+    """Compute the steering angle toward a lane [rad]: `ControlledVehicle.steering_control`.
+
+    Args:
+        lane: the lane to follow.
+        vehicle: the vehicle.
+        station: its station on the lane [m].
+        offset: its offset from the lane [m].
+        length: its length [m].
+    """
     divisor = not_zero(vehicle.speed)
     future_heading = lane_heading(lane, station + vehicle.speed * PURSUIT_TIME)
     command = math.asin(clip(-KP_LATERAL * offset / divisor, -1.0, 1.0))
@@ -88,10 +105,11 @@ def steering(network: Network, vehicle: Vehicle, length: float) -> float:
 
 
 @kernel_in_place
-def linear_steering(network: Network, vehicle: Vehicle, traits: Traits) -> float:
-    """Compute the steering angle toward the target lane [rad]: `LinearVehicle.steering_control`, within its limits."""
-    lane = network.lanes[vehicle.target_lane]
-    station, offset = lane_coordinates(lane, vehicle.x, vehicle.y)
+def linear_steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, traits: Traits) -> float:
+    """Compute the steering angle toward a lane [rad]: `LinearVehicle.steering_control`, within its limits.
+
+    The arguments are those of `steering`.
+    """
     divisor = not_zero(vehicle.speed)
     future_heading = lane_heading(lane, station + vehicle.speed * PURSUIT_TIME)
     turn = wrap_to_pi(future_heading - vehicle.heading) * traits.length / divisor

@@ -8,21 +8,16 @@ from typing import Final
 
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.lanes import is_on_lane, lane_coordinates
+from behavexplor.envs.stock.records import Records
 from behavexplor.envs.stock.state import Scene
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 NOBODY: Final = -1
+UNKNOWN: Final = -1  # `n_on_lane` of a lane that has not been asked for in this frame
 MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m]
 
 
-@kernel_in_place
-def forget_neighbors(scene: Scene) -> None:
-    """Begin a frame: forget which vehicles are on which lane."""
-    for lane in range(len(scene.scratch.n_on_lane)):
-        scene.scratch.n_on_lane[lane] = NOBODY
-
-
-@kernel_in_place
+@kernel_inline
 def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float) -> tuple[int, int]:
     """Return the nearest vehicles or obstacles in front and behind, `NOBODY` if there is none.
 
@@ -33,12 +28,19 @@ def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float)
         lane: the lane on which its neighbors are.
         station: the vehicle's station on this lane [m].
     """
-    if scene.scratch.n_on_lane[lane] < 0:
-        _find_on_lane(network, scene, lane)
+    on_lane = scene.scratch.on_lane[lane]
+    if scene.scratch.n_on_lane[lane] == UNKNOWN:
+        count = scene.episode.n_vehicles + scene.episode.n_obstacles
+        scene.scratch.n_on_lane[lane] = _find_on_lane(network, scene.vehicles, count, lane, on_lane)
+    return _nearest(on_lane, scene.scratch.n_on_lane[lane], i, station)
+
+
+@kernel_in_place
+def _nearest(on_lane: Records, count: int, i: int, station: float) -> tuple[int, int]:
     front = rear = NOBODY
     front_station = rear_station = 0.0
-    for k in range(scene.scratch.n_on_lane[lane]):
-        other = scene.scratch.on_lane[lane, k]
+    for k in range(count):
+        other = on_lane[k]
         if other.vehicle == i:
             continue
         if station <= other.station:
@@ -50,19 +52,18 @@ def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float)
 
 
 @kernel_in_place
-def _find_on_lane(network: Network, scene: Scene, lane: int) -> None:
-    """List the vehicles and obstacles on a lane and on those that it is linked to, each once."""
-    count = 0
+def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on_lane: Records) -> int:
+    """List the vehicles and obstacles on a lane and on those that it is linked to, each once; return their number."""
+    found = 0
     first = network.lanes[lane].first_link
-    for j in range(scene.episode.n_vehicles + scene.episode.n_obstacles):
-        other = scene.vehicles[j]
+    for j in range(count):
         for k in range(first, first + network.lanes[lane].n_links):
             link = network.links[k]
             searched = network.lanes[link.lane]
-            station, offset = lane_coordinates(searched, other.x, other.y)
+            station, offset = lane_coordinates(searched, vehicles[j].x, vehicles[j].y)
             if is_on_lane(searched, station, offset, MARGIN):
-                scene.scratch.on_lane[lane, count].vehicle = j
-                scene.scratch.on_lane[lane, count].station = station + link.offset
-                count += 1
+                on_lane[found].vehicle = j
+                on_lane[found].station = station + link.offset
+                found += 1
                 break
-    scene.scratch.n_on_lane[lane] = count
+    return found

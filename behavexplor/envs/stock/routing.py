@@ -21,12 +21,19 @@ def follow_road(network: Network, vehicle: Vehicle, route: Records) -> None:
     lane = network.lanes[vehicle.target_lane]
     station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
     if is_after_end(lane, station):
-        vehicle.target_lane = _next_lane(network, vehicle, route, station)
+        vehicle.target_lane = next_lane(network, vehicle, route, station)
 
 
 @kernel_in_place
-def _next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
-    """Return the lane after the target lane: along the route if it continues there, else the closest one."""
+def next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
+    """Return the lane after the target lane: along the route if it continues there, else the closest one.
+
+    Args:
+        network: the road network.
+        vehicle: the vehicle, whose position on the route is advanced.
+        route: its route.
+        station: its station on the target lane [m].
+    """
     lane = network.lanes[vehicle.target_lane]
     road = network.roads[lane.road]
     x, y = lane_point(lane, station)

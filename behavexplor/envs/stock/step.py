@@ -4,17 +4,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collisions import collide
-from behavexplor.envs.stock.control import steering, take_maneuver, throttle
+from behavexplor.envs.stock.control import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.lanes import closest_lane, lane_coordinates
 from behavexplor.envs.stock.motion import move
-from behavexplor.envs.stock.neighbors import forget_neighbors
+from behavexplor.envs.stock.neighbors import UNKNOWN
 from behavexplor.envs.stock.regulation import enforce_rules
-from behavexplor.envs.stock.routing import follow_road
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
 from behavexplor.envs.stock.traffic import drive
-from behavexplor.envs.stock.world import World
-from behavexplor.jit import kernel_in_place
+from behavexplor.envs.stock.world import Rules, World
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -38,7 +37,7 @@ def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active:
             simulate(world, scene, commands[b, 0], commands[b, 1])
 
 
-@kernel_in_place
+@kernel_inline
 def simulate(world: World, scene: Scene, first: float, second: float) -> None:
     """Simulate one decision: `AbstractEnv._simulate`.
 
@@ -55,42 +54,40 @@ def simulate(world: World, scene: Scene, first: float, second: float) -> None:
         take_maneuver(world.network, world.speeds, ego, scene.routes[episode.ego], int(first))
     else:
         ego.acceleration, ego.steering = first, second
-    for _ in range(rules.n_frames):
-        run_frame(world, scene)
-        episode.frames += 1
+    run_frames(world.network, rules, scene, rules.n_frames)
+    episode.frames += rules.n_frames
 
 
 @kernel_in_place
-def run_frame(world: World, scene: Scene) -> None:
-    """Simulate one frame: `Road.act` and `Road.step`."""
-    network, rules, episode = world.network, world.rules[0], scene.episode
-    forget_neighbors(scene)
-    for i in range(episode.n_vehicles):
-        _decide(network, scene, i)
-    if rules.regulation_period > 0:
-        episode.road_frames += 1
-        if episode.road_frames % rules.regulation_period == 0:
-            enforce_rules(network, scene)
-    for i in range(episode.n_vehicles):
-        vehicle, traits = scene.vehicles[i], scene.traits[i]
-        if traits.kind in (IDM, LINEAR):
-            vehicle.timer += rules.dt
-        move(vehicle, traits, rules.dt)
-        vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
-    collide(scene, rules.dt)
+def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> None:
+    """Simulate some frames: `Road.act` and `Road.step`.
 
-
-@kernel_in_place
-def _decide(network: Network, scene: Scene, i: int) -> None:
-    """Decide the command of a vehicle in a frame. A vehicle without a controller keeps the one it has."""
-    kind = scene.traits[i].kind
-    if kind == MDP:
-        vehicle = scene.vehicles[i]
-        follow_road(network, vehicle, scene.routes[i])
-        vehicle.steering = steering(network, vehicle, scene.traits[i].length)
-        vehicle.acceleration = throttle(vehicle)
-    elif kind != PLAIN:
-        drive(network, scene, i)
+    Args:
+        network: the road network.
+        rules: the record of `World.rules`.
+        scene: the episode, changed in place.
+        n_frames: number of frames.
+    """
+    episode = scene.episode
+    for _ in range(n_frames):
+        scene.scratch.n_on_lane[:] = UNKNOWN
+        for i in range(episode.n_vehicles):
+            kind, vehicle = scene.traits[i].kind, scene.vehicles[i]
+            if kind == MDP:
+                keep_lane_and_speed(network, vehicle, scene.routes[i], scene.traits[i].length)
+            elif kind != PLAIN and not vehicle.crashed:
+                drive(network, scene, i)
+        if rules.regulation_period > 0:
+            episode.road_frames += 1
+            if episode.road_frames % rules.regulation_period == 0:
+                enforce_rules(network, scene)
+        for i in range(episode.n_vehicles):
+            vehicle, traits = scene.vehicles[i], scene.traits[i]
+            if traits.kind in (IDM, LINEAR):
+                vehicle.timer += rules.dt
+            move(vehicle, traits, rules.dt)
+            vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
+        collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt)
 
 
 @kernel_in_place

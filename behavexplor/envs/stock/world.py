@@ -1,7 +1,7 @@
 """An environment's road and rules as tables, for the kernels."""
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from highway_env import utils
@@ -22,6 +22,8 @@ from behavexplor.envs.stock.traits import kind_of, traits_of
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
+
+Rules: TypeAlias = np.record
 
 EGO, OTHER, BARRIER = range(3)  # rows of `World.templates`
 
