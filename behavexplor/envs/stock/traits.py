@@ -1,6 +1,7 @@
 """Traits of highway-env's vehicles and obstacles: how they drive, as far as it does not change in an episode."""
 
 import math
+from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
@@ -25,6 +26,20 @@ _BEHAVIOR: Final = (
     *("steering_control", "speed_control", "acceleration", "desired_gap", "change_lane_policy", "mobil"),
     *("acceleration_features", "steering_features", "index_to_speed", "speed_to_index"),
 )
+_PARAMETERS: Final = {  # fields of `TRAITS`, and their names in highway-env
+    "max_acceleration": "ACC_MAX",
+    "comfort_acceleration": "COMFORT_ACC_MAX",
+    "comfort_braking": "COMFORT_ACC_MIN",
+    "distance_wanted": "DISTANCE_WANTED",
+    "time_wanted": "TIME_WANTED",
+    "delta": "DELTA",
+    "politeness": "POLITENESS",
+    "min_gain": "LANE_CHANGE_MIN_ACC_GAIN",
+    "max_braking": "LANE_CHANGE_MAX_BRAKING_IMPOSED",
+    "lane_change_delay": "LANE_CHANGE_DELAY",
+}
+_ACCELERATION_GAINS: Final = ("speed_gain", "front_speed_gain", "front_gap_gain")
+_STEERING_GAINS: Final = ("heading_gain", "offset_gain")
 _CONTROL: Final = ("TAU_PURSUIT", "KP_A", "KP_HEADING", "KP_LATERAL", "MAX_STEERING_ANGLE")
 
 
@@ -65,9 +80,23 @@ def traits_of(source: Any, kind: int) -> Traits:
     if kind in (IDM, LINEAR):
         _read_driver(traits, source)
     if kind == LINEAR:
-        traits.speed_gain, traits.front_speed_gain, traits.front_gap_gain = source.ACCELERATION_PARAMETERS
-        traits.heading_gain, traits.offset_gain = source.STEERING_PARAMETERS
+        _put(traits, _ACCELERATION_GAINS, source.ACCELERATION_PARAMETERS)
+        _put(traits, _STEERING_GAINS, source.STEERING_PARAMETERS)
     return traits
+
+
+def give_traits(vehicle: Any, traits: Traits) -> None:
+    """Give a new highway-env vehicle its traits: the inverse of `traits_of`."""
+    vehicle.check_collisions = bool(traits.checks_collisions)
+    if traits.kind not in (IDM, LINEAR):
+        return
+    vehicle.enable_lane_change = bool(traits.changes_lanes)
+    for field, name in _PARAMETERS.items():
+        if getattr(vehicle, name) != traits[field]:
+            setattr(vehicle, name, float(traits[field]))
+    if traits.kind == LINEAR:
+        vehicle.ACCELERATION_PARAMETERS = np.array([traits[field] for field in _ACCELERATION_GAINS])
+        vehicle.STEERING_PARAMETERS = np.array([traits[field] for field in _STEERING_GAINS])
 
 
 def _check_control(source: Any) -> None:
@@ -78,11 +107,11 @@ def _check_control(source: Any) -> None:
 
 def _read_driver(traits: Traits, source: Any) -> None:
     """Read the parameters of the reactive traffic."""
-    traits.max_acceleration, traits.comfort_acceleration = source.ACC_MAX, source.COMFORT_ACC_MAX
-    traits.distance_wanted, traits.time_wanted = source.DISTANCE_WANTED, source.TIME_WANTED
+    _put(traits, tuple(_PARAMETERS), [getattr(source, name) for name in _PARAMETERS.values()])
     traits.gap_divisor = 2 * math.sqrt(-source.COMFORT_ACC_MAX * source.COMFORT_ACC_MIN)
-    traits.delta, traits.politeness = source.DELTA, source.POLITENESS
-    traits.min_gain = source.LANE_CHANGE_MIN_ACC_GAIN
-    traits.max_braking = source.LANE_CHANGE_MAX_BRAKING_IMPOSED
-    traits.lane_change_delay = source.LANE_CHANGE_DELAY
     traits.changes_lanes = getattr(source, "enable_lane_change", True)
+
+
+def _put(traits: Traits, fields: tuple[str, ...], values: Iterable[float]) -> None:
+    for field, value in zip(fields, values, strict=True):
+        traits[field] = value
