@@ -113,6 +113,6 @@ def linear_steering(lane: Lane, vehicle: Vehicle, station: float, offset: float,
     divisor = not_zero(vehicle.speed)
     future_heading = lane_heading(lane, station + vehicle.speed * PURSUIT_TIME)
     turn = wrap_to_pi(future_heading - vehicle.heading) * traits.length / divisor
-    shift = -offset * traits.length / (divisor * divisor)
+    shift = -offset * traits.length / divisor**traits.speed_exponent
     angle = traits.heading_gain * turn + traits.offset_gain * shift
     return clip(angle, -MAX_STEERING, MAX_STEERING)

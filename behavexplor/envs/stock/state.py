@@ -63,6 +63,7 @@ TRAITS: Final = record_type(
     front_gap_gain=np.float64,
     heading_gain=np.float64,  # STEERING_PARAMETERS of LINEAR
     offset_gain=np.float64,
+    speed_exponent=np.float64,  # 2; the compiler would replace a constant by a product, which rounds differently
     checks_collisions=np.bool_,
     changes_lanes=np.bool_,
 )

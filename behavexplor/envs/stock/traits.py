@@ -82,6 +82,7 @@ def traits_of(source: Any, kind: int) -> Traits:
     if kind == LINEAR:
         _put(traits, _ACCELERATION_GAINS, source.ACCELERATION_PARAMETERS)
         _put(traits, _STEERING_GAINS, source.STEERING_PARAMETERS)
+        traits.speed_exponent = 2.0
     return traits
 
 
