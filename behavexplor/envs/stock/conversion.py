@@ -106,8 +106,8 @@ def _n_side_lanes(env: AbstractEnv) -> int:
     """Return on how many lanes the default ranges of the observation are based: those of the ego's first road."""
     ranges = getattr(env.observation_type, "features_range", None)
     if ranges and "y" in ranges:
-        upper: float = ranges["y"][1]
-        return round(upper / AbstractLane.DEFAULT_WIDTH)
+        n_lanes: int = round(ranges["y"][1] / AbstractLane.DEFAULT_WIDTH)
+        return n_lanes
     return len(env.road.network.all_side_lanes(env.vehicle.lane_index))
 
 

@@ -15,4 +15,4 @@ def record_type(**fields: type) -> RecordType:
     Args:
         fields: type of each field, in their order in memory.
     """
-    return cast("RecordType", np.dtype((np.record, list(fields.items())), align=True))
+    return cast("RecordType", np.dtype((np.record, np.dtype(list(fields.items()), align=True))))
