@@ -10,7 +10,7 @@ from behavexplor.envs.stock.control import not_zero
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.lanes import lane_coordinates
 from behavexplor.envs.stock.state import Scene
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -39,7 +39,7 @@ def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
     return GridMemory(np.zeros((n_speeds, n_lanes, n_times), dtype=np.float32), stack)
 
 
-@kernel_in_place
+@kernel_inline
 def observe_times(
     network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory, observation: Singles
 ) -> None:
@@ -62,12 +62,12 @@ def observe_times(
         speed = min(max(ego.speed_index + a - N_SHOWN // 2, 0), n_speeds - 1)
         for b in range(N_SHOWN):
             shown = lane.number + b - N_SHOWN // 2
-            is_lane = 0 <= shown and shown < n_lanes
+            is_lane = shown >= 0 and shown < n_lanes
             for time in range(grid.shape[2]):
                 observation[a * N_SHOWN + b, time] = grid[speed, shown, time] if is_lane else 1.0
 
 
-@kernel_in_place
+@kernel_inline
 def _fill_grid(network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory) -> None:
     """Compute the cost of each cell: `compute_ttc_grid`."""
     grid = memory.grid

@@ -21,11 +21,12 @@ from behavexplor.envs.actions import check_actions
 from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.config import check_config
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.episodes import Engine, Outcome, advance, begin, observe_starts
+from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, Engine, Outcome, advance
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.lane_network import make_network
 from behavexplor.envs.stock.observe import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
+from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
 from behavexplor.envs.stock.state import Slots, make_scratch, make_slots
 from behavexplor.envs.stock.support import has_own_starts, known_class
 from behavexplor.envs.stock.task import INTERSECTION, KINDS, MOST_TERMS, make_starts, make_task, no_starts
@@ -195,8 +196,9 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         check_actions(self.action_space, actions)
         actions, outcome = np.asarray(actions), self._outcome
         rest, active = self._ended, ~self._ended
-        lane_changes = self._lane_changes(actions)
-        advance(self._engine, self._slots, self._scratch, active, self._commands(actions), lane_changes, outcome)
+        self._advance(active, actions, DECISION)
+        if self._kind == INTERSECTION:
+            self._populate(active, SPAWN)
         self._steps += active
         outcome.truncated[self._steps >= self._max_steps] = True
         rewards = np.where(rest, 0.0, outcome.rewards)
@@ -226,14 +228,25 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _begin(self, mask: Bools) -> NDArray[Any]:
         """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...)."""
         actions: NDArray[Any] = self._sampled_space.sample()
-        kernel = begin
         if self._places_own:
-            kernel = observe_starts
             self._copy_starts(mask)
-        kernel(self._engine, self._slots, self._scratch, mask, self._lane_changes(actions), self._outcome)
+        else:
+            self._populate(mask, START)
+        if self._kind == INTERSECTION and not self._places_own:
+            self._advance(mask, actions, WARM_UP)
+            self._populate(mask, ENTER)
+        self._advance(mask, actions, FIRST_LOOK)
         self._steps[mask] = 0
         self._ended = self._ended & ~mask
         return actions
+
+    def _advance(self, mask: Bools, actions: NDArray[Any], stage: int) -> None:
+        commands, lane_changes = self._commands(actions), self._lane_changes(actions)
+        advance(self._engine, self._slots, self._scratch, mask, commands, lane_changes, self._outcome, stage)
+
+    def _populate(self, mask: Bools, stage: int) -> None:
+        world, task, _, words = self._engine
+        populate(world, task, self._slots, self._scratch, words, mask, stage)
 
     def _copy_starts(self, mask: Bools) -> None:
         """Let highway-env begin episodes, and copy them to the chosen slots."""

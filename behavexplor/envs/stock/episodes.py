@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
-from behavexplor.envs.stock.intersections import spawn_vehicle
 from behavexplor.envs.stock.observe import View, observe
 from behavexplor.envs.stock.pcg64 import Words
-from behavexplor.envs.stock.resets import start_episode
 from behavexplor.envs.stock.rewards import is_terminated, put_terms, reward_of
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
-from behavexplor.envs.stock.step import clear_vehicles, simulate
-from behavexplor.envs.stock.task import INTERSECTION, Task
+from behavexplor.envs.stock.step import run_frames, simulate
+from behavexplor.envs.stock.task import Task
 from behavexplor.envs.stock.world import World
 from behavexplor.jit import kernel_in_place
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+
+DECISION, WARM_UP, FIRST_LOOK = range(3)  # stages of `advance`
 
 
 class Outcome(NamedTuple):
@@ -63,97 +63,51 @@ class Engine(NamedTuple):
 
 
 @kernel_in_place
-def begin(
-    engine: Engine, slots: Slots, scratch: Scratch, chosen: Bools, changes_lane: Bools, outcome: Outcome
-) -> None:
-    """Begin episodes in the chosen slots, and observe them.
-
-    Args:
-        engine: the environment.
-        slots: the episodes, changed in place.
-        scratch: memory that is used within a frame.
-        chosen: whether an episode begins in each slot, shape (B,).
-        changes_lane: whether an action is a change of lane, for the terms of the reward, shape (B,).
-        outcome: changed in place.
-    """
-    for b in range(len(chosen)):
-        if chosen[b]:
-            scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-            start_episode(engine.world, engine.task, scene, engine.words[b])
-            _observe_first(engine, scene, b, changes_lane[b], outcome)
-
-
-@kernel_in_place
-def observe_starts(
-    engine: Engine, slots: Slots, scratch: Scratch, chosen: Bools, changes_lane: Bools, outcome: Outcome
-) -> None:
-    """Observe episodes in the chosen slots that have just begun. The arguments are those of `begin`."""
-    for b in range(len(chosen)):
-        if chosen[b]:
-            scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-            _observe_first(engine, scene, b, changes_lane[b], outcome)
-
-
-@kernel_in_place
 def advance(
     engine: Engine,
     slots: Slots,
     scratch: Scratch,
-    active: Bools,
+    chosen: Bools,
     commands: Floats,
     changes_lane: Bools,
     outcome: Outcome,
+    stage: int,
 ) -> None:
-    """Simulate a decision in the active slots, observe the result and judge it.
+    """Simulate a decision in the chosen slots, observe the result and judge it; or a part of this.
+
+    One kernel does all of this, because each function that is compiled on its own takes seconds more.
 
     Args:
         engine: the environment.
         slots: the episodes, changed in place.
         scratch: memory that is used within a frame.
-        active: whether each slot is simulated, shape (B,).
+        chosen: whether each slot is advanced, shape (B,).
         commands: see `behavexplor.envs.stock.step.step`, shape (B, 2).
         changes_lane: whether highway-env takes each action for a change of lane, shape (B,).
         outcome: changed in place.
+        stage: DECISION; WARM_UP simulates the traffic before an episode begins; FIRST_LOOK observes and judges only.
     """
     world, task = engine.world, engine.task
-    for b in range(len(active)):
-        if not active[b]:
+    for b in range(len(chosen)):
+        if not chosen[b]:
             continue
         scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-        simulate(world, scene, commands[b, 0], commands[b, 1])
-        _observe(engine, scene, b, outcome)
+        if stage == WARM_UP:
+            run_frames(world.network, world.rules[0], scene, task.rules[0].n_warm_up)
+            continue
+        if stage == DECISION:
+            simulate(world, scene, commands[b, 0], commands[b, 1])
+        episode = scene.episode
+        ego = scene.vehicles[episode.ego]
+        if stage == FIRST_LOOK:
+            episode.n_side_lanes = world.network.roads[world.network.lanes[ego.lane].road].n_lanes
+        if engine.observed.options[0].is_grid:
+            period = world.rules[0].policy_period
+            observe_times(world.network, scene, world.speeds, period, outcome.memory, outcome.observations[b])
+        else:
+            observe(world.network, engine.observed, scene, engine.words[b], outcome.observations[b])
         put_terms(world, task, scene, changes_lane[b], outcome.terms[b])
-        _put_ego(scene, b, outcome)
+        outcome.speeds[b], outcome.crashed[b] = ego.speed, ego.crashed
         outcome.rewards[b] = reward_of(task, outcome.terms[b])
-        outcome.terminated[b] = is_terminated(world, task, scene)
-        outcome.truncated[b] = scene.episode.time >= task.rules[0].duration
-        if task.rules[0].kind == INTERSECTION:
-            clear_vehicles(world.network, scene)
-            spawn_vehicle(world, task, scene, engine.words[b])
-
-
-@kernel_in_place
-def _observe_first(engine: Engine, scene: Scene, b: int, changes_lane: bool, outcome: Outcome) -> None:
-    lane = engine.world.network.lanes[scene.vehicles[scene.episode.ego].lane]
-    scene.episode.n_side_lanes = engine.world.network.roads[lane.road].n_lanes
-    _observe(engine, scene, b, outcome)
-    put_terms(engine.world, engine.task, scene, changes_lane, outcome.terms[b])
-    _put_ego(scene, b, outcome)
-    outcome.rewards[b] = 0.0
-    outcome.terminated[b] = outcome.truncated[b] = False
-
-
-@kernel_in_place
-def _observe(engine: Engine, scene: Scene, b: int, outcome: Outcome) -> None:
-    world = engine.world
-    if engine.observed.options[0].is_grid:
-        period = world.rules[0].policy_period
-        observe_times(world.network, scene, world.speeds, period, outcome.memory, outcome.observations[b])
-    else:
-        observe(world.network, engine.observed, scene, engine.words[b], outcome.observations[b])
-
-
-@kernel_in_place
-def _put_ego(scene: Scene, b: int, outcome: Outcome) -> None:
-    ego = scene.vehicles[scene.episode.ego]
-    outcome.speeds[b], outcome.crashed[b] = ego.speed, ego.crashed
+        outcome.terminated[b] = stage == DECISION and is_terminated(world, task, scene)
+        outcome.truncated[b] = stage == DECISION and episode.time >= task.rules[0].duration

@@ -1,4 +1,4 @@
-"""The infos of vector environments, in gymnasium's format: arrays, each with a mask of the sub-environments it is for."""
+"""The infos of vector environments in gymnasium's format: arrays, each with a mask that says for whom it is."""
 
 from typing import Any
 
@@ -36,8 +36,8 @@ def infos_of(kind: int, outcome: Outcome, actions: NDArray[Any], chosen: Bools, 
 
     rewards: dict[str, Any] = {}
     for values, (name, wanted) in zip(outcome.terms.T, TERMS[kind].items(), strict=False):
-        rewards[name], rewards[f"_{name}"] = kept(values).astype(wanted, copy=False), mask
-    infos = {"speed": kept(outcome.speeds), "crashed": kept(outcome.crashed), "action": kept(actions)}
+        rewards[name], rewards[f"_{name}"] = _typed(kept(values), wanted, mask), mask
+    infos: dict[str, Any] = {"speed": kept(outcome.speeds), "crashed": kept(outcome.crashed), "action": kept(actions)}
     infos |= {"rewards": rewards}
     if kind == INTERSECTION:
         ended = outcome.crashed | (outcome.terms[:, _ARRIVED] != 0)
@@ -61,6 +61,14 @@ def final_infos(observations: NDArray[Any], infos: dict[str, Any], ended: Bools)
         last[b] = observations[b].copy()
     mask = ended.copy()
     return {"final_obs": last, "_final_obs": mask, "final_info": infos, "_final_info": mask}
+
+
+def _typed(values: NDArray[Any], wanted: type, mask: Bools) -> NDArray[Any]:
+    if wanted is not np.bool_:
+        return values.astype(wanted, copy=False)
+    shown = np.full(len(values), None, dtype=object)
+    shown[mask] = values[mask] != 0
+    return shown
 
 
 def _tuples(values: NDArray[Any], mask: Bools) -> NDArray[np.object_]:

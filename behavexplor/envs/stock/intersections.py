@@ -1,34 +1,31 @@
 """The start of an episode of highway-env's `IntersectionEnv`, and the vehicles that appear while it runs."""
 
 import math
+from typing import Final
 
 from behavexplor.envs.stock.lanes import lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, integer, normal, two_of, uniform
 from behavexplor.envs.stock.placing import draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.stock.state import Scene
-from behavexplor.envs.stock.step import run_frame
 from behavexplor.envs.stock.task import DRAWN, Task
 from behavexplor.envs.stock.world import EGO, OTHER, World
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
+
+INITIAL_PROBABILITY: Final = 0.6  # that a vehicle is there at the start, whatever the configuration
 
 
-@kernel_in_place
-def start_at_intersection(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Begin an episode: `IntersectionEnv._make_vehicles`.
+@kernel_inline
+def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Place the ego and a vehicle that crosses its way: the last part of `IntersectionEnv._make_vehicles`.
 
     Args:
         world: the road and the vehicles' classes.
         task: the environment's starts.
-        scene: the episode, changed in place.
+        scene: the episode, changed in place. The traffic has driven for three seconds.
         words: its random generator, changed in place.
     """
     rules, starts = task.rules[0], task.starts
-    for gap in starts.gaps:
-        _spawn(world, task, scene, words, gap, 1.0, 1.0, 0.6, False)
-    scene.episode.ego = -1
-    for _ in range(rules.n_warm_up):
-        run_frame(world, scene)
-    _spawn(world, task, scene, words, 60.0, 0.1, 0.0, 1.0, True)
+    spawn_vehicle(world, task, scene, words, 60.0, 1.0, True)
     destination: int = rules.ego_destination
     if destination == DRAWN:
         destination = 1 + integer(words, 3)
@@ -40,30 +37,27 @@ def start_at_intersection(world: World, task: Task, scene: Scene, words: Words) 
 
 
 @kernel_in_place
-def spawn_vehicle(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Let a vehicle appear after a decision, or not: `IntersectionEnv._spawn_vehicle`."""
-    _spawn(world, task, scene, words, 0.0, 1.0, 1.0, task.rules[0].spawn_probability, False)
-
-
-@kernel_in_place
-def _spawn(
-    world: World,
-    task: Task,
-    scene: Scene,
-    words: Words,
-    station: float,
-    station_deviation: float,
-    speed_deviation: float,
-    probability: float,
-    goes_straight: bool,
+def spawn_vehicle(
+    world: World, task: Task, scene: Scene, words: Words, station: float, probability: float, is_challenger: bool
 ) -> None:
+    """Let a vehicle appear, or not: `IntersectionEnv._spawn_vehicle`.
+
+    Args:
+        world: the road and the vehicles' classes.
+        task: the environment's starts.
+        scene: the episode, changed in place.
+        words: its random generator, changed in place.
+        station: station about which it appears [m].
+        probability: probability that it appears, unless there is no room.
+        is_challenger: whether it goes straight on, and starts at nearly the same place and speed every time.
+    """
     if uniform(words, 0.0, 1.0) > probability:
         return
     origin, destination = two_of(words, 4)
-    if goes_straight:
+    if is_challenger:
         destination = (origin + 2) % 4
-    station = station + 5.0 + normal(words) * station_deviation
-    speed = 8.0 + normal(words) * speed_deviation
+    station = station + 5.0 + normal(words) * (0.1 if is_challenger else 1.0)
+    speed = 8.0 + normal(words) * (0.0 if is_challenger else 1.0)
     lane = world.network.lanes[task.starts.lanes[origin]]
     x, y = lane_point(lane, station)
     for j in range(scene.episode.n_vehicles):
@@ -84,7 +78,7 @@ def _clear_around(scene: Scene, ego: int) -> None:
             continue
         if kept < i:
             scene.vehicles[kept], scene.traits[kept] = scene.vehicles[i], scene.traits[i]
-            for k in range(scene.routes.shape[1]):
+            for k in range(scene.vehicles[i].route_length):
                 scene.routes[kept, k] = scene.routes[i, k]
         kept += 1
     scene.episode.n_vehicles, scene.episode.ego = kept, kept - 1

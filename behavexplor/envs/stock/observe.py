@@ -13,9 +13,10 @@ from behavexplor.envs.kinematics import FEATURES, RELATIVE, default_ranges
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.lanes import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, shuffle_rows
-from behavexplor.envs.stock.state import OBSTACLE, SAME_NUMBER, Records, Scene, Vehicle
+from behavexplor.envs.stock.records import Records, record_type
+from behavexplor.envs.stock.state import OBSTACLE, SAME_NUMBER, Scene, Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 Singles = NDArray[np.float32]
 
@@ -26,37 +27,25 @@ LANE_WIDTH: Final = float(AbstractLane.DEFAULT_WIDTH)  # [m]
 BEHIND: Final = -2 * float(HighwayVehicle.LENGTH)  # vehicles further behind are not seen, unless all are [m]
 NOT_A_LANE: Final = -1
 
-COLUMN: Final = np.dtype(
-    (
-        np.record,
-        [
-            ("feature", np.int64),
-            ("is_relative", np.bool_),  # to the ego
-            ("is_ranged", np.bool_),  # mapped from its range to [-1, 1]
-            ("depends_on_road", np.bool_),  # the range depends on the number of lanes of the ego's first road
-            ("low", np.float64),
-            ("width", np.float64),
-        ],
-    ),
-    align=True,
+COLUMN: Final = record_type(
+    feature=np.int64,
+    is_relative=np.bool_,  # to the ego
+    is_ranged=np.bool_,  # mapped from its range to [-1, 1]
+    depends_on_road=np.bool_,  # the range depends on the number of lanes of the ego's first road
+    low=np.float64,
+    width=np.float64,
 )
 
-OPTIONS: Final = np.dtype(
-    (
-        np.record,
-        [
-            ("is_grid", np.bool_),  # the observation is a TimeToCollision, and has no other options
-            ("clip", np.bool_),
-            ("see_behind", np.bool_),
-            ("observe_intentions", np.bool_),
-            ("include_obstacles", np.bool_),
-            ("is_sorted", np.bool_),
-            ("is_shuffled", np.bool_),
-            ("distance", np.float64),  # greatest distance at which vehicles are observed [m]
-            ("exit_lane", np.int64),  # lane along which the ego's x is measured, or NOT_A_LANE
-        ],
-    ),
-    align=True,
+OPTIONS: Final = record_type(
+    is_grid=np.bool_,  # the observation is a TimeToCollision, and has no other options
+    is_clipped=np.bool_,
+    see_behind=np.bool_,
+    observe_intentions=np.bool_,
+    include_obstacles=np.bool_,
+    is_sorted=np.bool_,
+    is_shuffled=np.bool_,
+    distance=np.float64,  # greatest distance at which vehicles are observed [m]
+    exit_lane=np.int64,  # lane along which the ego's x is measured, or NOT_A_LANE
 )
 
 
@@ -76,8 +65,9 @@ def make_view(observation: KinematicObservation) -> View:
     """Return the options of an observation."""
     options = np.zeros(1, OPTIONS)
     row: Any = options[0]
-    for name in ("clip", "see_behind", "observe_intentions", "include_obstacles"):
+    for name in ("see_behind", "observe_intentions", "include_obstacles"):
         row[name] = bool(getattr(observation, name))
+    row.is_clipped = bool(observation.clip)
     row.is_shuffled = observation.order == "shuffled"
     row.is_sorted = not row.is_shuffled
     row.distance = observation.env.PERCEPTION_DISTANCE
@@ -110,7 +100,7 @@ def _make_columns(observation: KinematicObservation) -> Records:
     return columns
 
 
-@kernel_in_place
+@kernel_inline
 def observe(network: Network, view: View, scene: Scene, words: Words, table: Singles) -> None:
     """Fill a Kinematics observation.
 
@@ -142,7 +132,7 @@ def observe(network: Network, view: View, scene: Scene, words: Words, table: Sin
         shuffle_rows(words, table, 1)
 
 
-@kernel_in_place
+@kernel_inline
 def _sort_seen(network: Network, view: View, scene: Scene, most: int) -> int:
     """List the vehicles that get a row in the scratch memory, and return their number: `Road.close_objects_to`."""
     options, ego = view.options[0], scene.vehicles[scene.episode.ego]
@@ -155,7 +145,7 @@ def _sort_seen(network: Network, view: View, scene: Scene, most: int) -> int:
         if j == scene.episode.ego or not math.sqrt(dx * dx + dy * dy) < options.distance:
             continue
         gap = lane_coordinates(lane, other.x, other.y)[0] - own
-        if not (BEHIND < gap or (options.see_behind and j < n_vehicles)):
+        if not (gap > BEHIND or (options.see_behind and j < n_vehicles)):
             continue
         place = count
         if options.is_sorted:
@@ -180,7 +170,7 @@ def _normalized(view: View, scene: Scene, k: int, value: float) -> float:
     if column.depends_on_road:
         low, width = -LANE_WIDTH * scene.episode.n_side_lanes, 2 * LANE_WIDTH * scene.episode.n_side_lanes
     value = -1 + (value - low) * 2 / width
-    if view.options[0].clip:
+    if view.options[0].is_clipped:
         return value if math.isnan(value) else min(max(value, -1.0), 1.0)
     return value
 
@@ -191,17 +181,17 @@ def _feature(network: Network, scene: Scene, i: int, feature: int, knows_destina
     vehicle = scene.vehicles[i]
     is_vehicle = scene.traits[i].kind != OBSTACLE
     if feature <= POS_Y:
-        return 1.0 if feature == PRESENCE else vehicle.x if feature == POS_X else vehicle.y
+        return 1.0 if feature == PRESENCE else float(vehicle.x if feature == POS_X else vehicle.y)
     if feature <= VEL_Y:
-        speed = vehicle.speed if is_vehicle else 0.0
-        return speed * (vehicle.cos if feature == VEL_X else vehicle.sin)
+        speed = float(vehicle.speed) if is_vehicle else 0.0
+        return speed * float(vehicle.cos if feature == VEL_X else vehicle.sin)
     if feature in (COS_H, SIN_H):
-        return vehicle.cos if feature == COS_H else vehicle.sin
+        return float(vehicle.cos if feature == COS_H else vehicle.sin)
     if feature in (COS_D, SIN_D):
         return _destination_direction(network, scene, i, feature) if is_vehicle and knows_destination else 0.0
     if not is_vehicle:
         return math.nan  # highway-env's obstacles have no such feature
-    return vehicle.heading if feature == ANGLE else _lane_offset(network, vehicle, feature)
+    return float(vehicle.heading) if feature == ANGLE else _lane_offset(network, vehicle, feature)
 
 
 @kernel_in_place

@@ -6,16 +6,16 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.control import nearest_speed
 from behavexplor.envs.stock.lanes import closest_lane, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, uniform
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
 from behavexplor.envs.stock.world import World
+from behavexplor.envs.vector.meta import nearest_speed
 from behavexplor.jit import kernel_in_place
 
 Ints = NDArray[np.int64]
 
-_DELTA: tuple[float, float] = tuple(map(float, IDMVehicle.DELTA_RANGE))
+_LOW_DELTA, _HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
     tuple(map(float, gains)) for gains in (*LinearVehicle.ACCELERATION_RANGE, *LinearVehicle.STEERING_RANGE)
 )
@@ -98,4 +98,4 @@ def draw_behavior(words: Words, scene: Scene, i: int) -> None:
         traits.heading_gain = low_steering[0] + uniform(words, 0.0, 1.0) * (high_steering[0] - low_steering[0])
         traits.offset_gain = low_steering[1] + uniform(words, 0.0, 1.0) * (high_steering[1] - low_steering[1])
     if traits.kind in (IDM, LINEAR):
-        traits.delta = uniform(words, _DELTA[0], _DELTA[1])
+        traits.delta = uniform(words, _LOW_DELTA, _HIGH_DELTA)

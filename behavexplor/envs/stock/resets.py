@@ -2,35 +2,63 @@
 
 import math
 
-from behavexplor.envs.stock.intersections import start_at_intersection
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, enter_intersection, spawn_vehicle
 from behavexplor.envs.stock.lanes import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, integer, normal, uniform, weighted
 from behavexplor.envs.stock.placing import draw_behavior, place_on_lane, place_vehicle, plan_route
-from behavexplor.envs.stock.state import Scene
+from behavexplor.envs.stock.state import Scene, Scratch, Slots
+from behavexplor.envs.stock.step import clear_vehicles
 from behavexplor.envs.stock.task import (
     DRAWN,
     EXIT,
     HIGHWAY,
-    INTERSECTION,
     MERGE,
     ROUNDABOUT,
     TWO_WAY,
+    U_TURN,
     Task,
 )
 from behavexplor.envs.stock.world import BARRIER, EGO, OTHER, World
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
+
+Bools = NDArray[np.bool_]
+
+START, ENTER, SPAWN = range(3)  # stages of `populate`
 
 
 @kernel_in_place
-def start_episode(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Begin an episode: `AbstractEnv._reset`.
+def populate(world: World, task: Task, slots: Slots, scratch: Scratch, words: Words, chosen: Bools, stage: int) -> None:
+    """Place the first vehicles of episodes, or new ones.
 
     Args:
         world: the road and the vehicles' classes.
         task: the environment's starts.
-        scene: the episode, changed in place.
-        words: its random generator, changed in place.
+        slots: the episodes, changed in place.
+        scratch: memory.
+        words: their random generators, changed in place, shape (B, 6).
+        chosen: which slots are changed, shape (B,).
+        stage: START begins episodes; ENTER lets the ego enter the intersection after the traffic has driven for a
+            while; SPAWN removes the vehicles that leave the intersection, and lets a new one appear.
     """
+    for b in range(len(chosen)):
+        if not chosen[b]:
+            continue
+        scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+        if stage == START:
+            _start(world, task, scene, words[b])
+        elif stage == ENTER:
+            enter_intersection(world, task, scene, words[b])
+        else:
+            clear_vehicles(world.network, scene)
+            spawn_vehicle(world, task, scene, words[b], 0.0, task.rules[0].spawn_probability, False)
+
+
+@kernel_inline
+def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Begin an episode: `AbstractEnv._reset`."""
     episode, kind = scene.episode, task.rules[0].kind
     episode.n_vehicles = episode.n_obstacles = episode.ego = episode.frames = episode.road_frames = 0
     episode.time = 0.0
@@ -44,22 +72,18 @@ def start_episode(world: World, task: Task, scene: Scene, words: Words) -> None:
         _start_on_two_way_road(world, task, scene, words)
     elif kind == EXIT:
         _start_at_exit(world, task, scene, words)
-    elif kind == INTERSECTION:
-        start_at_intersection(world, task, scene, words)
-    else:
+    elif kind == U_TURN:
         _start_at_u_turn(world, task, scene, words)
-    _put_obstacles(task, scene, world)
-
-
-@kernel_in_place
-def _put_obstacles(task: Task, scene: Scene, world: World) -> None:
+    else:
+        for gap in task.starts.gaps:
+            spawn_vehicle(world, task, scene, words, gap, INITIAL_PROBABILITY, False)
     for k in range(len(task.starts.obstacles)):
-        scene.vehicles[scene.episode.n_vehicles + k] = task.starts.obstacles[k]
-        scene.traits[scene.episode.n_vehicles + k] = world.templates[BARRIER]
-    scene.episode.n_obstacles = len(task.starts.obstacles)
+        scene.vehicles[episode.n_vehicles + k] = task.starts.obstacles[k]
+        scene.traits[episode.n_vehicles + k] = world.templates[BARRIER]
+    episode.n_obstacles = len(task.starts.obstacles)
 
 
-@kernel_in_place
+@kernel_inline
 def _start_on_highway(world: World, task: Task, scene: Scene, words: Words) -> None:
     rules, lanes = task.rules[0], task.starts.lanes
     lane: int = rules.ego_lane
@@ -73,7 +97,7 @@ def _start_on_highway(world: World, task: Task, scene: Scene, words: Words) -> N
         draw_behavior(words, scene, i)
 
 
-@kernel_in_place
+@kernel_inline
 def _start_at_exit(world: World, task: Task, scene: Scene, words: Words) -> None:
     first = task.starts.lanes[0]
     _place_at_random(world, task, scene, words, EGO, first, 25.0)
@@ -101,7 +125,7 @@ def _place_at_random(
     return place_on_lane(world, scene, template, lane, station, speed)
 
 
-@kernel_in_place
+@kernel_inline
 def _start_at_merge(world: World, task: Task, scene: Scene, words: Words) -> None:
     lanes, starts = world.network.lanes, task.starts
     x, y = lane_point(lanes[starts.lanes[1]], 30.0)
@@ -115,7 +139,7 @@ def _start_at_merge(world: World, task: Task, scene: Scene, words: Words) -> Non
     scene.vehicles[i].target_speed = 30.0
 
 
-@kernel_in_place
+@kernel_inline
 def _start_at_roundabout(world: World, task: Task, scene: Scene, words: Words) -> None:
     rules, starts = task.rules[0], task.starts
     lane = world.network.lanes[starts.lanes[0]]
@@ -131,7 +155,7 @@ def _start_at_roundabout(world: World, task: Task, scene: Scene, words: Words) -
         draw_behavior(words, scene, i)
 
 
-@kernel_in_place
+@kernel_inline
 def _start_at_u_turn(world: World, task: Task, scene: Scene, words: Words) -> None:
     starts = task.starts
     x, y = lane_point(world.network.lanes[starts.lanes[0]], 0.0)
@@ -152,7 +176,7 @@ def _place_nearby(world: World, scene: Scene, words: Words, lane: int, station: 
     return place_on_lane(world, scene, OTHER, lane, station, speed + normal(words) * 2.0)
 
 
-@kernel_in_place
+@kernel_inline
 def _start_on_two_way_road(world: World, task: Task, scene: Scene, words: Words) -> None:
     lanes, starts = world.network.lanes, task.starts
     x, y = lane_point(lanes[starts.lanes[0]], 30.0)

@@ -21,7 +21,7 @@ from behavexplor.envs.stock.task import (
 )
 from behavexplor.envs.stock.world import World
 from behavexplor.envs.vector.meta import nearest_speed
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ ARRIVED_AT: Final = 25.0  # station on a lane out of the intersection [m]
 _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 
 
-@kernel_in_place
+@kernel_inline
 def put_terms(world: World, task: Task, scene: Scene, changes_lane: bool, terms: Floats) -> None:
     """Compute the terms of the reward, in the order of `behavexplor.envs.stock.task.TERMS`.
 
@@ -70,13 +70,13 @@ def put_terms(world: World, task: Task, scene: Scene, changes_lane: bool, terms:
         terms[1], terms[2], terms[3] = share, 1.0 if has_arrived(world, scene) else 0.0, is_on_road(world, scene)
 
 
-@kernel_in_place
+@kernel_inline
 def reward_of(task: Task, terms: Floats) -> float:
     """Compute the reward from its terms."""
     rules, kind = task.rules[0], task.rules[0].kind
     reward = 0.0
-    for k in range(rules.n_terms):
-        reward += rules.weights[k] * terms[k]
+    for k in range(len(task.weights)):
+        reward += task.weights[k] * terms[k]
     if kind == INTERSECTION:
         reward = (rules.arrived_reward if terms[2] != 0.0 else reward) * terms[3]
     if rules.is_normalized:
@@ -88,7 +88,7 @@ def reward_of(task: Task, terms: Floats) -> float:
     return reward
 
 
-@kernel_in_place
+@kernel_inline
 def is_terminated(world: World, task: Task, scene: Scene) -> bool:
     """Return whether the episode has ended by what happened in it."""
     rules, ego = task.rules[0], scene.vehicles[scene.episode.ego]
@@ -118,7 +118,7 @@ def has_arrived(world: World, scene: Scene) -> bool:
     return bool(lane.is_goal and lane_coordinates(lane, ego.x, ego.y)[0] >= ARRIVED_AT)
 
 
-@kernel_in_place
+@kernel_inline
 def _speed_index(scene: Scene) -> int:
     """Return the index of the ego's target speed, or of the default one that is nearest to its speed."""
     ego = scene.vehicles[scene.episode.ego]
@@ -127,7 +127,7 @@ def _speed_index(scene: Scene) -> int:
     return nearest_speed(_DEFAULT_SPEEDS, ego.speed)
 
 
-@kernel_in_place
+@kernel_inline
 def _slowness_on_ramp(world: World, scene: Scene) -> float:
     """Return how much slower than they want the vehicles on the merging lane are, as a sum of shares."""
     total = 0.0

@@ -17,7 +17,7 @@ def known_class(env_class: type[AbstractEnv]) -> type[AbstractEnv]:
     Raises:
         InputError: if there is none, or the environment changes the rules. The message names the changed method.
     """
-    known = next((known for known in KINDS if issubclass(env_class, known)), None)
+    known: type[AbstractEnv] | None = next((known for known in KINDS if issubclass(env_class, known)), None)
     if known is None:
         names = ", ".join(sorted(one.__name__ for one in KINDS))
         raise InputError(

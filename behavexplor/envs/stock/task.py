@@ -1,6 +1,7 @@
 """What distinguishes one of highway-env's environments from another: its starts, rewards and ends, as numbers."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -19,11 +20,11 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
+from behavexplor.envs.stock.records import Records, record_type
 from behavexplor.envs.stock.state import SAME_NUMBER, VEHICLE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Records = NDArray[np.record]
 
 HIGHWAY, MERGE, ROUNDABOUT, U_TURN, TWO_WAY, EXIT, INTERSECTION = range(7)
 
@@ -41,7 +42,8 @@ KINDS = MappingProxyType(  # a subclass comes before its parent
 )
 
 # The terms of each environment's reward, in highway-env's order, with the type that they have in `info["rewards"]`.
-TERMS = MappingProxyType(
+# Gymnasium collects values of numpy's own `bool_` in arrays of objects.
+TERMS: Mapping[int, Mapping[str, type]] = MappingProxyType(
     {
         HIGHWAY: {
             "collision_reward": float,
@@ -60,13 +62,13 @@ TERMS = MappingProxyType(
             "collision_reward": bool,
             "high_speed_reward": float,
             "lane_change_reward": bool,
-            "on_road_reward": bool,
+            "on_road_reward": np.bool_,
         },
         U_TURN: {
             "collision_reward": bool,
             "left_lane_reward": float,
             "high_speed_reward": float,
-            "on_road_reward": bool,
+            "on_road_reward": np.bool_,
         },
         TWO_WAY: {"high_speed_reward": float, "left_lane_reward": float},
         EXIT: {
@@ -108,35 +110,27 @@ _START_LANES = MappingProxyType(  # lanes on which vehicles start, by the names 
 
 DRAWN: Final = -1  # a lane or destination that is drawn at each reset
 
-TASK: Final = np.dtype(
-    (
-        np.record,
-        [
-            ("kind", np.int64),
-            ("n_terms", np.int64),
-            ("weights", np.float64, (MOST_TERMS,)),  # of the terms of the reward
-            ("low_speed", np.float64),  # `reward_speed_range` [m/s]
-            ("high_speed", np.float64),
-            ("is_normalized", np.bool_),
-            ("worst", np.float64),  # rewards that are mapped to 0 and 1
-            ("best", np.float64),
-            ("arrived_reward", np.float64),
-            ("duration", np.float64),  # [s]; infinite: the environment does not truncate
-            ("ends_off_road", np.bool_),
-            ("n_others", np.int64),  # vehicles besides the ego
-            ("n_warm_up", np.int64),  # frames before the ego enters the intersection
-            ("ego_lane", np.int64),  # number of the ego's lane on the highway, or DRAWN
-            ("ego_spacing", np.float64),
-            ("spacing", np.float64),  # of the other vehicles
-            ("lane_factor", np.float64),  # of the spacing, for the number of lanes
-            ("low_start_speed", np.float64),  # of the other vehicles on the highway [m/s]
-            ("high_start_speed", np.float64),
-            ("ego_destination", np.int64),  # row of `Starts.plans`, or DRAWN
-            ("destination", np.int64),  # of the incoming vehicle of the roundabout, or DRAWN
-            ("spawn_probability", np.float64),
-        ],
-    ),
-    align=True,
+TASK: Final = record_type(
+    kind=np.int64,
+    low_speed=np.float64,  # `reward_speed_range` [m/s]
+    high_speed=np.float64,
+    is_normalized=np.bool_,
+    worst=np.float64,  # rewards that are mapped to 0 and 1
+    best=np.float64,
+    arrived_reward=np.float64,
+    duration=np.float64,  # [s]; infinite: the environment does not truncate
+    ends_off_road=np.bool_,
+    n_others=np.int64,  # vehicles besides the ego
+    n_warm_up=np.int64,  # frames before the ego enters the intersection
+    ego_lane=np.int64,  # number of the ego's lane on the highway, or DRAWN
+    ego_spacing=np.float64,
+    spacing=np.float64,  # of the other vehicles
+    lane_factor=np.float64,  # of the spacing, for the number of lanes
+    low_start_speed=np.float64,  # of the other vehicles on the highway [m/s]
+    high_start_speed=np.float64,
+    ego_destination=np.int64,  # row of `Starts.plans`, or DRAWN
+    destination=np.int64,  # of the incoming vehicle of the roundabout, or DRAWN
+    spawn_probability=np.float64,
 )
 
 
@@ -164,10 +158,12 @@ class Task(NamedTuple):
 
     Attributes:
         rules: the numbers, shape (1,) of `TASK`.
+        weights: the weights of the terms of the reward, shape (terms,).
         starts: where vehicles start, and their routes.
     """
 
     rules: Records
+    weights: Floats
     starts: Starts
 
 
@@ -184,13 +180,11 @@ def make_task(env: AbstractEnv, kind: int, starts: Starts) -> Task:
     row.kind = kind
     _put_rewards(row, env.config, kind)
     _put_starts(row, env.config, kind)
-    return Task(rules, starts)
+    weights = [env.config.get(name, 0) for name in TERMS[kind]]
+    return Task(rules, np.array(weights, dtype=np.float64), starts)
 
 
 def _put_rewards(row: Any, config: Mapping[str, Any], kind: int) -> None:
-    names = list(TERMS[kind])
-    row.n_terms = len(names)
-    row.weights[: len(names)] = [config.get(name, 0) for name in names]
     row.low_speed, row.high_speed = config.get("reward_speed_range", (0.0, 1.0))
     row.is_normalized = is_normalized(config, kind)
     if row.is_normalized:
@@ -289,7 +283,7 @@ def _plans(env: AbstractEnv, destinations: tuple[str, ...]) -> Ints:
             except KeyError:
                 path = []
             nodes = [origin, *(path or [target])]
-            plans[-1].append([numbers[ends] for ends in zip(nodes, nodes[1:], strict=False)])
+            plans[-1].append([numbers[ends] for ends in pairwise(nodes)])
     steps = max((len(plan) for to in plans for plan in to), default=1)
     table = np.full((max(len(plans), 1), len(numbers), steps), SAME_NUMBER, dtype=np.int64)
     for row, to in zip(table, plans, strict=False):
