@@ -10,7 +10,7 @@ from behavexplor.envs.stock.observe import View, observe
 from behavexplor.envs.stock.pcg64 import Words
 from behavexplor.envs.stock.rewards import is_terminated, put_terms, reward_of
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
-from behavexplor.envs.stock.step import run_frames, simulate
+from behavexplor.envs.stock.step import give_command, run_frames
 from behavexplor.envs.stock.task import Task
 from behavexplor.envs.stock.world import World
 from behavexplor.jit import kernel_in_place
@@ -92,11 +92,15 @@ def advance(
         if not chosen[b]:
             continue
         scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-        if stage == WARM_UP:
-            run_frames(world.network, world.rules[0], scene, task.rules[0].n_warm_up)
-            continue
+        n_frames = 0
         if stage == DECISION:
-            simulate(world, scene, commands[b, 0], commands[b, 1])
+            give_command(world, scene, commands[b, 0], commands[b, 1])
+            n_frames = world.rules[0].n_frames
+        elif stage == WARM_UP:
+            n_frames = task.rules[0].n_warm_up
+        run_frames(world.network, world.rules[0], scene, n_frames)  # in one place, because the compiler copies it
+        if stage == WARM_UP:
+            continue
         episode = scene.episode
         ego = scene.vehicles[episode.ego]
         if stage == FIRST_LOOK:

@@ -5,10 +5,10 @@ from typing import Final
 
 from behavexplor.envs.stock.lanes import lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, integer, normal, two_of, uniform
-from behavexplor.envs.stock.placing import draw_behavior, place_vehicle, plan_route
+from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.task import DRAWN, Task
-from behavexplor.envs.stock.world import EGO, OTHER, World
+from behavexplor.envs.stock.world import World
 from behavexplor.jit import kernel_in_place, kernel_inline
 
 INITIAL_PROBABILITY: Final = 0.6  # that a vehicle is there at the start, whatever the configuration
@@ -31,7 +31,7 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> 
         destination = 1 + integer(words, 3)
     lane = world.network.lanes[starts.lanes[0]]
     x, y = lane_point(lane, 60.0 + 5.0 * (1.0 + normal(words)))
-    ego = place_vehicle(world, scene, EGO, x, y, lane_heading(lane, 60.0), lane.speed_limit)
+    ego = place_vehicle(world, scene, AS_EGO, x, y, lane_heading(lane, 60.0), lane.speed_limit)
     plan_route(world, scene, ego, starts.plans[destination])
     _clear_around(scene, ego)
 
@@ -63,7 +63,7 @@ def spawn_vehicle(
     for j in range(scene.episode.n_vehicles):
         if _distance(scene, j, x, y) < 15:
             return
-    i = place_vehicle(world, scene, OTHER, x, y, lane_heading(lane, station), speed)
+    i = place_vehicle(world, scene, AS_OTHER, x, y, lane_heading(lane, station), speed)
     plan_route(world, scene, i, task.starts.plans[destination])
     draw_behavior(words, scene, i)
 

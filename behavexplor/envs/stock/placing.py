@@ -1,6 +1,7 @@
 """New vehicles: the constructors of highway-env's vehicle classes, routes and drawn behaviors."""
 
 import math
+from typing import Any
 
 import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
@@ -9,11 +10,16 @@ from numpy.typing import NDArray
 from behavexplor.envs.stock.lanes import closest_lane, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, uniform
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
-from behavexplor.envs.stock.world import World
+from behavexplor.envs.stock.world import EGO, OTHER, World
 from behavexplor.envs.vector.meta import nearest_speed
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 Ints = NDArray[np.int64]
+
+# Numba would compile a function once more for each constant of Python's own type.
+FIRST_LANE: Any = np.int64(0)
+AS_EGO: Any = np.int64(EGO)
+AS_OTHER: Any = np.int64(OTHER)
 
 _LOW_DELTA, _HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
@@ -28,7 +34,7 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     Args:
         world: the road and the vehicles' classes.
         scene: the episode, changed in place. It has no obstacles yet.
-        template: EGO or OTHER, the vehicle's class.
+        template: AS_EGO or AS_OTHER, the vehicle's class.
         x: position [m].
         y: position [m].
         heading: heading [rad].
@@ -44,7 +50,7 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     vehicle.has_impact = vehicle.crashed = vehicle.is_yielding = False
     vehicle.speed_index = vehicle.route_position = 0
     vehicle.route_length = NO_ROUTE
-    vehicle.lane = closest_lane(world.network, 0, x, y, heading)
+    vehicle.lane = closest_lane(world.network, FIRST_LANE, x, y, heading)
     vehicle.target_lane, vehicle.target_speed = vehicle.lane, speed
     if traits.kind == PLAIN:
         vehicle.target_lane, vehicle.target_speed = NO_LANE, 0.0
@@ -56,7 +62,7 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     return i
 
 
-@kernel_in_place
+@kernel_inline
 def place_on_lane(world: World, scene: Scene, template: int, lane: int, station: float, speed: float) -> int:
     """Add a vehicle at a station [m] of a lane, in the lane's direction: `RoadObject.make_on_lane`."""
     x, y = lane_point(world.network.lanes[lane], station)
