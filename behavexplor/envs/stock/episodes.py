@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
-from behavexplor.envs.stock.observe import View, observe
+from behavexplor.envs.stock.observing import View, observe
 from behavexplor.envs.stock.pcg64 import Words
-from behavexplor.envs.stock.rewards import is_terminated, put_terms, reward_of
+from behavexplor.envs.stock.reward_terms import is_terminated, put_terms, reward_of
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
 from behavexplor.envs.stock.step import give_command, run_frames
 from behavexplor.envs.stock.task import Task

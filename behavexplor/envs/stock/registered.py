@@ -10,8 +10,8 @@ from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor import HIGHWAY_ENV
-from behavexplor.envs.stock.env import StockVectorEnv
 from behavexplor.envs.stock.source_gate import changed_sources
+from behavexplor.envs.stock.stock_env import StockVectorEnv
 
 
 def vector_env(env_class: type[AbstractEnv], **arguments: Any) -> VectorEnv[Any, Any, Any]:

@@ -20,6 +20,7 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
+from stable_baselines3 import PPO
 
 import behavexplor
 from behavexplor.envs.stock import StockVectorEnv
@@ -51,7 +52,8 @@ def original(env_id, config, num_envs, mode):
 
 
 def compare(env_id, config=None, *, mode="NextStep", num_envs=2, decisions=20, episodes=10**9, seed=0, policy=None):
-    """Drive both with the same actions: random ones, or those of a policy."""
+    """Drive both with the same actions: random ones, or those of a stored policy."""
+    model = None if policy is None else PPO.load(policy, device="cpu")
     theirs, limit = original(env_id, config, num_envs, mode)
     env_class = type(theirs.envs[0].unwrapped)
     ours = StockVectorEnv(env_class, num_envs, config, autoreset_mode=mode, max_episode_steps=limit)
@@ -64,7 +66,7 @@ def compare(env_id, config=None, *, mode="NextStep", num_envs=2, decisions=20, e
     theirs.action_space.seed(seed)
     while result.decisions < decisions and result.episodes < episodes and not result.different:
         ended = theirs._autoreset_envs.copy()
-        actions = theirs.action_space.sample() if policy is None else policy(expected[0])
+        actions = theirs.action_space.sample() if model is None else model.predict(expected[0], deterministic=True)[0]
         expected, shown = theirs.step(actions), ours.step(actions)
         result.worst = max(result.worst, deviation(expected[0], shown[0]), deviation(expected[1], shown[1]))
         done = expected[2] | expected[3]

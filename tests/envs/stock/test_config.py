@@ -8,8 +8,8 @@ from gymnasium.envs.registration import load_env_creator
 import behavexplor
 from behavexplor.envs.env_config import ACTIONS
 from behavexplor.envs.stock import StockVectorEnv
-from behavexplor.envs.stock.config import DRAWING, OBSERVATIONS, ONLY, UNREAD
-from behavexplor.envs.stock.support import known_class
+from behavexplor.envs.stock.config_check import DRAWING, OBSERVATIONS, ONLY, UNREAD
+from behavexplor.envs.stock.known_classes import known_class
 from behavexplor.envs.stock.task import KINDS
 from behavexplor.errors import InputError
 from tests.envs.stock.side_by_side import assert_equal, compare_in_child

@@ -1,8 +1,11 @@
 """The compiled vector environments give what gymnasium's vector environments of the originals give, bit by bit."""
 
+import os
+
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from highway_env.envs import HighwayEnvFast, IntersectionEnv, MergeEnv, ParkingEnv, TwoWayEnv
@@ -10,8 +13,11 @@ from highway_env.envs.merge_env import MergeGenericEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
 
 from behavexplor.envs.kinematics import FEATURES
+from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.envs.stock import StockVectorEnv, registered
 from behavexplor.errors import InputError
 from tests.envs.stock.environments import DoublyRewardedEnv, DriftingRoadEnv
@@ -19,7 +25,7 @@ from tests.envs.stock.side_by_side import IDS, assert_equal, compare, compare_in
 
 MODES = ("NextStep", "SameStep")
 SHORT = {"highway-v0": 3}  # decisions, which take ten times as long in highway-env
-DURATIONS = {"highway-v0": {"duration": 2}, "merge-v0": {}, "merge-v1": {}, "two-way-v0": {}}  # [s]
+DURATIONS = {"merge-v0": {}, "merge-v1": {}, "two-way-v0": {}}  # [s]
 CONFIGS = {
     "many lanes": ("highway-fast-v0", {"lanes_count": 5, "vehicles_count": 9, "vehicles_density": 2.5}),
     "one lane": ("highway-fast-v0", {"lanes_count": 1, "initial_lane_id": 0, "vehicles_count": 0}),
@@ -79,14 +85,14 @@ def results():
         (env_id, mode): {
             "env_id": env_id,
             "mode": mode,
-            "decisions": SHORT.get(env_id, 9),
-            "config": DURATIONS.get(env_id, {"duration": 3}),
+            "decisions": SHORT.get(env_id, 5),
+            "config": DURATIONS.get(env_id, {"duration": 2}),
         }
         for env_id in IDS
         for mode in MODES
     }
     calls |= {
-        name: {"env_id": env_id, "config": config, "decisions": 5, "num_envs": 1, "seed": 5}
+        name: {"env_id": env_id, "config": config, "decisions": 4, "num_envs": 1, "seed": 5}
         for name, (env_id, config) in CONFIGS.items()
     }
     found = {}
@@ -198,7 +204,8 @@ def test_gymnasium_makes_the_compiled_environment_and_the_original():
     ends = [made.step(np.ones(3, dtype=np.int64))[2:4] for _ in range(15)]
     assert all(bool(truncated.all() or terminated.any()) for terminated, truncated in ends[-1:])
     assert isinstance(gymnasium.make("behavexplor/merge-v1").unwrapped, MergeEnv)
-    with pytest.raises(InputError, match=r"action.dynamical: .*vectorization_mode='sync'"):
+    refused = pytest.raises(InputError, match=r"action.dynamical: .*vectorization_mode='sync'")
+    with pytest.warns(DeprecationWarning, match="out of date"), refused:
         gymnasium.make_vec("behavexplor/intersection-v1", vectorization_mode="vector_entry_point")
 
 
@@ -243,3 +250,33 @@ def test_wrong_use_is_refused():
         StockVectorEnv(HighwayEnvFast, render_mode="rgb_array")
     with pytest.raises(InputError, match="num_envs: expected"):
         StockVectorEnv(HighwayEnvFast, 0)
+
+
+EPISODES = int(os.environ.get("EPISODES", "200"))  # of the slow comparison, by environment
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("env_id", IDS)
+def test_many_episodes_are_equal_to_the_last_bit(env_id, mode):
+    (result,) = compare_in_child(
+        {"env_id": env_id, "mode": mode, "num_envs": 4, "decisions": 10**9, "episodes": EPISODES // 2}
+    )
+    assert_equal(result)
+    assert result.episodes >= EPISODES // 2
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*out of date")
+@pytest.mark.parametrize("env_id", IDS)
+def test_episodes_of_a_trained_policy_are_equal_to_the_last_bit(env_id, tmp_path):
+    torch.set_num_threads(1)
+    env = make_vec_env(env_id, n_envs=16, seed=0, vec_env_cls=HighwayVecEnv)
+    model = PPO("MlpPolicy", env, n_steps=64, batch_size=256, n_epochs=4, seed=0, device="cpu").learn(20_000)
+    model.save(tmp_path / "policy.zip")
+    (result,) = compare_in_child(
+        {"env_id": env_id, "num_envs": 4, "decisions": 10**9, "episodes": EPISODES // 4}
+        | {"policy": str(tmp_path / "policy.zip")}
+    )
+    assert_equal(result)
+    assert result.episodes >= EPISODES // 4

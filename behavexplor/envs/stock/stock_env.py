@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.stock.collision_grid import make_memory
-from behavexplor.envs.stock.config import check_config
+from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, Engine, Outcome, advance
 from behavexplor.envs.stock.infos import final_infos, infos_of
+from behavexplor.envs.stock.known_classes import has_own_starts, known_class
 from behavexplor.envs.stock.lane_network import make_network
-from behavexplor.envs.stock.observe import grid_view, make_view
+from behavexplor.envs.stock.observing import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
 from behavexplor.envs.stock.state import Slots, make_scratch, make_slots
-from behavexplor.envs.stock.support import has_own_starts, known_class
 from behavexplor.envs.stock.task import INTERSECTION, KINDS, MOST_TERMS, make_starts, make_task, no_starts
 from behavexplor.envs.stock.world import OTHER, goal_lanes, make_world
 from behavexplor.envs.values import COUNT, check_value, optional
