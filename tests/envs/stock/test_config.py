@@ -16,7 +16,13 @@ from tests.envs.stock.side_by_side import assert_equal, compare_in_child
 
 IDS = ("highway-fast-v0", "merge-v0", "roundabout-v0", "u-turn-v0", "two-way-v0", "exit-v0", "intersection-v0")
 BASE = {"highway-fast-v0": {"vehicles_count": 8}, "exit-v0": {"vehicles_count": 8}}  # to save time
-DECISIONS = {"merge-v0": 8, "u-turn-v0": 3, "intersection-v0": 4}  # until every key has had its effect
+DECISIONS = {
+    "merge-v0": 8,
+    "roundabout-v0": 4,
+    "u-turn-v0": 3,
+    "two-way-v0": 6,
+    "intersection-v0": 7,
+}  # until every key has had its effect
 CHANGES = {
     "observation": {"type": "Kinematics", "vehicles_count": 3},
     "action": {"type": "DiscreteMetaAction", "target_speeds": [5, 12, 19]},
@@ -50,6 +56,7 @@ NO_EFFECT_HERE = {  # on these few decisions
     ("merge-v0", "neighbour_vehicles_connected_lanes"),
     ("two-way-v0", "neighbour_vehicles_connected_lanes"),
     ("highway-fast-v0", "neighbour_vehicles_connected_lanes"),
+    ("exit-v0", "neighbour_vehicles_connected_lanes"),
     *((env_id, "collision_reward") for env_id in IDS),  # it needs a crash
     *((env_id, "offroad_terminal") for env_id in IDS),  # it needs an ego off the road
     *((env_id, "arrived_reward") for env_id in IDS),
@@ -184,7 +191,11 @@ def each(options):
             {"action": {"type": "DiscreteMetaAction", "longitudinal": False, "lateral": False}},
             "action: at least one of longitudinal and lateral",
         ),
-        ("two-way-v0", {"action": {"type": "DiscreteAction"}}, "two-way environment itself needs the action type"),
+        (
+            "two-way-v0",
+            {"action": {"type": "DiscreteAction"}, "observation": {"type": "Kinematics"}},
+            "two-way environment itself needs the action type",
+        ),
         ("u-turn-v0", {"action": {"type": "DiscreteAction"}}, "TimeToCollision needs the action type"),
         ("merge-v0", {"action": {"type": "ContinuousAction"}}, "reward of this environment itself needs discrete"),
         ("highway-v0", [], "config: expected keys and values"),
