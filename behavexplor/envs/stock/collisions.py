@@ -3,19 +3,24 @@
 import math
 from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from behavexplor.envs.stock.records import Records
 from behavexplor.envs.stock.state import OBSTACLE, Traits, Vehicle
 from behavexplor.jit import kernel_in_place
+
+Floats = NDArray[np.float64]
 
 Corner: TypeAlias = tuple[float, float]
 Corners: TypeAlias = tuple[Corner, Corner, Corner, Corner]
 
 
 @kernel_in_place
-def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float) -> None:
+def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float, xs: Floats) -> None:
     """Find collisions of all pairs, and note what they do to the vehicles.
 
-    Most pairs are passed over at once, because they are too far apart along one axis.
+    Most pairs are passed over at once, because they are too far apart along x, or because neither checks collisions.
 
     Args:
         vehicles: the vehicles and obstacles, changed in place.
@@ -23,21 +28,42 @@ def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: in
         n_vehicles: number of vehicles, which come first.
         n_obstacles: number of obstacles.
         dt: duration of a frame, for which a collision is foreseen [s].
+        xs: memory for the positions along x, shape (N,).
     """
+    longest = 0.0
+    end_of_checking = 0
+    for j in range(n_vehicles + n_obstacles):
+        xs[j] = vehicles[j].x
+        longest = max(longest, traits[j].diameter)
+        if traits[j].checks_collisions:
+            end_of_checking = j + 1
     for i in range(n_vehicles):
-        x, y, ahead = vehicles[i].x, vehicles[i].y, vehicles[i].speed * dt
-        diameter, checks = traits[i].diameter, traits[i].checks_collisions
-        for j in range(i + 1, n_vehicles + n_obstacles):
-            reach = (diameter + traits[j].diameter) / 2 + ahead
-            dx, dy = vehicles[j].x - x, vehicles[j].y - y
-            if abs(dx) > reach or abs(dy) > reach or not (checks or traits[j].checks_collisions):
-                continue
-            if not math.sqrt(dx * dx + dy * dy) > reach:
+        x, reach = xs[i], (traits[i].diameter + longest) / 2 + vehicles[i].speed * dt
+        end = n_vehicles + n_obstacles if traits[i].checks_collisions else end_of_checking
+        after = xs[i + 1 : end]
+        for k in range(_count_within(after, x, reach)):
+            j = i + 1 + k
+            if abs(xs[j] - x) <= reach:
                 _collide_pair(vehicles[i], traits[i], vehicles[j], traits[j], dt)
 
 
 @kernel_in_place
+def _count_within(xs: Floats, x: float, reach: float) -> int:
+    """Return how many of the first positions contain all that are within reach, in one pass without branches."""
+    end = 0
+    for k in range(len(xs)):
+        end = max(end, k + 1 if abs(xs[k] - x) <= reach else 0)
+    return end
+
+
+@kernel_in_place
 def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits: Traits, dt: float) -> None:
+    """Find a collision of two vehicles, or of a vehicle and an obstacle: `RoadObject.handle_collisions`."""
+    if not (traits.checks_collisions or other_traits.checks_collisions):
+        return
+    dx, dy = other.x - vehicle.x, other.y - vehicle.y
+    if math.sqrt(dx * dx + dy * dy) > (traits.diameter + other_traits.diameter) / 2 + vehicle.speed * dt:
+        return
     a, b = _corners(vehicle, traits), _corners(other, other_traits)
     dx = vehicle.speed * vehicle.cos * dt - other.speed * other.cos * dt
     dy = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt

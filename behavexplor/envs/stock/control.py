@@ -100,6 +100,8 @@ def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length
     command = math.asin(clip(-KP_LATERAL * offset / divisor, -1.0, 1.0))
     wanted = future_heading + clip(command, -math.pi / 4, math.pi / 4)
     rate = KP_HEADING * wrap_to_pi(wanted - vehicle.heading)
+    if rate == 0.0:  # most vehicles go straight on; the formulas below give the same
+        return 0.0
     slip = math.asin(clip(length / 2 / divisor * rate, -1.0, 1.0))
     return clip(math.atan(2 * math.tan(slip)), -MAX_STEERING, MAX_STEERING)
 

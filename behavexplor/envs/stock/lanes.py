@@ -8,17 +8,25 @@ from typing import Final
 
 from highway_env.road.lane import AbstractLane
 
-from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, Lane, Network
+from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
 from behavexplor.envs.vector.lanes import wrap_to_pi
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inline
 
 VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]
 SLACK: Final = 1e-9  # more than the rounding errors of a lane's least distance [m]
 
 
-@kernel_in_place
+@kernel_inline
 def lane_coordinates(lane: Lane, x: float, y: float) -> tuple[float, float]:
     """Compute the station and the offset of a point [m]: `local_coordinates`."""
+    if lane.kind == STRAIGHT:
+        dx, dy = x - lane.x, y - lane.y
+        return dx * lane.cos + dy * lane.sin, dx * -lane.sin + dy * lane.cos
+    return _coordinates_on_curve(lane, x, y)
+
+
+@kernel_in_place
+def _coordinates_on_curve(lane: Lane, x: float, y: float) -> tuple[float, float]:
     dx, dy = x - lane.x, y - lane.y
     if lane.kind == CIRCULAR:
         start = lane.phase
@@ -27,9 +35,7 @@ def lane_coordinates(lane: Lane, x: float, y: float) -> tuple[float, float]:
         return station, lane.turn * (lane.radius - math.sqrt(dx * dx + dy * dy))
     station = dx * lane.cos + dy * lane.sin
     offset = dx * -lane.sin + dy * lane.cos
-    if lane.kind == SINE:
-        offset = offset - lane.amplitude * math.sin(lane.pulsation * station + lane.phase)
-    return station, offset
+    return station, offset - lane.amplitude * math.sin(lane.pulsation * station + lane.phase)
 
 
 @kernel_in_place

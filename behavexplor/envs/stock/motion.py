@@ -17,17 +17,21 @@ def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
     """
     _limit_commands(vehicle, traits)
     speed, heading = vehicle.speed, vehicle.heading
-    slip = math.atan(0.5 * math.tan(vehicle.steering))
-    vehicle.x += speed * math.cos(heading + slip) * dt
-    vehicle.y += speed * math.sin(heading + slip) * dt
+    if vehicle.steering == 0.0:  # most vehicles go straight on; the formulas below give the same
+        vehicle.x += speed * vehicle.cos * dt
+        vehicle.y += speed * vehicle.sin * dt
+    else:
+        slip = math.atan(0.5 * math.tan(vehicle.steering))
+        vehicle.x += speed * math.cos(heading + slip) * dt
+        vehicle.y += speed * math.sin(heading + slip) * dt
+        heading += speed * math.sin(slip) / (traits.length / 2) * dt
+        vehicle.heading = heading
+        vehicle.cos, vehicle.sin = math.cos(heading), math.sin(heading)
     if vehicle.has_impact:
         vehicle.x += vehicle.impact_x
         vehicle.y += vehicle.impact_y
         vehicle.crashed = True
         vehicle.has_impact = False
-    heading += speed * math.sin(slip) / (traits.length / 2) * dt
-    vehicle.heading = heading
-    vehicle.cos, vehicle.sin = math.cos(heading), math.sin(heading)
     vehicle.speed += vehicle.acceleration * dt
 
 

@@ -6,8 +6,8 @@ for in a frame.
 
 from typing import Final
 
-from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.lanes import is_on_lane, lane_coordinates
+from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
+from behavexplor.envs.stock.lanes import VEHICLE_LENGTH, is_on_lane, lane_coordinates
 from behavexplor.envs.stock.records import Records
 from behavexplor.envs.stock.state import Scene
 from behavexplor.jit import kernel_in_place, kernel_inline
@@ -56,6 +56,8 @@ def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on
     """List the vehicles and obstacles on a lane and on those that it is linked to, each once; return their number."""
     found = 0
     first = network.lanes[lane].first_link
+    if network.lanes[lane].kind == STRAIGHT and network.lanes[lane].n_links == 1:
+        return _find_on_straight_lane(network.lanes[lane], vehicles, count, on_lane)
     for j in range(count):
         for k in range(first, first + network.lanes[lane].n_links):
             link = network.links[k]
@@ -66,4 +68,20 @@ def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on
                 on_lane[found].station = station + link.offset
                 found += 1
                 break
+    return found
+
+
+@kernel_in_place
+def _find_on_straight_lane(lane: Lane, vehicles: Records, count: int, on_lane: Records) -> int:
+    """List the vehicles on a lane without links to others. It is the most frequent case."""
+    found = 0
+    start_x, start_y, cos, sin = lane.x, lane.y, lane.cos, lane.sin
+    reach, end = lane.width / 2 + MARGIN, lane.length + VEHICLE_LENGTH
+    for j in range(count):
+        dx, dy = vehicles[j].x - start_x, vehicles[j].y - start_y
+        station = dx * cos + dy * sin
+        if abs(dx * -sin + dy * cos) <= reach and -VEHICLE_LENGTH <= station < end:
+            on_lane[found].vehicle = j
+            on_lane[found].station = station
+            found += 1
     return found

@@ -109,12 +109,14 @@ class Scratch(NamedTuple):
         on_lane: these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`.
         predictions: the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3).
         copy: a vehicle, shape (1,) of `VEHICLE`.
+        xs: positions along x [m], shape (N,).
     """
 
     n_on_lane: Ints
     on_lane: Records
     predictions: NDArray[np.float64]
     copy: Records
+    xs: NDArray[np.float64]
 
 
 class Scene(NamedTuple):
@@ -156,4 +158,5 @@ def make_scratch(n_lanes: int, n_places: int) -> Scratch:
         on_lane=np.zeros((n_lanes, n_places), ON_LANE),
         predictions=np.zeros((n_places, N_PREDICTIONS, 3)),
         copy=np.zeros(1, VEHICLE),
+        xs=np.zeros(n_places),
     )

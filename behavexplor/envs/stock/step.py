@@ -47,15 +47,21 @@ def simulate(world: World, scene: Scene, first: float, second: float) -> None:
         first: first number of the ego's command; see `step`.
         second: second number of the ego's command.
     """
+    give_command(world, scene, first, second)
+    run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames)
+
+
+@kernel_inline
+def give_command(world: World, scene: Scene, first: float, second: float) -> None:
+    """Begin a decision: count it, and give the ego its command. The arguments are those of `simulate`."""
     rules, episode = world.rules[0], scene.episode
     episode.time += rules.policy_period
+    episode.frames += rules.n_frames
     ego = scene.vehicles[episode.ego]
     if scene.traits[episode.ego].kind == MDP:
         take_maneuver(world.network, world.speeds, ego, scene.routes[episode.ego], int(first))
     else:
         ego.acceleration, ego.steering = first, second
-    run_frames(world.network, rules, scene, rules.n_frames)
-    episode.frames += rules.n_frames
 
 
 @kernel_in_place
@@ -87,7 +93,7 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> N
                 vehicle.timer += rules.dt
             move(vehicle, traits, rules.dt)
             vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
-        collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt)
+        collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt, scene.scratch.xs)
 
 
 @kernel_in_place

@@ -29,51 +29,62 @@ def drive(network: Network, scene: Scene, i: int) -> None:
         i: the vehicle, whose kind is IDM or LINEAR. It has not crashed.
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
-    target = vehicle.target_lane
-    station, offset = lane_coordinates(network.lanes[target], vehicle.x, vehicle.y)
-    if is_after_end(network.lanes[target], station):
+    lane, target = network.lanes[vehicle.lane], network.lanes[vehicle.target_lane]
+    station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
+    if is_after_end(target, station):
         vehicle.target_lane = next_lane(network, vehicle, scene.routes[i], station)
+    free = _free_acceleration(traits, lane, vehicle, traits.kind)
     if traits.changes_lanes and (vehicle.lane != vehicle.target_lane or traits.lane_change_delay < vehicle.timer):
-        _change_lane(network, scene, i)
-    if vehicle.target_lane != target:
-        target = vehicle.target_lane
-        station, offset = lane_coordinates(network.lanes[target], vehicle.x, vehicle.y)
+        _change_lane(network, scene, i, free)
+    target = network.lanes[vehicle.target_lane]
+    station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
     if traits.kind == LINEAR:
-        vehicle.steering = linear_steering(network.lanes[target], vehicle, station, offset, traits)
+        vehicle.steering = linear_steering(target, vehicle, station, offset, traits)
     else:
-        vehicle.steering = steering(network.lanes[target], vehicle, station, offset, traits.length)
-    lane, own = vehicle.lane, station
-    if lane != target:
-        own, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
-    front, _ = neighbors(network, scene, i, lane, own)
-    wanted = _acceleration(traits, network.lanes[lane], scene.vehicles, i, traits.kind, front)
-    if lane != target:
-        front, _ = neighbors(network, scene, i, target, station)
-        wanted = min(wanted, _acceleration(traits, network.lanes[lane], scene.vehicles, i, traits.kind, front))
+        vehicle.steering = steering(target, vehicle, station, offset, traits.length)
+    own = station
+    if vehicle.lane != vehicle.target_lane:
+        own, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    front, _ = neighbors(network, scene, i, vehicle.lane, own)
+    wanted = _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free)
+    if vehicle.lane != vehicle.target_lane:
+        front, _ = neighbors(network, scene, i, vehicle.target_lane, station)
+        wanted = min(wanted, _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free))
     vehicle.acceleration = clip(wanted, -traits.max_acceleration, traits.max_acceleration)
 
 
 @kernel_in_place
-def _change_lane(network: Network, scene: Scene, i: int) -> None:
+def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
     """Begin or abort a change of lane: `IDMVehicle.change_lane_policy`.
 
     If MOBIL recommends both sides, the right one is taken.
+
+    Args:
+        network: the road network.
+        scene: the episode. Vehicle i is changed in place.
+        i: the vehicle.
+        free: the acceleration that it would want on a free road [m/s2].
     """
-    vehicle = scene.vehicles[i]
+    vehicle, traits = scene.vehicles[i], scene.traits[i]
     lane = network.lanes[vehicle.lane]
     if vehicle.lane != vehicle.target_lane:
         if lane.road == network.lanes[vehicle.target_lane].road and _is_cut_off(lane, scene, i):
             vehicle.target_lane = vehicle.lane
         return
     vehicle.timer = 0.0
+    if abs(vehicle.speed) < MIN_CHANGE_SPEED:
+        return
+    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    front, rear = neighbors(network, scene, i, vehicle.lane, station)
+    unchanged = _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free)
     for side in (-1, 1):
         number = lane.number + side
         if number < 0 or number >= network.roads[lane.road].n_lanes:
             continue
         wanted = vehicle.lane + side
-        if not is_reachable(network.lanes[wanted], vehicle.x, vehicle.y) or abs(vehicle.speed) < MIN_CHANGE_SPEED:
-            continue
-        if _recommends(network, scene, i, wanted):
+        if is_reachable(network.lanes[wanted], vehicle.x, vehicle.y) and _recommends(
+            network, scene, i, wanted, free, unchanged, front, rear
+        ):
             vehicle.target_lane = wanted
 
 
@@ -91,25 +102,37 @@ def _is_cut_off(lane: Lane, scene: Scene, i: int) -> bool:
     return False
 
 
-@kernel_in_place
-def _recommends(network: Network, scene: Scene, i: int, lane: int) -> bool:
-    """Return whether MOBIL recommends that vehicle i changes to a lane: `IDMVehicle.mobil`."""
+@kernel_inline
+def _recommends(
+    network: Network, scene: Scene, i: int, lane: int, free: float, unchanged: float, old_front: int, old_rear: int
+) -> bool:
+    """Return whether MOBIL recommends a change to a lane: `IDMVehicle.mobil`.
+
+    Args:
+        network: the road network.
+        scene: the episode.
+        i: the vehicle.
+        lane: the new lane.
+        free: the acceleration that it would want on a free road [m/s2].
+        unchanged: the acceleration that it wants in its present lane [m/s2].
+        old_front: the vehicle in front in the present lane, or `NOBODY`.
+        old_rear: the vehicle behind in the present lane, or `NOBODY`.
+    """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     station, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
     new_front, new_rear = neighbors(network, scene, i, lane, station)
     new_rear_changed = _acceleration_of(network, scene, traits, new_rear, i)
     if new_rear_changed < -traits.max_braking:
         return False
-    changed = _acceleration_of(network, scene, traits, i, new_front)
+    own_lane = network.lanes[vehicle.lane]
+    changed = _acceleration(traits, own_lane, scene.vehicles, i, traits.kind, new_front, free)
     position = vehicle.route_position
     if position < vehicle.route_length and scene.routes[i, position].number >= 0:
         target = network.lanes[vehicle.target_lane].number
         wanted = scene.routes[i, position].number
         is_toward = _sign(network.lanes[lane].number - target) == _sign(wanted - target)
         return bool(is_toward and not changed < -traits.max_braking)
-    station, _ = lane_coordinates(network.lanes[vehicle.lane], vehicle.x, vehicle.y)
-    old_front, old_rear = neighbors(network, scene, i, vehicle.lane, station)
-    gain = changed - _acceleration_of(network, scene, traits, i, old_front)
+    gain = changed - unchanged
     if traits.politeness != 0.0:
         gain += traits.politeness * (
             new_rear_changed
@@ -125,21 +148,36 @@ def _sign(number: int) -> int:
     return (1 if number > 0 else 0) - (1 if number < 0 else 0)
 
 
-@kernel_inline
+@kernel_in_place
 def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, front: int) -> float:
     """Compute the acceleration that a driver with these traits would want in place of vehicle i [m/s2].
 
     Both i and `front` may be `NOBODY`.
     """
-    wanted = 0.0
-    if i != NOBODY:
-        lane = network.lanes[scene.vehicles[i].lane]
-        wanted = _acceleration(traits, lane, scene.vehicles, i, scene.traits[i].kind, front)
-    return wanted
+    if i == NOBODY:
+        return 0.0
+    lane, kind = network.lanes[scene.vehicles[i].lane], scene.traits[i].kind
+    free = _free_acceleration(traits, lane, scene.vehicles[i], kind)
+    return _acceleration(traits, lane, scene.vehicles, i, kind, front, free)
 
 
 @kernel_in_place
-def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: int, front: int) -> float:
+def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) -> float:
+    """Compute the acceleration that a driver wants with nobody in front [m/s2]; see `_acceleration`."""
+    target_speed = vehicle.target_speed
+    if traits.kind == LINEAR:
+        has_target = kind not in (PLAIN, OBSTACLE)
+        return float(traits.speed_gain * (target_speed - vehicle.speed)) if has_target else 0.0
+    if kind == OBSTACLE:
+        return 0.0
+    if not math.isnan(lane.speed_limit):
+        target_speed = clip(target_speed, 0.0, lane.speed_limit)
+    share = max(vehicle.speed, 0.0) / abs(not_zero(target_speed))
+    return float(traits.comfort_acceleration * (1 - share**traits.delta))
+
+
+@kernel_in_place
+def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
     Args:
@@ -149,41 +187,18 @@ def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: i
         i: the vehicle to be accelerated, which need not be the driver's own.
         kind: kind of vehicle i.
         front: the vehicle in front of it, or `NOBODY`.
+        free: the acceleration that the driver would want with nobody in front [m/s2].
     """
-    distance = 0.0
-    if front != NOBODY:
-        own, _ = lane_coordinates(lane, vehicles[i].x, vehicles[i].y)
-        distance = lane_coordinates(lane, vehicles[front].x, vehicles[front].y)[0] - own
+    if front == NOBODY or (kind == OBSTACLE and traits.kind != LINEAR):
+        return free
+    vehicle, other = vehicles[i], vehicles[front]
+    distance = lane_coordinates(lane, other.x, other.y)[0] - lane_coordinates(lane, vehicle.x, vehicle.y)[0]
     if traits.kind == LINEAR:
-        return _linear_acceleration(traits, vehicles[i], kind, vehicles[front], distance, front != NOBODY)
-    if kind == OBSTACLE:
-        return 0.0
-    vehicle = vehicles[i]
-    target_speed = vehicle.target_speed
-    if not math.isnan(lane.speed_limit):
-        target_speed = clip(target_speed, 0.0, lane.speed_limit)
-    share = max(vehicle.speed, 0.0) / abs(not_zero(target_speed))
-    wanted = traits.comfort_acceleration * (1 - share**traits.delta)
-    if front != NOBODY:
-        closeness = _desired_gap(traits, vehicle, vehicles[front]) / not_zero(distance)
-        wanted -= traits.comfort_acceleration * (closeness * closeness)
-    return float(wanted)
-
-
-@kernel_in_place
-def _linear_acceleration(
-    traits: Traits, vehicle: Vehicle, kind: int, front: Vehicle, distance: float, has_front: bool
-) -> float:
-    """Compute the acceleration of a linear controller [m/s2]: `LinearVehicle.acceleration`."""
-    has_target = kind not in (PLAIN, OBSTACLE)
-    to_target = vehicle.target_speed - vehicle.speed if has_target else 0.0
-    to_front = to_safety = 0.0
-    if has_front:
         safe = traits.distance_wanted + max(vehicle.speed, 0.0) * traits.time_wanted
-        to_front = min(front.speed - vehicle.speed, 0.0)
-        to_safety = min(distance - safe, 0.0)
-    gains = traits.speed_gain * to_target + traits.front_speed_gain * to_front
-    return float(gains + traits.front_gap_gain * to_safety)
+        follow = free + traits.front_speed_gain * min(other.speed - vehicle.speed, 0.0)
+        return float(follow + traits.front_gap_gain * min(distance - safe, 0.0))
+    closeness = _desired_gap(traits, vehicle, other) / not_zero(distance)
+    return float(free - traits.comfort_acceleration * (closeness * closeness))
 
 
 @kernel_in_place
