@@ -6,9 +6,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.control import not_zero
+from behavexplor.envs.stock.lane_geometry import lane_coordinates
+from behavexplor.envs.stock.lane_keeping import not_zero
 from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.lanes import lane_coordinates
 from behavexplor.envs.stock.state import Scene
 from behavexplor.jit import kernel_in_place, kernel_inline
 

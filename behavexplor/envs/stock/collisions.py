@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import OBSTACLE, Traits, Vehicle
 from behavexplor.jit import kernel_in_place
 

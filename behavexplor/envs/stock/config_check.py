@@ -53,18 +53,16 @@ DRAWING = frozenset(  # keys that change pictures only
         "real_time_rendering",
     }
 )
-UNREAD: Mapping[int, frozenset[str]] = (
-    MappingProxyType(  # default keys that highway-env itself does not read
-        {
-            HIGHWAY: frozenset({"lane_change_reward"}),
-            MERGE: frozenset(),
-            ROUNDABOUT: frozenset({"right_lane_reward"}),
-            U_TURN: frozenset({"offroad_terminal"}),
-            TWO_WAY: frozenset({"collision_reward", "left_lane_constraint"}),
-            EXIT: frozenset({"initial_lane_id", "lane_change_reward", "offroad_terminal"}),
-            INTERSECTION: frozenset(),
-        }
-    )
+UNREAD: Mapping[int, frozenset[str]] = MappingProxyType(  # default keys that highway-env itself does not read
+    {
+        HIGHWAY: frozenset({"lane_change_reward"}),
+        MERGE: frozenset(),
+        ROUNDABOUT: frozenset({"right_lane_reward"}),
+        U_TURN: frozenset({"offroad_terminal"}),
+        TWO_WAY: frozenset({"collision_reward", "left_lane_constraint"}),
+        EXIT: frozenset({"initial_lane_id", "lane_change_reward", "offroad_terminal"}),
+        INTERSECTION: frozenset(),
+    }
 )
 ONLY = MappingProxyType({"manual_control": False, "controlled_vehicles": 1})  # keys with one supported value
 READ: Mapping[str, Kind] = MappingProxyType(  # keys that are reproduced, besides observation, action and rewards

@@ -13,7 +13,7 @@ from highway_env.vehicle.objects import Obstacle, RoadObject
 
 from behavexplor.envs.kinematics import default_ranges
 from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import (
     IDM,
     LINEAR,
@@ -27,8 +27,8 @@ from behavexplor.envs.stock.state import (
     Slots,
     Vehicle,
 )
+from behavexplor.envs.stock.stock_world import EGO, World
 from behavexplor.envs.stock.traits import give_traits, kind_of, traits_of
-from behavexplor.envs.stock.world import EGO, World
 from behavexplor.errors import InputError
 
 

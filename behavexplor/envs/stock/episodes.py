@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
+from behavexplor.envs.stock.frames import give_command, run_frames
 from behavexplor.envs.stock.observing import View, observe
 from behavexplor.envs.stock.pcg64 import Words
 from behavexplor.envs.stock.reward_terms import is_terminated, put_terms, reward_of
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
-from behavexplor.envs.stock.step import give_command, run_frames
+from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import Task
-from behavexplor.envs.stock.world import World
 from behavexplor.jit import kernel_in_place
 
 Bools = NDArray[np.bool_]
@@ -82,7 +82,7 @@ def advance(
         slots: the episodes, changed in place.
         scratch: memory that is used within a frame.
         chosen: whether each slot is advanced, shape (B,).
-        commands: see `behavexplor.envs.stock.step.step`, shape (B, 2).
+        commands: see `behavexplor.envs.stock.frames.step`, shape (B, 2).
         changes_lane: whether highway-env takes each action for a change of lane, shape (B,).
         outcome: changed in place.
         stage: DECISION; WARM_UP simulates the traffic before an episode begins; FIRST_LOOK observes and judges only.

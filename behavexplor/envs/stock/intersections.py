@@ -3,12 +3,12 @@
 import math
 from typing import Final
 
-from behavexplor.envs.stock.lanes import lane_heading, lane_point
+from behavexplor.envs.stock.lane_geometry import lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, integer, normal, two_of, uniform
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.stock.state import Scene
+from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
-from behavexplor.envs.stock.world import World
 from behavexplor.jit import kernel_in_place, kernel_inline
 
 INITIAL_PROBABILITY: Final = 0.6  # that a vehicle is there at the start, whatever the configuration

@@ -13,7 +13,7 @@ from highway_env.road.lane import AbstractLane, CircularLane, SineLane, Straight
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.records import Records, record_type
+from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.errors import InputError
 
 Ints = NDArray[np.int64]

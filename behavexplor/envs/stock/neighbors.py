@@ -6,9 +6,9 @@ for in a frame.
 
 from typing import Final
 
+from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, lane_coordinates
 from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
-from behavexplor.envs.stock.lanes import VEHICLE_LENGTH, is_on_lane, lane_coordinates
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import Scene
 from behavexplor.jit import kernel_in_place, kernel_inline
 

@@ -10,10 +10,10 @@ from highway_env.vehicle.kinematics import Vehicle as HighwayVehicle
 from numpy.typing import NDArray
 
 from behavexplor.envs.kinematics import FEATURES, RELATIVE, default_ranges
+from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.lanes import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, shuffle_rows
-from behavexplor.envs.stock.records import Records, record_type
+from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import OBSTACLE, SAME_NUMBER, Scene, Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
 from behavexplor.jit import kernel_in_place, kernel_inline

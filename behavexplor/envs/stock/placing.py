@@ -7,10 +7,10 @@ import numpy as np
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.lanes import closest_lane, lane_heading, lane_point
+from behavexplor.envs.stock.lane_geometry import closest_lane, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, uniform
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
-from behavexplor.envs.stock.world import EGO, OTHER, World
+from behavexplor.envs.stock.stock_world import EGO, OTHER, World
 from behavexplor.envs.vector.meta import nearest_speed
 from behavexplor.jit import kernel_in_place, kernel_inline
 

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.envs.stock.bicycle import move
+from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.lanes import lane_coordinates, lane_heading, lane_point
-from behavexplor.envs.stock.motion import move
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import (
     IDM,
     LINEAR,

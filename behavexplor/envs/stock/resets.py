@@ -5,12 +5,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.envs.stock.frames import clear_vehicles
 from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, enter_intersection, spawn_vehicle
-from behavexplor.envs.stock.lanes import lane_coordinates, lane_heading, lane_point
+from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, integer, normal, uniform, weighted
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_on_lane, place_vehicle, plan_route
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
-from behavexplor.envs.stock.step import clear_vehicles
+from behavexplor.envs.stock.stock_world import BARRIER, World
 from behavexplor.envs.stock.task import (
     DRAWN,
     EXIT,
@@ -21,7 +22,6 @@ from behavexplor.envs.stock.task import (
     U_TURN,
     Task,
 )
-from behavexplor.envs.stock.world import BARRIER, World
 from behavexplor.jit import kernel_in_place, kernel_inline
 
 Bools = NDArray[np.bool_]

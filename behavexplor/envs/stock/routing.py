@@ -2,9 +2,9 @@
 
 import math
 
+from behavexplor.envs.stock.lane_geometry import is_after_end, lane_coordinates, lane_distance, lane_point
 from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.lanes import is_after_end, lane_coordinates, lane_distance, lane_point
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import SAME_NUMBER, Vehicle
 from behavexplor.jit import kernel_in_place
 

@@ -20,7 +20,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
-from behavexplor.envs.stock.records import Records, record_type
+from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import SAME_NUMBER, VEHICLE
 
 Floats = NDArray[np.float64]

@@ -18,9 +18,9 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
 from behavexplor.envs.stock.conversion import load
+from behavexplor.envs.stock.frames import clear_vehicles, step
 from behavexplor.envs.stock.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
-from behavexplor.envs.stock.step import clear_vehicles, step
-from behavexplor.envs.stock.world import make_world
+from behavexplor.envs.stock.stock_world import make_world
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.jit import kernel_in_place
 

@@ -11,8 +11,8 @@ from highway_env.vehicle.objects import Landmark
 from behavexplor.envs.stock.conversion import load, restore
 from behavexplor.envs.stock.lane_network import lane_indexes, make_network, road_numbers
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, make_slots
+from behavexplor.envs.stock.stock_world import EGO, OTHER, make_world
 from behavexplor.envs.stock.traits import kind_of
-from behavexplor.envs.stock.world import EGO, OTHER, make_world
 from behavexplor.errors import InputError
 from tests.envs.stock.comparison import N_PLACES, N_STEPS, make
 

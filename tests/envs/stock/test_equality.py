@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behavexplor.envs.stock.conversion import load
+from behavexplor.envs.stock.frames import step
 from behavexplor.envs.stock.state import make_scratch, make_slots
-from behavexplor.envs.stock.step import step
-from behavexplor.envs.stock.world import make_world
+from behavexplor.envs.stock.stock_world import make_world
 from tests.envs.stock.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make
 
 SHORT = {"highway-v0": {"decisions": 3}}  # its decisions take ten times as long in highway-env

@@ -16,7 +16,7 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_network import Network, make_network
-from behavexplor.envs.stock.records import Records, record_type
+from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import OBSTACLE, TRAITS
 from behavexplor.envs.stock.traits import kind_of, traits_of
 from behavexplor.errors import InputError

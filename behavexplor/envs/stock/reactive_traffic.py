@@ -7,11 +7,11 @@ decides about changes of lane.
 import math
 from typing import Final
 
-from behavexplor.envs.stock.control import clip, linear_steering, not_zero, steering
+from behavexplor.envs.stock.lane_geometry import is_after_end, is_reachable, lane_coordinates
+from behavexplor.envs.stock.lane_keeping import clip, linear_steering, not_zero, steering
 from behavexplor.envs.stock.lane_network import Lane, Network
-from behavexplor.envs.stock.lanes import is_after_end, is_reachable, lane_coordinates
 from behavexplor.envs.stock.neighbors import NOBODY, neighbors
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.routing import next_lane
 from behavexplor.envs.stock.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
 from behavexplor.jit import kernel_in_place, kernel_inline

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.envs.stock.lane_geometry import is_reachable, lane_coordinates, lane_heading
 from behavexplor.envs.stock.lane_network import Lane, Network
-from behavexplor.envs.stock.lanes import is_reachable, lane_coordinates, lane_heading
-from behavexplor.envs.stock.records import Records
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.routing import follow_road
 from behavexplor.envs.stock.state import Traits, Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi

@@ -3,16 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.envs.stock.bicycle import move
 from behavexplor.envs.stock.collisions import collide
-from behavexplor.envs.stock.control import keep_lane_and_speed, take_maneuver
+from behavexplor.envs.stock.lane_geometry import closest_lane, lane_coordinates
+from behavexplor.envs.stock.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.lanes import closest_lane, lane_coordinates
-from behavexplor.envs.stock.motion import move
 from behavexplor.envs.stock.neighbors import UNKNOWN
+from behavexplor.envs.stock.reactive_traffic import drive
 from behavexplor.envs.stock.regulation import enforce_rules
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
-from behavexplor.envs.stock.traffic import drive
-from behavexplor.envs.stock.world import Rules, World
+from behavexplor.envs.stock.stock_world import Rules, World
 from behavexplor.jit import kernel_in_place, kernel_inline
 
 Floats = NDArray[np.float64]
