@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import caching, event
@@ -24,7 +24,7 @@ def kernel(function: Function) -> Function:
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function))
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -34,7 +34,7 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # type: ignore[call-overload]
+    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, _nrt=False)(function)  # type: ignore[call-overload]
     return cast("Function", compiled)
 
 
@@ -47,6 +47,17 @@ def kernel_inline(function: Function) -> Function:
     """
     inlined = numba.njit(nogil=True, error_model="numpy", inline="always", _nrt=False)(function)  # type: ignore[call-overload]
     return cast("Function", inlined)
+
+
+def compiled_for(function: Function, *arguments: object) -> Function:
+    """Compile a kernel for the types of some arguments, and return its machine code.
+
+    Numba finds out the types of all arguments at each call, which takes 20 us for tuples of many arrays. The machine
+    code does not: it must be called with arguments of exactly the same types, dimensions and memory layouts only. With
+    any others, it reads and writes beyond them.
+    """
+    types = tuple(numba.typeof(argument) for argument in arguments)  # type: ignore[no-untyped-call]
+    return cast("Function", cast("Any", function).compile(types))
 
 
 class _Notice(event.Listener):

@@ -7,7 +7,7 @@ import logging
 import time
 import warnings
 from collections.abc import Callable
-from importlib.util import find_spec
+from functools import cache
 from typing import Any
 
 import gymnasium
@@ -49,7 +49,7 @@ def highway_rows(seconds: float) -> list[dict[str, Any]]:
 def _row(name: str, seconds: float) -> dict[str, Any]:
     drives = {"highway-env": _original(name)}
     drives |= {f"batch {count}": _compiled(name, count) for count in BATCHES}
-    if find_spec("envpool") and name in ENVPOOL:
+    if _has_envpool() and name in ENVPOOL:
         drives |= {f"EnvPool {count}": _envpool(name, count) for count in BATCHES}
     for drive in drives.values():
         drive()  # compiles what is not cached
@@ -90,6 +90,15 @@ def _compiled(name: str, count: int) -> Drive:
     )
     env.reset(seed=0)
     return _steps(env, count, env.single_action_space.n)
+
+
+@cache
+def _has_envpool() -> bool:
+    try:
+        import envpool  # noqa: F401, PLC0415 - not a dependency
+    except (ImportError, OSError):  # OSError: some of its wheels lack files of other environments
+        return False
+    return True
 
 
 def _envpool(name: str, count: int) -> Drive:

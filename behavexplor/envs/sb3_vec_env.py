@@ -191,6 +191,12 @@ class HighwayVecEnv(LockStepVecEnv):
             monitor.results_writer.write_row(episode)
         return episode
 
+    def close(self) -> None:
+        """Close the environment and the monitor's file."""
+        super().close()
+        if self._monitor is not None:
+            self._monitor.close()
+
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
         """Return whether each sub-environment behaves as if it had a wrapper, such as `Monitor`."""
         is_wrapped = self._monitor is not None and issubclass(Monitor, wrapper_class)

@@ -24,21 +24,17 @@ def infos_of(kind: int, outcome: Outcome, actions: NDArray[Any], chosen: Bools, 
         chosen: which sub-environments have an info, shape (B,).
         stepped: which of them have taken an action, while the others have been reset, shape (B,).
     """
-    everywhere = bool(chosen.all())
     mask = chosen.copy()
-
-    def kept(values: NDArray[Any]) -> NDArray[Any]:
-        if everywhere:
-            return values.copy()
-        shown = np.zeros_like(values)
-        shown[mask] = values[mask]
-        return shown
-
+    speeds, crashed, taken = outcome.speeds.copy(), outcome.crashed.copy(), actions.copy()
+    terms = outcome.terms.T.copy()
+    if not chosen.all():
+        beside = ~chosen
+        speeds[beside] = crashed[beside] = taken[beside] = terms[:, beside] = 0
     rewards: dict[str, Any] = {}
-    for values, (name, wanted) in zip(outcome.terms.T, TERMS[kind].items(), strict=False):
-        rewards[name], rewards[f"_{name}"] = _typed(kept(values), wanted, mask), mask
-    infos: dict[str, Any] = {"speed": kept(outcome.speeds), "crashed": kept(outcome.crashed), "action": kept(actions)}
-    infos |= {"rewards": rewards}
+    for values, (name, wanted) in zip(terms, TERMS[kind].items(), strict=False):
+        rewards[name] = values if wanted is float else _typed(values, wanted, mask)
+        rewards[f"_{name}"] = mask
+    infos: dict[str, Any] = {"speed": speeds, "crashed": crashed, "action": taken, "rewards": rewards}
     if kind == INTERSECTION:
         ended = outcome.crashed | (outcome.terms[:, _ARRIVED] != 0)
         infos |= {"agents_rewards": _tuples(outcome.rewards, mask), "agents_terminated": _tuples(ended, mask)}

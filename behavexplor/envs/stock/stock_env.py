@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -29,19 +28,28 @@ from behavexplor.envs.stock.observing import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
 from behavexplor.envs.stock.state import Slots, make_scratch, make_slots
-from behavexplor.envs.stock.task import INTERSECTION, KINDS, MOST_TERMS, make_starts, make_task, no_starts
-from behavexplor.envs.stock.world import OTHER, goal_lanes, make_world
+from behavexplor.envs.stock.stock_world import OTHER, goal_lanes, make_world
+from behavexplor.envs.stock.task import (
+    INTERSECTION,
+    KINDS,
+    MERGE,
+    MOST_TERMS,
+    ROUNDABOUT,
+    make_starts,
+    make_task,
+    no_starts,
+)
 from behavexplor.envs.values import COUNT, check_value, optional
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_seeds, chosen_slots
 from behavexplor.errors import InputError, unknown_name
+from behavexplor.jit import compiled_for
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 _CHANGED_BY_INTERSECTION = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 _ROOM = 16  # more vehicles than in the first episode, for environments that place their own
-_LANE_CHANGES = (0, 2)  # what highway-env takes for a change of lane, whatever the actions mean
 
 
 class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
@@ -98,7 +106,9 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
+        self._compile()
         self._commands = make_commands(self._single.action_type)
+        self._no_lane_changes = np.zeros(num_envs, dtype=bool)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._ended = np.zeros(num_envs, dtype=bool)
@@ -240,13 +250,32 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._ended = self._ended & ~mask
         return actions
 
+    def _compile(self) -> None:
+        """Compile the kernels for the types of this environment's arrays, or read them from the cache."""
+        world, task, _, words = self._engine
+        mask, commands = np.zeros(self.num_envs, dtype=bool), np.zeros((self.num_envs, 2))
+        self._advance_slots = compiled_for(
+            advance, self._engine, self._slots, self._scratch, mask, commands, mask, self._outcome, DECISION
+        )
+        self._populate_slots = compiled_for(populate, world, task, self._slots, self._scratch, words, mask, START)
+
     def _advance(self, mask: Bools, actions: NDArray[Any], stage: int) -> None:
         commands, lane_changes = self._commands(actions), self._lane_changes(actions)
-        advance(self._engine, self._slots, self._scratch, mask, commands, lane_changes, self._outcome, stage)
+        self._advance_slots(
+            self._engine,
+            self._slots,
+            self._scratch,
+            np.ascontiguousarray(mask, dtype=np.bool_),
+            np.ascontiguousarray(commands, dtype=np.float64),
+            np.ascontiguousarray(lane_changes, dtype=np.bool_),
+            self._outcome,
+            stage,
+        )
 
     def _populate(self, mask: Bools, stage: int) -> None:
         world, task, _, words = self._engine
-        populate(world, task, self._slots, self._scratch, words, mask, stage)
+        mask = np.ascontiguousarray(mask, dtype=np.bool_)
+        self._populate_slots(world, task, self._slots, self._scratch, words, mask, stage)
 
     def _copy_starts(self, mask: Bools) -> None:
         """Let highway-env begin episodes, and copy them to the chosen slots."""
@@ -263,9 +292,10 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 words[b] = generator_words(env.np_random)
 
     def _lane_changes(self, actions: NDArray[Any]) -> Bools:
-        if isinstance(self.single_action_space, spaces.Discrete):
-            return np.isin(actions, _LANE_CHANGES)
-        return np.zeros(self.num_envs, dtype=bool)
+        """Return which actions highway-env takes for changes of lane, whatever they mean, shape (num_envs,)."""
+        if self._kind in (MERGE, ROUNDABOUT):  # the others do not ask
+            return np.asarray((actions == 0) | (actions == 2))
+        return self._no_lane_changes
 
     def _observations(self) -> NDArray[Any]:
         return self._outcome.observations.reshape(self.observation_space.shape).copy()

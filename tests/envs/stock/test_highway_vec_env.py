@@ -44,15 +44,15 @@ def test_steps_are_those_of_dummy_vec_env():
             assert these.dtype == those.dtype
             np.testing.assert_allclose(these, those, atol=1e-6)
         for these, those in zip(our_step[3], their_step[3], strict=True):
-            assert shown(these) == pytest.approx(shown(those), abs=1e-6) or deeply(shown(these), shown(those))
+            assert alike(shown(these), shown(those))
         ends += int(our_step[2].sum())
     assert ends >= 4
 
 
-def deeply(these, those):
-    """Compare nested values, floats to 1e-6."""
+def alike(these, those):
+    """Return whether nested values are equal, floats to 1e-6."""
     if isinstance(these, dict):
-        return these.keys() == those.keys() and all(deeply(these[key], those[key]) for key in these)
+        return these.keys() == those.keys() and all(alike(these[key], those[key]) for key in these)
     if isinstance(these, list):
         return np.allclose(these, those, atol=1e-6)
     return bool(these == pytest.approx(those, abs=1e-6))
@@ -74,17 +74,20 @@ def test_the_monitor_s_file_has_all_episodes(tmp_path):
     env.reset()
     for _ in range(3):
         env.step(np.ones(3, dtype=np.int64))
+    env.close()
     (file,) = tmp_path.glob("*.csv")
     assert len(file.read_text().splitlines()) == 2 + 3
 
 
 def test_a_time_limit_truncates():
-    env = make(HighwayVecEnv, 2, "two-way-v0", config=None)
+    env = make(HighwayVecEnv, 8, "two-way-v0", config=None)
     env.reset()
+    ended = []
     for _ in range(15):
-        *_, dones, infos = env.step(np.full(2, 4))
-    assert dones.all()
-    assert all(info["TimeLimit.truncated"] for info in infos)
+        *_, dones, infos = env.step(np.full(8, 4))
+        ended += [info for info, done in zip(infos, dones, strict=True) if done]
+    assert max(info["episode"]["l"] for info in ended) == 15
+    assert {info["episode"]["l"] for info in ended if info["TimeLimit.truncated"]} == {15}
 
 
 def test_other_wrappers_are_refused():
