@@ -15,12 +15,17 @@ from behavexplor.errors import InputError
 from tests.envs.stock.side_by_side import assert_equal, compare_in_child
 
 IDS = ("highway-fast-v0", "merge-v0", "roundabout-v0", "u-turn-v0", "two-way-v0", "exit-v0", "intersection-v0")
-BASE = {"highway-fast-v0": {"vehicles_count": 8}, "exit-v0": {"vehicles_count": 8}}  # to save time
+BASE = {  # to save time, and to see small differences
+    "highway-fast-v0": {"vehicles_count": 8},
+    "exit-v0": {"vehicles_count": 8},
+    "two-way-v0": {"observation": {"type": "Kinematics"}},
+}
 DECISIONS = {
     "merge-v0": 8,
     "roundabout-v0": 4,
     "u-turn-v0": 3,
     "two-way-v0": 6,
+    "exit-v0": 5,
     "intersection-v0": 7,
 }  # until every key has had its effect
 CHANGES = {
@@ -42,7 +47,7 @@ CHANGES = {
     "incoming_vehicle_destination": 2,
     "destination": "o3",
     "initial_vehicle_count": 3,
-    "spawn_probability": 1.0,
+    "spawn_probability": 0.0,
     "screen_width": 100,
     "screen_height": 100,
     "centering_position": [0.1, 0.1],
