@@ -3,10 +3,10 @@
 import math
 
 from behavexplor.envs.stock.state import Traits, Vehicle
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 
-@kernel_in_place
+@kernel_inner
 def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
     """Advance a vehicle by one step of the bicycle model. Its lane is not updated.
 
@@ -35,7 +35,7 @@ def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
     vehicle.speed += vehicle.acceleration * dt
 
 
-@kernel_in_place
+@kernel_inner
 def _limit_commands(vehicle: Vehicle, traits: Traits) -> None:
     """Keep the vehicle within its speed range, and stop it after a crash: `Vehicle.clip_actions`."""
     if vehicle.crashed:

@@ -10,7 +10,7 @@ from behavexplor.envs.stock.lane_geometry import lane_coordinates
 from behavexplor.envs.stock.lane_keeping import not_zero
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.state import Scene
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -97,7 +97,7 @@ def _fill_grid(network: Network, scene: Scene, speeds: Floats, period: float, me
             _mark(grid[k], first, last, (gap + margin) / closing / period, 0.5)
 
 
-@kernel_in_place
+@kernel_inner
 def _mark(grid: Singles, first: int, last: int, time: float, cost: float) -> None:
     """Raise the cost of a time, in cells, on the lanes from `first` to before `last`."""
     if time < 0:
@@ -109,7 +109,7 @@ def _mark(grid: Singles, first: int, last: int, time: float, cost: float) -> Non
                 grid[lane, cell] = max(grid[lane, cell], np.float32(cost))
 
 
-@kernel_in_place
+@kernel_inner
 def _is_connected(network: Network, scene: Scene, road: int, stack: Ints) -> bool:
     """Return whether vehicles on a road can be met on the ego's way: `RoadNetwork.is_connected_road`."""
     ego, route = scene.vehicles[scene.episode.ego], scene.routes[scene.episode.ego]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import OBSTACLE, Traits, Vehicle
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ Corner: TypeAlias = tuple[float, float]
 Corners: TypeAlias = tuple[Corner, Corner, Corner, Corner]
 
 
-@kernel_in_place
+@kernel_inner
 def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float, xs: Floats) -> None:
     """Find collisions of all pairs, and note what they do to the vehicles.
 
@@ -47,7 +47,7 @@ def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: in
                 _collide_pair(vehicles[i], traits[i], vehicles[j], traits[j], dt)
 
 
-@kernel_in_place
+@kernel_inner
 def _count_within(xs: Floats, x: float, reach: float) -> int:
     """Return how many of the first positions contain all that are within reach, in one pass without branches."""
     end = 0
@@ -56,7 +56,7 @@ def _count_within(xs: Floats, x: float, reach: float) -> int:
     return end
 
 
-@kernel_in_place
+@kernel_inner
 def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits: Traits, dt: float) -> None:
     """Find a collision of two vehicles, or of a vehicle and an obstacle: `RoadObject.handle_collisions`."""
     if not (traits.checks_collisions or other_traits.checks_collisions):
@@ -77,20 +77,20 @@ def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits
         vehicle.crashed = other.crashed = True
 
 
-@kernel_in_place
+@kernel_inner
 def _corners(vehicle: Vehicle, traits: Traits) -> Corners:
     """Compute the corners of a vehicle: `RoadObject.polygon`."""
     a, b = traits.length / 2, traits.width / 2
     return _corner(vehicle, -a, -b), _corner(vehicle, -a, b), _corner(vehicle, a, b), _corner(vehicle, a, -b)
 
 
-@kernel_in_place
+@kernel_inner
 def _corner(vehicle: Vehicle, along: float, aside: float) -> Corner:
     x = vehicle.cos * along + -vehicle.sin * aside + vehicle.x
     return x, vehicle.sin * along + vehicle.cos * aside + vehicle.y
 
 
-@kernel_in_place
+@kernel_inner
 def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, float, float]:
     """Return whether two boxes overlap, whether they will, and the push that parts them [m].
 
@@ -134,7 +134,7 @@ def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, 
     return is_now, is_soon, least * push_x, least * push_y
 
 
-@kernel_in_place
+@kernel_inner
 def _span(box: Corners, nx: float, ny: float) -> tuple[float, float]:
     """Compute the least and greatest projection of the corners on an axis: `highway_env.utils.project_polygon`."""
     low = high = box[0][0] * nx + box[0][1] * ny
@@ -144,13 +144,13 @@ def _span(box: Corners, nx: float, ny: float) -> tuple[float, float]:
     return low, high
 
 
-@kernel_in_place
+@kernel_inner
 def _gap(low_a: float, high_a: float, low_b: float, high_b: float) -> float:
     """Compute the distance of two intervals, negative if they overlap: `highway_env.utils.interval_distance`."""
     return low_b - high_a if low_a < low_b else low_a - high_b
 
 
-@kernel_in_place
+@kernel_inner
 def _center(box: Corners) -> Corner:
     a, b, c, d = box
     return (a[0] + b[0] + c[0] + d[0]) / 4, (a[1] + b[1] + c[1] + d[1]) / 4

@@ -13,7 +13,7 @@ from behavexplor.envs.stock.reactive_traffic import drive
 from behavexplor.envs.stock.regulation import enforce_rules
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import Rules, World
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_in_place, kernel_inline, kernel_inner
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -64,7 +64,7 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
         ego.acceleration, ego.steering = first, second
 
 
-@kernel_in_place
+@kernel_inner
 def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> None:
     """Simulate some frames: `Road.act` and `Road.step`.
 
@@ -96,7 +96,7 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> N
         collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt, scene.scratch.xs)
 
 
-@kernel_in_place
+@kernel_inner
 def clear_vehicles(network: Network, scene: Scene) -> None:
     """Remove the traffic that leaves an intersection, in its order: `IntersectionEnv._clear_vehicles`.
 
@@ -117,7 +117,7 @@ def clear_vehicles(network: Network, scene: Scene) -> None:
     scene.episode.n_vehicles = kept
 
 
-@kernel_in_place
+@kernel_inner
 def _is_leaving(network: Network, scene: Scene, i: int) -> bool:
     vehicle = scene.vehicles[i]
     if vehicle.route_length == NO_ROUTE:

@@ -9,7 +9,7 @@ from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, plac
 from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 INITIAL_PROBABILITY: Final = 0.6  # that a vehicle is there at the start, whatever the configuration
 
@@ -36,7 +36,7 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> 
     _clear_around(scene, ego)
 
 
-@kernel_in_place
+@kernel_inner
 def spawn_vehicle(
     world: World, task: Task, scene: Scene, words: Words, station: float, probability: float, is_challenger: bool
 ) -> None:
@@ -68,7 +68,7 @@ def spawn_vehicle(
     draw_behavior(words, scene, i)
 
 
-@kernel_in_place
+@kernel_inner
 def _clear_around(scene: Scene, ego: int) -> None:
     """Remove the vehicles within 20 m of the ego, which is the last one. The others keep their order."""
     x, y = scene.vehicles[ego].x, scene.vehicles[ego].y
@@ -84,7 +84,7 @@ def _clear_around(scene: Scene, ego: int) -> None:
     scene.episode.n_vehicles, scene.episode.ego = kept, kept - 1
 
 
-@kernel_in_place
+@kernel_inner
 def _distance(scene: Scene, i: int, x: float, y: float) -> float:
     dx, dy = scene.vehicles[i].x - x, scene.vehicles[i].y - y
     return math.sqrt(dx * dx + dy * dy)

@@ -10,7 +10,7 @@ from highway_env.road.lane import AbstractLane
 
 from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
 from behavexplor.envs.vector.lanes import wrap_to_pi
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]
 SLACK: Final = 1e-9  # more than the rounding errors of a lane's least distance [m]
@@ -25,7 +25,7 @@ def lane_coordinates(lane: Lane, x: float, y: float) -> tuple[float, float]:
     return _coordinates_on_curve(lane, x, y)
 
 
-@kernel_in_place
+@kernel_inner
 def _coordinates_on_curve(lane: Lane, x: float, y: float) -> tuple[float, float]:
     dx, dy = x - lane.x, y - lane.y
     if lane.kind == CIRCULAR:
@@ -38,7 +38,7 @@ def _coordinates_on_curve(lane: Lane, x: float, y: float) -> tuple[float, float]
     return station, offset - lane.amplitude * math.sin(lane.pulsation * station + lane.phase)
 
 
-@kernel_in_place
+@kernel_inner
 def lane_heading(lane: Lane, station: float) -> float:
     """Compute the heading at a station [rad]: `heading_at`."""
     if lane.kind == CIRCULAR:
@@ -49,7 +49,7 @@ def lane_heading(lane: Lane, station: float) -> float:
     return float(lane.heading)
 
 
-@kernel_in_place
+@kernel_inner
 def lane_point(lane: Lane, station: float) -> tuple[float, float]:
     """Compute the point of the center line at a station [m]: `position` with a lateral coordinate of 0."""
     if lane.kind == CIRCULAR:
@@ -62,21 +62,21 @@ def lane_point(lane: Lane, station: float) -> tuple[float, float]:
     return x, lane.y + station * lane.sin + offset * lane.cos
 
 
-@kernel_in_place
+@kernel_inner
 def lane_distance(lane: Lane, x: float, y: float) -> float:
     """Compute the distance of a point: its offset plus its distance beyond either end [m]: `distance`."""
     station, offset = lane_coordinates(lane, x, y)
     return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0))
 
 
-@kernel_in_place
+@kernel_inner
 def is_on_lane(lane: Lane, station: float, offset: float, margin: float) -> bool:
     """Return whether a point with these coordinates [m] is on the lane: `on_lane`."""
     is_beside = abs(offset) <= lane.width / 2 + margin
     return bool(is_beside and station >= -VEHICLE_LENGTH and station < lane.length + VEHICLE_LENGTH)
 
 
-@kernel_in_place
+@kernel_inner
 def is_reachable(lane: Lane, x: float, y: float) -> bool:
     """Return whether a vehicle at this point may change to the lane: `is_reachable_from`."""
     if lane.is_forbidden:
@@ -85,13 +85,13 @@ def is_reachable(lane: Lane, x: float, y: float) -> bool:
     return bool(abs(offset) <= 2 * lane.width and station >= 0 and station < lane.length + VEHICLE_LENGTH)
 
 
-@kernel_in_place
+@kernel_inner
 def is_after_end(lane: Lane, station: float) -> bool:
     """Return whether a station is so near the end that highway-env looks for the next lane: `after_end`."""
     return bool(station > lane.length - VEHICLE_LENGTH / 2)
 
 
-@kernel_in_place
+@kernel_inner
 def closest_lane(network: Network, likely: int, x: float, y: float, heading: float) -> int:
     """Return the lane that is closest in position and heading: `RoadNetwork.get_closest_lane_index`.
 
@@ -113,14 +113,14 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     return best
 
 
-@kernel_in_place
+@kernel_inner
 def _distance_with_heading(lane: Lane, x: float, y: float, heading: float) -> float:
     station, offset = lane_coordinates(lane, x, y)
     angle = abs(wrap_to_pi(heading - lane_heading(lane, station)))
     return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0) + 1.0 * angle)
 
 
-@kernel_in_place
+@kernel_inner
 def _least_distance(lane: Lane, x: float, y: float) -> float:
     """Compute a lower bound of the distance that is cheap to compute [m]."""
     dx, dy = x - lane.x, y - lane.y

@@ -24,18 +24,18 @@ from behavexplor.envs.vector.meta import (
     nearest_speed,
     throttle,
 )
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
 
-@kernel_in_place
+@kernel_inner
 def clip(value: float, low: float, high: float) -> float:
     """Limit a number to an interval: `numpy.clip`."""
     return min(max(value, low), high)
 
 
-@kernel_in_place
+@kernel_inner
 def not_zero(value: float) -> float:
     """Return a number, or the least one of its sign that may be a denominator: `highway_env.utils.not_zero`."""
     if abs(value) > SLOWEST:
@@ -43,7 +43,7 @@ def not_zero(value: float) -> float:
     return SLOWEST if value >= 0 else -SLOWEST
 
 
-@kernel_in_place
+@kernel_inner
 def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Records, maneuver: int) -> None:
     """Change the target speed and the target lane as a meta-action says: `MDPVehicle.act`.
 
@@ -67,7 +67,7 @@ def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Rec
             vehicle.target_lane = wanted
 
 
-@kernel_in_place
+@kernel_inner
 def keep_lane_and_speed(network: Network, vehicle: Vehicle, route: Records, length: float) -> None:
     """Steer toward the target lane and accelerate toward the target speed: `ControlledVehicle.act` without an action.
 
@@ -84,7 +84,7 @@ def keep_lane_and_speed(network: Network, vehicle: Vehicle, route: Records, leng
     vehicle.acceleration = throttle(vehicle.target_speed, vehicle.speed)
 
 
-@kernel_in_place
+@kernel_inner
 def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length: float) -> float:
     """Compute the steering angle toward a lane [rad]: `ControlledVehicle.steering_control`.
 
@@ -106,7 +106,7 @@ def steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, length
     return clip(math.atan(2 * math.tan(slip)), -MAX_STEERING, MAX_STEERING)
 
 
-@kernel_in_place
+@kernel_inner
 def linear_steering(lane: Lane, vehicle: Vehicle, station: float, offset: float, traits: Traits) -> float:
     """Compute the steering angle toward a lane [rad]: `LinearVehicle.steering_control`, within its limits.
 

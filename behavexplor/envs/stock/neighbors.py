@@ -10,7 +10,7 @@ from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, lan
 from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import Scene
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 NOBODY: Final = -1
 UNKNOWN: Final = -1  # `n_on_lane` of a lane that has not been asked for in this frame
@@ -35,7 +35,7 @@ def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float)
     return _nearest(on_lane, scene.scratch.n_on_lane[lane], i, station)
 
 
-@kernel_in_place
+@kernel_inner
 def _nearest(on_lane: Records, count: int, i: int, station: float) -> tuple[int, int]:
     front = rear = NOBODY
     front_station = rear_station = 0.0
@@ -51,7 +51,7 @@ def _nearest(on_lane: Records, count: int, i: int, station: float) -> tuple[int,
     return front, rear
 
 
-@kernel_in_place
+@kernel_inner
 def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on_lane: Records) -> int:
     """List the vehicles and obstacles on a lane and on those that it is linked to, each once; return their number."""
     found = 0
@@ -71,7 +71,7 @@ def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on
     return found
 
 
-@kernel_in_place
+@kernel_inner
 def _find_on_straight_lane(lane: Lane, vehicles: Records, count: int, on_lane: Records) -> int:
     """List the vehicles on a lane without links to others. It is the most frequent case."""
     found = 0

@@ -16,7 +16,7 @@ from behavexplor.envs.stock.pcg64 import Words, shuffle_rows
 from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import OBSTACLE, SAME_NUMBER, Scene, Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 Singles = NDArray[np.float32]
 
@@ -160,7 +160,7 @@ def _sort_seen(network: Network, view: View, scene: Scene, most: int) -> int:
     return count
 
 
-@kernel_in_place
+@kernel_inner
 def _normalized(view: View, scene: Scene, k: int, value: float) -> float:
     """Map a value from its range to [-1, 1], if it has one."""
     column = view.columns[k]
@@ -175,7 +175,7 @@ def _normalized(view: View, scene: Scene, k: int, value: float) -> float:
     return value
 
 
-@kernel_in_place
+@kernel_inner
 def _feature(network: Network, scene: Scene, i: int, feature: int, knows_destination: bool) -> float:
     """Compute a feature of vehicle or obstacle i in world coordinates: `Vehicle.to_dict`."""
     vehicle = scene.vehicles[i]
@@ -194,7 +194,7 @@ def _feature(network: Network, scene: Scene, i: int, feature: int, knows_destina
     return float(vehicle.heading) if feature == ANGLE else _lane_offset(network, vehicle, feature)
 
 
-@kernel_in_place
+@kernel_inner
 def _destination_direction(network: Network, scene: Scene, i: int, feature: int) -> float:
     """Compute a component of the unit vector toward the end of a vehicle's route; 0 without a route."""
     vehicle = scene.vehicles[i]
@@ -208,7 +208,7 @@ def _destination_direction(network: Network, scene: Scene, i: int, feature: int)
     return 0.0 if dx == 0.0 and dy == 0.0 else (dx if feature == COS_D else dy) / distance
 
 
-@kernel_in_place
+@kernel_inner
 def _lane_offset(network: Network, vehicle: Vehicle, feature: int) -> float:
     """Compute the station [m], offset [m] or angle [rad] of a vehicle in its lane: `Vehicle.lane_offset`."""
     lane = network.lanes[vehicle.lane]

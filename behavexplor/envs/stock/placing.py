@@ -12,7 +12,7 @@ from behavexplor.envs.stock.pcg64 import Words, uniform
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
 from behavexplor.envs.stock.stock_world import EGO, OTHER, World
 from behavexplor.envs.vector.meta import nearest_speed
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 Ints = NDArray[np.int64]
 
@@ -27,7 +27,7 @@ _GAINS: tuple[tuple[float, ...], ...] = tuple(
 )
 
 
-@kernel_in_place
+@kernel_inner
 def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float, heading: float, speed: float) -> int:
     """Add a vehicle behind all others in the list, and return its place.
 
@@ -69,7 +69,7 @@ def place_on_lane(world: World, scene: Scene, template: int, lane: int, station:
     return place_vehicle(world, scene, template, x, y, lane_heading(world.network.lanes[lane], station), speed)
 
 
-@kernel_in_place
+@kernel_inner
 def plan_route(world: World, scene: Scene, i: int, plans: Ints) -> None:
     """Plan the route of vehicle i from its lane to a destination: `ControlledVehicle.plan_route_to`.
 
@@ -92,7 +92,7 @@ def plan_route(world: World, scene: Scene, i: int, plans: Ints) -> None:
         vehicle.route_length += 1
 
 
-@kernel_in_place
+@kernel_inner
 def draw_behavior(words: Words, scene: Scene, i: int) -> None:
     """Draw the behavior of vehicle i: `randomize_behavior` of `IDMVehicle` or `LinearVehicle`."""
     traits = scene.traits[i]

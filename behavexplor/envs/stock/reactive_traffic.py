@@ -14,7 +14,7 @@ from behavexplor.envs.stock.neighbors import NOBODY, neighbors
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.routing import next_lane
 from behavexplor.envs.stock.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 MIN_CHANGE_SPEED: Final = 1  # a slower vehicle does not change lane [m/s]
 
@@ -53,7 +53,7 @@ def drive(network: Network, scene: Scene, i: int) -> None:
     vehicle.acceleration = clip(wanted, -traits.max_acceleration, traits.max_acceleration)
 
 
-@kernel_in_place
+@kernel_inner
 def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
     """Begin or abort a change of lane: `IDMVehicle.change_lane_policy`.
 
@@ -88,7 +88,7 @@ def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
             vehicle.target_lane = wanted
 
 
-@kernel_in_place
+@kernel_inner
 def _is_cut_off(lane: Lane, scene: Scene, i: int) -> bool:
     """Return whether another vehicle is closely ahead and is also changing to the target lane of vehicle i."""
     vehicle = scene.vehicles[i]
@@ -143,12 +143,12 @@ def _recommends(
     return not gain < traits.min_gain
 
 
-@kernel_in_place
+@kernel_inner
 def _sign(number: int) -> int:
     return (1 if number > 0 else 0) - (1 if number < 0 else 0)
 
 
-@kernel_in_place
+@kernel_inner
 def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, front: int) -> float:
     """Compute the acceleration that a driver with these traits would want in place of vehicle i [m/s2].
 
@@ -161,7 +161,7 @@ def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, fro
     return _acceleration(traits, lane, scene.vehicles, i, kind, front, free)
 
 
-@kernel_in_place
+@kernel_inner
 def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) -> float:
     """Compute the acceleration that a driver wants with nobody in front [m/s2]; see `_acceleration`."""
     target_speed = vehicle.target_speed
@@ -176,7 +176,7 @@ def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) 
     return float(traits.comfort_acceleration * (1 - share**traits.delta))
 
 
-@kernel_in_place
+@kernel_inner
 def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
@@ -201,7 +201,7 @@ def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: i
     return float(free - traits.comfort_acceleration * (closeness * closeness))
 
 
-@kernel_in_place
+@kernel_inner
 def _desired_gap(traits: Traits, vehicle: Vehicle, front: Vehicle) -> float:
     """Compute the gap that a driver wants to the vehicle in front [m]: `IDMVehicle.desired_gap`."""
     dx = vehicle.speed * vehicle.cos - front.speed * front.cos

@@ -20,14 +20,14 @@ from behavexplor.envs.stock.state import (
     Traits,
     Vehicle,
 )
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
 PREDICTION_STEP: Final = 0.25  # time between predictions [s]
 
 
-@kernel_in_place
+@kernel_inner
 def enforce_rules(network: Network, scene: Scene) -> None:
     """Stop vehicles that must yield, and release those that had to: `RegulatedRoad.enforce_road_rules`.
 
@@ -54,7 +54,7 @@ def enforce_rules(network: Network, scene: Scene) -> None:
                 scene.vehicles[yielding].is_yielding = True
 
 
-@kernel_in_place
+@kernel_inner
 def _is_first_to_yield(network: Network, vehicle: Vehicle, other: Vehicle) -> bool:
     """Return whether the first of two vehicles yields: `RegulatedRoad.respect_priorities`."""
     priority, other_priority = network.lanes[vehicle.lane].priority, network.lanes[other.lane].priority
@@ -65,7 +65,7 @@ def _is_first_to_yield(network: Network, vehicle: Vehicle, other: Vehicle) -> bo
     return bool(ahead > other.cos * (vehicle.x - other.x) + other.sin * (vehicle.y - other.y))
 
 
-@kernel_in_place
+@kernel_inner
 def _predict(network: Network, scene: Scene, i: int) -> None:
     """Predict a vehicle's motion at constant speed: `predict_trajectory_constant_speed`."""
     predictions = scene.scratch.predictions[i]
@@ -79,7 +79,7 @@ def _predict(network: Network, scene: Scene, i: int) -> None:
         _predict_on_route(network, vehicle, scene.routes[i], station + vehicle.speed * time, predictions[k])
 
 
-@kernel_in_place
+@kernel_inner
 def _predict_steered(scene: Scene, i: int, predictions: Floats) -> None:
     """Predict the motion at constant steering, as highway-env does for vehicles that follow no lane."""
     copy = scene.scratch.copy[0]
@@ -90,7 +90,7 @@ def _predict_steered(scene: Scene, i: int, predictions: Floats) -> None:
         predictions[k, 0], predictions[k, 1], predictions[k, 2] = copy.x, copy.y, copy.heading
 
 
-@kernel_in_place
+@kernel_inner
 def _predict_on_route(network: Network, vehicle: Vehicle, route: Records, station: float, prediction: Floats) -> None:
     """Predict position and heading at a station: `RoadNetwork.position_heading_along_route`."""
     position, length = vehicle.route_position, vehicle.route_length
@@ -105,7 +105,7 @@ def _predict_on_route(network: Network, vehicle: Vehicle, route: Records, statio
     prediction[2] = lane_heading(network.lanes[lane], station)
 
 
-@kernel_in_place
+@kernel_inner
 def _lane_of_step(network: Network, vehicle: Vehicle, route: Records, position: int) -> int:
     """Return the lane of a step of a route. If none is fixed, its number is that of the vehicle's lane."""
     road, number = network.roads[route[position].road], route[position].number
@@ -114,7 +114,7 @@ def _lane_of_step(network: Network, vehicle: Vehicle, route: Records, position: 
     return int(road.first_lane + number)
 
 
-@kernel_in_place
+@kernel_inner
 def _is_conflict(scene: Scene, i: int, j: int) -> bool:
     """Return whether two vehicles may collide soon: `RegulatedRoad.is_conflict_possible`."""
     a, b = scene.scratch.predictions[i], scene.scratch.predictions[j]
@@ -130,7 +130,7 @@ def _is_conflict(scene: Scene, i: int, j: int) -> bool:
     return False
 
 
-@kernel_in_place
+@kernel_inner
 def _enters(a: Floats, a_traits: Traits, b: Floats, b_traits: Traits) -> bool:
     """Return whether highway-env finds a corner, a side's middle or the center of box a inside box b.
 

@@ -22,7 +22,7 @@ from behavexplor.envs.stock.task import (
     U_TURN,
     Task,
 )
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_in_place, kernel_inline, kernel_inner
 
 Bools = NDArray[np.bool_]
 
@@ -108,7 +108,7 @@ def _start_at_exit(world: World, task: Task, scene: Scene, words: Words) -> None
         scene.traits[i].changes_lanes = False
 
 
-@kernel_in_place
+@kernel_inner
 def _place_at_random(
     world: World, task: Task, scene: Scene, words: Words, template: int, lane: int, speed: float
 ) -> int:

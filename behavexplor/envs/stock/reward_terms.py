@@ -21,7 +21,7 @@ from behavexplor.envs.stock.task import (
     Task,
 )
 from behavexplor.envs.vector.meta import nearest_speed
-from behavexplor.jit import kernel_in_place, kernel_inline
+from behavexplor.jit import kernel_inline, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def is_terminated(world: World, task: Task, scene: Scene) -> bool:
     return bool(rules.ends_off_road) and is_on_road(world, scene) == 0.0
 
 
-@kernel_in_place
+@kernel_inner
 def is_on_road(world: World, scene: Scene) -> float:
     """Return 1 if the ego is on its lane, else 0: `RoadObject.on_road`."""
     ego = scene.vehicles[scene.episode.ego]
@@ -110,7 +110,7 @@ def is_on_road(world: World, scene: Scene) -> float:
     return 1.0 if is_on_lane(lane, station, offset, 0.0) else 0.0
 
 
-@kernel_in_place
+@kernel_inner
 def has_arrived(world: World, scene: Scene) -> bool:
     """Return whether the ego has left the intersection: `IntersectionEnv.has_arrived`."""
     ego = scene.vehicles[scene.episode.ego]

@@ -6,10 +6,10 @@ from behavexplor.envs.stock.lane_geometry import is_after_end, lane_coordinates,
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import SAME_NUMBER, Vehicle
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 
-@kernel_in_place
+@kernel_inner
 def follow_road(network: Network, vehicle: Vehicle, route: Records) -> None:
     """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`.
 
@@ -24,7 +24,7 @@ def follow_road(network: Network, vehicle: Vehicle, route: Records) -> None:
         vehicle.target_lane = next_lane(network, vehicle, route, station)
 
 
-@kernel_in_place
+@kernel_inner
 def next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
     """Return the lane after the target lane: along the route if it continues there, else the closest one.
 
@@ -55,7 +55,7 @@ def next_lane(network: Network, vehicle: Vehicle, route: Records, station: float
     return best
 
 
-@kernel_in_place
+@kernel_inner
 def _lane_on(network: Network, lane: int, next_road: int, number: int, x: float, y: float) -> int:
     """Return the lane to take on the following road: `RoadNetwork.next_lane_given_next_road`."""
     road = network.roads[next_road]

@@ -1,8 +1,7 @@
 """highway-env's own environments as compiled vector environments."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,34 +9,26 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from highway_env.envs import HighwayEnvFast
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.envs.common.observation import TimeToCollisionObservation
-from highway_env.utils import class_from_path
 from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
-from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, Engine, Outcome, advance
+from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_vehicles
+from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, advance
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
 from behavexplor.envs.stock.lane_network import make_network
-from behavexplor.envs.stock.observing import grid_view, make_view
-from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
+from behavexplor.envs.stock.pcg64 import generator_words, put_words
 from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
-from behavexplor.envs.stock.state import Slots, make_scratch, make_slots
-from behavexplor.envs.stock.stock_world import OTHER, goal_lanes, make_world
+from behavexplor.envs.stock.state import make_scratch, make_slots
+from behavexplor.envs.stock.stock_world import goal_lanes
 from behavexplor.envs.stock.task import (
     INTERSECTION,
     KINDS,
     MERGE,
-    MOST_TERMS,
     ROUNDABOUT,
-    make_starts,
-    make_task,
-    no_starts,
 )
 from behavexplor.envs.values import COUNT, check_value, optional
 from behavexplor.envs.vector.action_decoding import make_commands
@@ -47,9 +38,6 @@ from behavexplor.jit import compiled_for
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
-
-_CHANGED_BY_INTERSECTION = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
-_ROOM = 16  # more vehicles than in the first episode, for environments that place their own
 
 
 class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
@@ -97,9 +85,16 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
         self._max_steps = math.inf if max_episode_steps is None else max_episode_steps
         self._places_own = has_own_starts(env_class)
-        with _kept_class(env_class, config):
+        with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
-            self._make_engine()
+            self._engine = make_engine(self._single, self._kind, num_envs, places_own=self._places_own)
+        n_steps = self._engine.task.starts.plans.shape[-1]
+        if self._places_own:
+            n_steps = len(self._engine.world.network.roads) + 1
+        n_places = most_vehicles(self._single, self._kind, places_own=self._places_own)
+        self._slots = make_slots(num_envs, n_places, n_steps)
+        self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
+        self._outcome = make_outcome(self._single, self._engine, num_envs)
         self.config: dict[str, Any] = self._single.config
         self.single_observation_space = self._single.observation_space
         self.single_action_space = self._single.action_space
@@ -113,54 +108,6 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._ended = np.zeros(num_envs, dtype=bool)
         self._has_begun = np.zeros(num_envs, dtype=bool)
-
-    def _make_engine(self) -> None:
-        """Make the tables of the environment and the slots."""
-        env = self._single
-        world = make_world(env)
-        if isinstance(env, HighwayEnvFast):
-            world.templates[OTHER].checks_collisions = False
-        n_places = len(env.road.vehicles) + len(env.road.objects)
-        example = make_slots(1, n_places, len(world.network.roads) + 1)
-        load(env, world, example, 0)
-        obstacles = example.vehicles[0, len(env.road.vehicles) :].copy()
-        starts = no_starts() if self._places_own else make_starts(env, self._kind, obstacles)
-        task = make_task(env, self._kind, starts)
-        is_grid = isinstance(env.observation_type, TimeToCollisionObservation)
-        view = grid_view() if is_grid else make_view(env.observation_type)
-        words = np.zeros((self.num_envs, N_WORDS), dtype=np.uint64)
-        self._engine = Engine(world, task, view, words)
-        n_places = self._most_vehicles()
-        n_steps = len(world.network.roads) + 1 if self._places_own else starts.plans.shape[-1]
-        self._slots: Slots = make_slots(self.num_envs, n_places, n_steps)
-        self._scratch = make_scratch(len(world.network.lanes), n_places)
-        self._outcome = self._make_outcome()
-
-    def _most_vehicles(self) -> int:
-        """Return the greatest number of vehicles and obstacles that an episode can have."""
-        env, config = self._single, self._single.config
-        count = len(env.road.vehicles) + len(env.road.objects)
-        if self._places_own:
-            count = 2 * count + _ROOM
-        elif self._kind == INTERSECTION:
-            count = config["initial_vehicle_count"] + 1
-        if self._kind == INTERSECTION:  # after each decision, a vehicle may appear
-            count += math.ceil(config["duration"] * config["policy_frequency"]) + 2
-        return count
-
-    def _make_outcome(self) -> Outcome:
-        count, world = self.num_envs, self._engine.world
-        shape = self._single.observation_space.shape
-        return Outcome(
-            observations=np.zeros((count, math.prod(shape[:-1]), shape[-1]), dtype=np.float32),
-            memory=make_memory(world.network, len(world.speeds), shape[-1]),
-            rewards=np.zeros(count),
-            terms=np.zeros((count, MOST_TERMS)),
-            speeds=np.zeros(count),
-            crashed=np.zeros(count, dtype=bool),
-            terminated=np.zeros(count, dtype=bool),
-            truncated=np.zeros(count, dtype=bool),
-        )
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -281,7 +228,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Let highway-env begin episodes, and copy them to the chosen slots."""
         env, words, network = self._single, self._engine.words, self._engine.world.network
         options = {"connected_lanes": self.config["neighbour_vehicles_connected_lanes"], "is_goal": goal_lanes(env)}
-        with _kept_class(type(env), self.config):
+        with kept_class(type(env), self.config):
             for b in np.flatnonzero(mask).tolist():
                 put_words(words[b], env.np_random)
                 env.reset()
@@ -304,18 +251,3 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 def _merged(mask: Bools, chosen: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:
     """Return actions, shape (B, ...): `chosen` where the mask is True, else `others`."""
     return np.where(mask.reshape(-1, *[1] * (others.ndim - 1)), chosen, others).astype(others.dtype, copy=False)
-
-
-@contextmanager
-def _kept_class(env_class: type[AbstractEnv], config: Mapping[str, Any] | None) -> Iterator[None]:
-    """Undo what `IntersectionEnv` does to the class of its vehicles, which would change every other environment."""
-    traffic = class_from_path({**env_class.default_config(), **(config or {})}["other_vehicles_type"])
-    before = {name: vars(traffic)[name] for name in _CHANGED_BY_INTERSECTION if name in vars(traffic)}
-    try:
-        yield
-    finally:
-        for name in _CHANGED_BY_INTERSECTION:
-            if name in before:
-                setattr(traffic, name, before[name])
-            elif name in vars(traffic):
-                delattr(traffic, name)
