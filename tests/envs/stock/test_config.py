@@ -28,6 +28,7 @@ DECISIONS = {
     "exit-v0": 5,
     "intersection-v0": 7,
 }  # until every key has had its effect
+SEEDS = {"exit-v0": 6}  # with an early change of lane
 CHANGES = {
     "observation": {"type": "Kinematics", "vehicles_count": 3},
     "action": {"type": "DiscreteMetaAction", "target_speeds": [5, 12, 19]},
@@ -66,6 +67,7 @@ NO_EFFECT_HERE = {  # on these few decisions
     *((env_id, "offroad_terminal") for env_id in IDS),  # it needs an ego off the road
     *((env_id, "arrived_reward") for env_id in IDS),
     ("exit-v0", "goal_reward"),
+    ("exit-v0", "normalize_reward"),  # from [0, 1] to [0, 1]
 }
 
 
@@ -85,7 +87,7 @@ def kind(env_id):
 @pytest.mark.parametrize("env_id", IDS)
 def test_every_key_of_the_default_configuration_is_accounted_for(env_id):
     keys = [key for key in default(env_id) if key not in ONLY]
-    call = {"env_id": env_id, "num_envs": 1, "decisions": DECISIONS.get(env_id, 2)}
+    call = {"env_id": env_id, "num_envs": 1, "decisions": DECISIONS.get(env_id, 2), "seed": SEEDS.get(env_id, 0)}
     base = BASE.get(env_id, {})
     calls = [{**call, "config": {**base, key: changed(env_id, key)}} for key in keys]
     plain, *results = compare_in_child({**call, "config": base}, *calls)
