@@ -11,7 +11,7 @@ from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
 from tests.envs.stock.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make
 
-SHORT = {"highway-v0": {"decisions": 3}}  # its decisions take ten times as long in highway-env
+SHORT = {"highway-v0": {"decisions": 2}}  # its decisions take ten times as long in highway-env
 VEHICLES = [f"highway_env.vehicle.behavior.{name}Vehicle" for name in ("IDM", "Linear", "Aggressive", "Defensive")]
 ACTIONS = {
     "speeds": {"type": "DiscreteMetaAction", "target_speeds": [10, 15, 20, 25, 30, 35]},
@@ -41,8 +41,8 @@ def assert_equal(result):
 
 @pytest.fixture(scope="module")
 def results():
-    calls = [{"env_id": name, "episodes": 1, "decisions": 9, **SHORT.get(name, {})} for name in IDS]
-    calls += [{"env_id": name, "config": config, "episodes": 1, "decisions": 6} for name, config in OTHERS.values()]
+    calls = [{"env_id": name, "episodes": 1, "decisions": 7, **SHORT.get(name, {})} for name in IDS]
+    calls += [{"env_id": name, "config": config, "episodes": 1, "decisions": 5} for name, config in OTHERS.values()]
     return dict(zip([*IDS, *OTHERS], compare_in_child(*calls), strict=True))
 
 
@@ -53,8 +53,8 @@ def test_the_engine_drives_as_highway_env_to_the_last_bit(name, results):
 
 
 def test_something_happens_in_the_comparisons(results):
-    assert sum(result.crashes for result in results.values()) >= 5
-    assert sum(result.decisions for result in results.values()) >= 150
+    assert sum(result.crashes for result in results.values()) >= 3
+    assert sum(result.decisions for result in results.values()) >= 120
 
 
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "merge-v1", "intersection-v0"])
