@@ -39,7 +39,8 @@ def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool)
     n_vehicles = len(env.road.vehicles)
     example = make_slots(1, n_vehicles + len(env.road.objects), len(world.network.roads) + 1)
     load(env, world, example, 0)
-    starts = no_starts() if places_own else make_starts(env, kind, example.vehicles[0, n_vehicles:].copy())
+    makes_starts = not places_own or kind == INTERSECTION  # where vehicles appear later on, too
+    starts = make_starts(env, kind, example.vehicles[0, n_vehicles:].copy()) if makes_starts else no_starts()
     is_grid = isinstance(env.observation_type, TimeToCollisionObservation)
     return Engine(
         world=world,

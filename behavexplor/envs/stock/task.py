@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import SAME_NUMBER, VEHICLE
+from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -250,11 +251,17 @@ def make_starts(env: AbstractEnv, kind: int, obstacles: Records) -> Starts:
         env: an environment that has been reset and makes its road and vehicles as highway-env does.
         kind: its kind.
         obstacles: its obstacles, shape (obstacles,) of `VEHICLE`.
+
+    Raises:
+        InputError: if its road has no lanes where vehicles would start.
     """
     config, indexes = env.config, lane_indexes(env.road.network)
     starts = _START_LANES[kind]
     if kind == HIGHWAY:
         starts = tuple(index for index in indexes if index[:2] == ("0", "1"))
+    for start in starts:
+        if start not in indexes:
+            raise InputError(f"The road of {type(env).__name__} has no lane {start}, where vehicles would appear")
     destinations = _DESTINATIONS.get(kind, ())
     if kind == ROUNDABOUT:
         destinations = (*destinations, _EGO_DESTINATIONS[kind])

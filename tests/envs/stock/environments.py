@@ -1,6 +1,6 @@
 """Subclasses of highway-env's environments, as users make them."""
 
-from highway_env.envs import HighwayEnvFast, RoundaboutEnv
+from highway_env.envs import HighwayEnvFast, IntersectionEnv, RoundaboutEnv
 from highway_env.road.road import Road, RoadNetwork
 
 
@@ -14,6 +14,13 @@ class CrowdedEnv(HighwayEnvFast):
     def _create_vehicles(self):
         super()._create_vehicles()
         del self.road.vehicles[2 + int(self.np_random.integers(self.config["most_others"])) :]
+
+
+class QuietIntersectionEnv(IntersectionEnv):
+    """Begins with fewer vehicles than its parent; others appear in the same way."""
+
+    def _make_vehicles(self, n_vehicles=10):
+        super()._make_vehicles(min(n_vehicles, 2 + int(self.np_random.integers(3))))
 
 
 class DriftingRoadEnv(HighwayEnvFast):

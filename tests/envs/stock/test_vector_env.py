@@ -50,6 +50,10 @@ CONFIGS = {
         "intersection-v1",
         {"action": {"type": "ContinuousAction", "dynamical": False}, "normalize_reward": True},
     ),
+    "own vehicles at the intersection": (
+        "tests.envs.stock.environments:QuietIntersectionEnv",
+        {"duration": 3, "spawn_probability": 1.0},
+    ),
     "everything observed": (
         "merge-v0",
         {"observation": {"type": "Kinematics", "features": list(FEATURES), "vehicles_count": 8, "see_behind": True}},
@@ -76,7 +80,7 @@ CONFIGS = {
 
 def is_apart(env_id):
     """Return whether an environment needs a process of its own, because it changes a class of highway-env."""
-    return env_id.startswith("intersection")
+    return "ntersection" in env_id
 
 
 @pytest.fixture(scope="module")
