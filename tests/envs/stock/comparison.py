@@ -71,7 +71,10 @@ def drive(env, world, slots, scratch, result, decisions):
     clears = hasattr(env, "_clear_vehicles")
     for _ in range(decisions):
         action = env.action_space.sample()
-        *_, terminated, truncated, _ = env.step(action)
+        try:
+            *_, terminated, truncated, _ = env.step(action)
+        except ZeroDivisionError:  # the reward of TwoWayEnv, when the ego is in the only lane of oncoming traffic
+            terminated = True
         both = np.repeat(commands(np.array([action])), 2, axis=0)
         step(world, slots, scratch, both, np.array([True, False]))
         if clears:
