@@ -1,7 +1,8 @@
 """BehAVExplor: fuzz a driving policy in traffic scenarios on highway-env to find out how it fails.
 
-Importing this package only registers the environments `behavexplor/<functional scenario>-v0` with gymnasium. The
-simulator is imported when an environment is made.
+Importing this package only registers environments with gymnasium: `behavexplor/<functional scenario>-v0`, and
+highway-env's own, which have a compiled vector form, as `behavexplor/highway-v0` and so on. The simulator is imported
+when an environment is made.
 """
 
 import pkgutil
@@ -26,8 +27,37 @@ def _functional_scenarios() -> dict[str, str]:
 
 FUNCTIONAL_SCENARIOS = _functional_scenarios()
 
+HIGHWAY_ENV = {  # highway-env's own environments that have a compiled vector form: entry point by name and version
+    "highway-v0": "highway_env.envs.highway_env:HighwayEnv",
+    "highway-fast-v0": "highway_env.envs.highway_env:HighwayEnvFast",
+    "merge-v0": "highway_env.envs.merge_env:MergeEnv",
+    "merge-v1": "highway_env.envs.merge_env:ConnectedLaneMergeEnv",
+    "roundabout-v0": "highway_env.envs.roundabout_env:RoundaboutEnv",
+    "roundabout-v1": "highway_env.envs.roundabout_env:ConnectedLaneRoundaboutEnv",
+    "intersection-v0": "highway_env.envs.intersection_env:IntersectionEnv",
+    "intersection-v1": "highway_env.envs.intersection_env:ContinuousIntersectionEnv",
+    "intersection-v2": "highway_env.envs.intersection_env:ConnectedLaneIntersectionEnv",
+    "exit-v0": "highway_env.envs.exit_env:ExitEnv",
+    "exit-v1": "highway_env.envs.exit_env:ConnectedLaneExitEnv",
+    "two-way-v0": "highway_env.envs.two_way_env:TwoWayEnv",
+    "u-turn-v0": "highway_env.envs.u_turn_env:UTurnEnv",
+    "u-turn-v1": "highway_env.envs.u_turn_env:ConnectedLaneUTurnEnv",
+}
+_MAX_EPISODE_STEPS = {"two-way-v0": 15}  # as highway-env registers it
+
 for _name, _entry_point in FUNCTIONAL_SCENARIOS.items():
     _id = f"{NAMESPACE}/{_name}-v0"
     if _id not in gymnasium.registry:
         _vector_entry_point = _entry_point.removesuffix("Env") + "VectorEnv"
         gymnasium.register(_id, entry_point=_entry_point, vector_entry_point=_vector_entry_point)
+
+for _name, _entry_point in HIGHWAY_ENV.items():
+    _id = f"{NAMESPACE}/{_name}"
+    if _id not in gymnasium.registry:
+        _vector_entry_point = f"behavexplor.envs.stock.registered:{_name.replace('-', '_')}"
+        gymnasium.register(
+            _id,
+            entry_point=_entry_point,
+            vector_entry_point=_vector_entry_point,
+            max_episode_steps=_MAX_EPISODE_STEPS.get(_name),
+        )

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import caching, event
@@ -17,6 +17,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(r"^(?:from|import) (behavexplor[.\w]*)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
+_njit = cast("Any", numba.njit)  # its stubs leave some options out
+_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls no kernels
 
 
 def kernel(function: Function) -> Function:
@@ -24,7 +26,7 @@ def kernel(function: Function) -> Function:
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return cast("Function", numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    return cast("Function", _njit(cache=True, **_OPTIONS)(function))
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -34,8 +36,37 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    compiled = numba.njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # type: ignore[call-overload]
-    return cast("Function", compiled)
+    return cast("Function", _njit(cache=True, _nrt=False, **_OPTIONS)(function))
+
+
+def kernel_inner(function: Function) -> Function:
+    """Compile a function that only other kernels call; otherwise as `kernel_in_place`.
+
+    Python cannot call it. To leave that out takes a fifth off the time of compilation, where functions take tuples of
+    many arrays.
+    """
+    return cast("Function", _njit(cache=True, _nrt=False, no_cpython_wrapper=True, **_OPTIONS)(function))
+
+
+def kernel_inline(function: Function) -> Function:
+    """Compile a function as a part of every kernel that calls it, not on its own.
+
+    For functions that are called in one place and take tuples of many arrays. Passing these took longer than the
+    functions themselves. The compilation takes less time, too: a function of its own is optimized once more with every
+    function that calls it, directly or not.
+    """
+    return cast("Function", _njit(_nrt=False, inline="always", **_OPTIONS)(function))
+
+
+def compiled_for(function: Function, *arguments: object) -> Function:
+    """Compile a kernel for the types of some arguments, and return its machine code.
+
+    Numba finds out the types of all arguments at each call, which takes 20 us for tuples of many arrays. The machine
+    code does not: it must be called with arguments of exactly the same types, dimensions and memory layouts only. With
+    any others, it reads and writes beyond them.
+    """
+    types = tuple(numba.typeof(argument) for argument in arguments)  # type: ignore[no-untyped-call]
+    return cast("Function", cast("Any", function).compile(types))
 
 
 class _Notice(event.Listener):

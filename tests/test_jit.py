@@ -137,6 +137,41 @@ def test_a_kernel_in_place_counts_no_references_and_makes_no_array():
         moved(values, 2.0)
 
 
+def test_inner_kernels_serve_other_kernels_only():
+    @compiled.kernel_inner
+    def twice(value):
+        return 2 * value
+
+    @compiled.kernel_inline
+    def thrice(value):
+        if value < 0:
+            return 0.0
+        return 3 * value
+
+    @compiled.kernel_in_place
+    def add(value):
+        return twice(value) + thrice(value)
+
+    assert add(2.0) == 10.0
+    assert add(-1.0) == -2.0
+    assert not thrice.signatures  # no function of its own
+
+
+def test_a_kernel_compiled_for_some_types_does_the_same_for_other_values():
+    @compiled.kernel_in_place
+    def move(values, by):
+        for i in range(len(values)):
+            values[i] += by
+
+    values, others = np.arange(3.0), np.arange(5.0)
+    machine_code = compiled.compiled_for(move, values, 2.0)
+    machine_code(values, 2.0)
+    machine_code(others, 1.0)
+    assert values.tolist() == [2.0, 3.0, 4.0]
+    assert others.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert len(move.signatures) == 1
+
+
 def holds_arrays(annotation):
     fields = getattr(annotation, "__annotations__", None) or dict(enumerate(get_args(annotation)))
     return get_origin(annotation) is np.ndarray or any(map(holds_arrays, fields.values()))

@@ -23,6 +23,9 @@ def check_actions(space: Space[Any], actions: Any) -> None:
     fits = values.shape == space.shape
     if isinstance(space, spaces.Box):
         fits = fits and values.dtype.kind in "iuf" and bool(np.isfinite(values).all())
+    elif isinstance(space, spaces.MultiDiscrete):  # `contains` takes as long as the decision of a vector environment
+        fits = fits and values.dtype.kind in "iu"
+        fits = fits and bool(((values >= space.start) & (values < space.start + space.nvec)).all())
     else:
         fits = fits and values.dtype.kind in "iu" and space.contains(values.astype(space.dtype))
     if not fits:

@@ -206,7 +206,7 @@ def _check_times(config: Mapping[str, Any]) -> None:
 
 
 def _check_observation(what: str, config: object, types: Mapping[str, type | None]) -> None:
-    settings = _check_type(what, config, types)
+    settings = check_type(what, config, types)
     if settings["type"] == "OccupancyGrid" and settings.get("absolute"):
         raise InputError(f"{what}.absolute: an OccupancyGrid is always relative to the ego")
     if settings["type"] == "TupleObservation":
@@ -220,7 +220,7 @@ def _check_observation(what: str, config: object, types: Mapping[str, type | Non
 
 
 def _check_action(config: object) -> None:
-    settings = _check_type("action", config, ACTIONS)
+    settings = check_type("action", config, ACTIONS)
     if not (settings.get("longitudinal", True) or settings.get("lateral", True)):
         raise InputError("action: at least one of longitudinal and lateral must be True")
 
@@ -231,8 +231,17 @@ def _types(observation: Mapping[str, Any]) -> list[str]:
     return [observation["type"], *(part["type"] for part in parts)]
 
 
-def _check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
-    """Check the configuration of an observation or action: highway-env reads every key, and needs no other."""
+def check_type(what: str, config: object, types: Mapping[str, type | None]) -> Mapping[str, Any]:
+    """Check the configuration of an observation or action: highway-env reads every key, and needs no other.
+
+    Args:
+        what: what it configures, for messages: "observation" or "action", perhaps with the place of a part.
+        config: the configuration.
+        types: highway-env's classes by the names that `config["type"]` may have.
+
+    Raises:
+        InputError: if a key is unknown or missing, or a value is out of range.
+    """
     settings = _mapping(what, config)
     name = settings.get("type")
     if not isinstance(name, str) or name not in types:

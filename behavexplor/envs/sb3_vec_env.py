@@ -1,53 +1,49 @@
-"""Adapter from the vector environment to Stable-Baselines3, for training. Importing it imports Stable-Baselines3."""
+"""Adapters from vector environments to Stable-Baselines3, for training. Importing them imports Stable-Baselines3."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from behavexplor.envs.stock import vector_env
 from behavexplor.envs.vector import DrivingVectorEnv
 from behavexplor.errors import InputError
 
+_KNOWN_WRAPPERS = (Monitor, OrderEnforcing, PassiveEnvChecker, TimeLimit)
 
-class DrivingVecEnv(VecEnv):
-    """A `DrivingVectorEnv` as a Stable-Baselines3 `VecEnv`.
 
-    For a sub-environment whose episode has just ended, `infos` contains the `info` of the single environment, which
-    includes `end` and `trace`, and the `terminal_observation`. For all other sub-environments, it contains only
-    `TimeLimit.truncated`, which is False. `seed` and `set_options` apply to the next `reset`; options have the form
-    `{"scenario": scenario}`.
+class LockStepVecEnv(VecEnv):
+    """A vector environment that resets in the same step, as a Stable-Baselines3 `VecEnv`.
+
+    `seed` applies to the next `reset`.
 
     Args:
-        env: an environment made by
-            `gymnasium.make_vec(..., vectorization_mode="vector_entry_point", autoreset_mode="SameStep")`.
-
-    Raises:
-        InputError: if `env` is not such an environment.
+        env: the vector environment.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
-        if not isinstance(env, DrivingVectorEnv):
-            raise InputError(f"env: expected a vector environment of this package, got {type(env).__name__}")
-        if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
-            raise InputError(
-                "Stable-Baselines3 resets in the same step: make the environment with autoreset_mode='SameStep'"
-            )
         self.env = env
         self._actions = np.zeros(0)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> NDArray[Any]:
         """Begin an episode in every sub-environment and return the observations, shape (num_envs, ...)."""
-        scenarios = [options.get("scenario") for options in self._options]
-        observations, infos = self.env.reset(seed=self._seeds, options={"scenarios": scenarios})
-        self.reset_infos = [{"scenario": scenario} for scenario in infos["scenario"]]
+        observations, infos = self._reset()
+        self.reset_infos = _rows(infos)
         self._reset_seeds()
         self._reset_options()
         return observations
+
+    def _reset(self) -> tuple[NDArray[Any], dict[str, Any]]:
+        return self.env.reset(seed=self._seeds)  # type: ignore[arg-type] # vector environments take one for each
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions, shape (num_envs, ...), for `step_wait`."""
@@ -57,25 +53,26 @@ class DrivingVecEnv(VecEnv):
         """Take the stored actions and return the observations, rewards, dones and infos."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
-        listed: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        listed = self._listed(infos)
         for b in np.flatnonzero(dones).tolist():
-            self.reset_infos[b] = {"scenario": infos["scenario"][b]}
+            self.reset_infos[b] = _of_one(infos, b, leave_out=("final_info", "final_obs"))
             listed[b] = _of_one(infos["final_info"], b) | {
                 "terminal_observation": infos["final_obs"][b],
-                "TimeLimit.truncated": bool(truncated[b]),
+                "TimeLimit.truncated": bool(truncated[b] and not terminated[b]),
             }
         return observations, rewards.astype(np.float32), dones, listed
+
+    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:  # noqa: ARG002 - for subclasses
+        """Return the infos of the sub-environments whose episodes go on."""
+        return [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
 
     def close(self) -> None:
         """Close the environment."""
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """Return an attribute of each sub-environment: its own `scenario`, or a shared one such as `logical`."""
-        chosen = self._get_indices(indices)
-        if attr_name == "scenario":
-            return [self.env.scenarios[b] for b in chosen]
-        return [getattr(self.env, attr_name) for _ in chosen]
+        """Return an attribute that all sub-environments share."""
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:  # noqa: ARG002
         """Raise an InputError: a sub-environment has no attributes of its own."""
@@ -94,10 +91,152 @@ class DrivingVecEnv(VecEnv):
         return [None] * self.num_envs
 
 
-def _of_one(infos: dict[str, Any], b: int) -> dict[str, Any]:
+class DrivingVecEnv(LockStepVecEnv):
+    """A `DrivingVectorEnv` as a Stable-Baselines3 `VecEnv`.
+
+    For a sub-environment whose episode has just ended, `infos` contains the `info` of the single environment, which
+    includes `end` and `trace`, and the `terminal_observation`. For all other sub-environments, it contains only
+    `TimeLimit.truncated`, which is False. `seed` and `set_options` apply to the next `reset`; options have the form
+    `{"scenario": scenario}`.
+
+    Args:
+        env: an environment made by
+            `gymnasium.make_vec(..., vectorization_mode="vector_entry_point", autoreset_mode="SameStep")`.
+
+    Raises:
+        InputError: if `env` is not such an environment.
+    """
+
+    env: DrivingVectorEnv
+
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(env, DrivingVectorEnv):
+            raise InputError(f"env: expected a vector environment of this package, got {type(env).__name__}")
+        if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise InputError(
+                "Stable-Baselines3 resets in the same step: make the environment with autoreset_mode='SameStep'"
+            )
+        super().__init__(env)
+
+    def _reset(self) -> tuple[NDArray[Any], dict[str, Any]]:
+        scenarios = [options.get("scenario") for options in self._options]
+        return self.env.reset(seed=self._seeds, options={"scenarios": scenarios})
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of each sub-environment: its own `scenario`, or a shared one such as `logical`."""
+        if attr_name == "scenario":
+            return [self.env.scenarios[b] for b in self._get_indices(indices)]
+        return super().get_attr(attr_name, indices)
+
+
+class HighwayVecEnv(LockStepVecEnv):
+    """highway-env's own environments, compiled, as a Stable-Baselines3 `VecEnv`.
+
+    It takes the place of `DummyVecEnv`, with the same arguments and the same results:
+
+        make_vec_env("highway-fast-v0", n_envs=64, vec_env_cls=HighwayVecEnv)
+
+    Only the first of the functions is called, to find out which environment and which configuration all of them make.
+    A `TimeLimit` and a `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains
+    the episodes of all of them.
+
+    Args:
+        env_fns: functions that make the same environment of highway-env.
+
+    Raises:
+        InputError: if the environment, its configuration or a wrapper around it is not supported.
+    """
+
+    def __init__(self, env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
+        single = env_fns[0]()
+        wrappers = _wrappers(single)
+        limits = [wrapper._max_episode_steps for wrapper in wrappers if isinstance(wrapper, TimeLimit)]  # noqa: SLF001
+        self._monitor = next((wrapper for wrapper in wrappers if isinstance(wrapper, Monitor)), None)
+        self._returns, self._lengths = np.zeros(len(env_fns)), np.zeros(len(env_fns), dtype=np.int64)
+        super().__init__(
+            vector_env(
+                type(single.unwrapped),
+                num_envs=len(env_fns),
+                config=single.unwrapped.config,  # type: ignore[attr-defined]
+                autoreset_mode=AutoresetMode.SAME_STEP,
+                max_episode_steps=min(limits, default=None),
+            )
+        )
+
+    def reset(self) -> NDArray[Any]:
+        """Begin an episode in every sub-environment and return the observations, shape (num_envs, ...)."""
+        self._returns[:] = self._lengths[:] = 0
+        return super().reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Take the stored actions and return the observations, rewards, dones and infos."""
+        observations, rewards, dones, infos = super().step_wait()
+        if self._monitor is not None:
+            self._returns += rewards
+            self._lengths += 1
+            for b in np.flatnonzero(dones).tolist():
+                infos[b]["episode"] = self._episode(self._monitor, b, infos[b])
+            self._returns[dones] = self._lengths[dones] = 0
+        return observations, rewards, dones, infos
+
+    def _listed(self, infos: dict[str, Any]) -> list[dict[str, Any]]:
+        return _rows(infos, {"TimeLimit.truncated": False})
+
+    def _episode(self, monitor: Monitor, b: int, info: dict[str, Any]) -> dict[str, Any]:
+        """Return what the monitor reports of an episode, and write it to the monitor's file."""
+        elapsed = round(time.time() - monitor.t_start, 6)
+        episode = {"r": round(float(self._returns[b]), 6), "l": int(self._lengths[b]), "t": elapsed}
+        episode |= {key: info[key] for key in monitor.info_keywords}
+        if monitor.results_writer:
+            monitor.results_writer.write_row(episode)
+        return episode
+
+    def close(self) -> None:
+        """Close the environment and the monitor's file."""
+        super().close()
+        if self._monitor is not None:
+            self._monitor.close()
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
+        """Return whether each sub-environment behaves as if it had a wrapper, such as `Monitor`."""
+        is_wrapped = self._monitor is not None and issubclass(Monitor, wrapper_class)
+        return [is_wrapped for _ in self._get_indices(indices)]
+
+
+def _wrappers(env: gymnasium.Env[Any, Any]) -> list[gymnasium.Wrapper[Any, Any, Any, Any]]:
+    found = []
+    while isinstance(env, gymnasium.Wrapper):
+        if type(env) not in _KNOWN_WRAPPERS:
+            raise InputError(
+                f"The compiled environments have no counterpart of the wrapper {type(env).__name__}; use DummyVecEnv, "
+                f"or a VecEnvWrapper around them"
+            )
+        found.append(env)
+        env = env.env
+    return found
+
+
+def _rows(infos: dict[str, Any], more: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+    """Return the info of each sub-environment from infos in gymnasium's vector format.
+
+    Entries that some sub-environments do not have are left out.
+    """
+    columns = {
+        key: _rows(values) if isinstance(values, dict) else _listed(values)
+        for key, values in infos.items()
+        if not key.startswith("_") and infos[f"_{key}"].all()
+    }
+    return [dict(zip(columns, row, strict=True)) | (more or {}) for row in zip(*columns.values(), strict=True)]
+
+
+def _listed(values: NDArray[Any]) -> list[Any]:
+    return list(values) if values.ndim > 1 else values.tolist()
+
+
+def _of_one(infos: dict[str, Any], b: int, leave_out: tuple[str, ...] = ()) -> dict[str, Any]:
     """Return the info of one sub-environment from infos in gymnasium's vector format."""
     return {
         key: _of_one(values, b) if isinstance(values, dict) else values[b]
         for key, values in infos.items()
-        if not key.startswith("_") and infos[f"_{key}"][b]
+        if not key.startswith("_") and key not in leave_out and infos[f"_{key}"][b]
     }

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import gymnasium
+import highway_env  # noqa: F401 - registers its environments
 import pytest
 
 import behavexplor
@@ -13,7 +14,7 @@ import behavexplor
 SCRIPT = """
 import gymnasium
 import behavexplor
-ids = [name for name in gymnasium.registry if name.startswith("behavexplor/")]
+ids = [f"behavexplor/{name}-v0" for name in behavexplor.FUNCTIONAL_SCENARIOS]
 assert len(ids) >= 4, ids
 for name in ids:
     env = gymnasium.wrappers.RecordVideo(gymnasium.make(name, render_mode="rgb_array"), "videos", name_prefix=name[12:])
@@ -37,6 +38,13 @@ def test_the_functional_scenarios_of_the_paper_are_there():
         "lane-follow",
         "lane-change",
     }
+
+
+@pytest.mark.parametrize("name", behavexplor.HIGHWAY_ENV)
+def test_highway_env_s_own_are_registered_as_it_registers_them(name):
+    ours, theirs = gymnasium.spec(f"behavexplor/{name}"), gymnasium.spec(name)
+    assert (ours.entry_point, ours.max_episode_steps) == (theirs.entry_point, theirs.max_episode_steps)
+    assert not theirs.additional_wrappers
 
 
 @pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)

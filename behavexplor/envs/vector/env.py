@@ -19,6 +19,7 @@ from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
+from behavexplor.envs.vector.arguments import chosen_mode, chosen_seeds, chosen_slots
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
 from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, put_scenario
@@ -67,7 +68,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         COUNT.check("num_envs", num_envs)
         if render_mode is not None:
             raise InputError("The vector environment cannot render: replay a trace, or use gymnasium.make")
-        self._mode = _autoreset_mode(autoreset_mode)
+        self._mode = chosen_mode(autoreset_mode)
         single = self.env_class(config)
         check_supported(single)
         self.num_envs = num_envs
@@ -107,9 +108,12 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         for key in options:
             if key not in _OPTIONS:
                 raise unknown_name("reset option", str(key), _OPTIONS)
-        mask = self._reset_mask(options.get("reset_mask"))
+        mask = chosen_slots(options.get("reset_mask"), self.num_envs)
         scenarios = self._given_scenarios(options)
-        for b, own_seed in enumerate(self._seeds(seed)):
+        seeds = chosen_seeds(seed, self.num_envs)
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=seeds[0])
+        for b, own_seed in enumerate(seeds):
             if mask[b] and (own_seed is not None or self._generators[b] is None):
                 self._generators[b], _ = seeding.np_random(own_seed)
         infos = self._begin(mask, scenarios)
@@ -223,28 +227,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             end=ENDS[slots.numbers[b, END]],
         )
 
-    def _reset_mask(self, mask: object) -> Bools:
-        if mask is None:
-            return np.ones(self.num_envs, dtype=bool)
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise InputError(f"reset_mask: expected an array of {self.num_envs} booleans, got {shown(mask)}")
-        if not mask.any():
-            raise InputError("reset_mask: at least one sub-environment must be reset")
-        return mask
-
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        one = isinstance(seed, int | np.integer)
-        seeds = [int(seed) + b for b in range(self.num_envs)] if one else seed  # type: ignore[arg-type]
-        if not isinstance(seeds, Sequence) or len(seeds) != self.num_envs:
-            raise InputError(f"seed: expected one seed, or a list of {self.num_envs}, got {shown(seed)}")
-        if not all(own is None or (isinstance(own, int | np.integer) and own >= 0) for own in seeds):
-            raise InputError(f"seed: expected whole numbers from 0, got {shown(seed)}")
-        if one:
-            super().reset(seed=seeds[0])
-        return [None if own is None else int(own) for own in seeds]
-
     def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[Scenario | None]:
         given = options.get("scenarios")
         scenarios = [options.get("scenario")] * self.num_envs if given is None else given
@@ -257,15 +239,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 raise InputError(f"A scenario must be a behavexplor.data.scenario.Scenario, got {shown(scenario)}")
             self.logical.check(scenario)
         return scenarios
-
-
-def _autoreset_mode(name: AutoresetMode | str) -> AutoresetMode:
-    if isinstance(name, AutoresetMode):
-        return name
-    modes = {mode.value: mode for mode in AutoresetMode}
-    if name not in modes:
-        raise unknown_name("autoreset mode", str(name), modes)
-    return modes[name]
 
 
 def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:

@@ -52,6 +52,8 @@ def lane_row(lane: AbstractLane) -> list[float]:
 @kernel
 def wrap_to_pi(angle: float) -> float:
     """Wrap an angle to [-pi, pi)."""
+    if 0 <= angle + math.pi < 2 * math.pi:  # no division, and the same result
+        return angle + math.pi - math.pi
     wrapped: float = ((angle + math.pi) % (2 * math.pi)) - math.pi
     return wrapped
 

@@ -1,0 +1,47 @@
+"""Motion of a vehicle in a frame: `Vehicle.step`."""
+
+import math
+
+from behavexplor.envs.stock.state import Traits, Vehicle
+from behavexplor.jit import kernel_inner
+
+
+@kernel_inner
+def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
+    """Advance a vehicle by one step of the bicycle model. Its lane is not updated.
+
+    Args:
+        vehicle: the vehicle, changed in place.
+        traits: its traits.
+        dt: duration of a frame [s].
+    """
+    _limit_commands(vehicle, traits)
+    speed, heading = vehicle.speed, vehicle.heading
+    if vehicle.steering == 0.0:  # most vehicles go straight on; the formulas below give the same
+        vehicle.x += speed * vehicle.cos * dt
+        vehicle.y += speed * vehicle.sin * dt
+    else:
+        slip = math.atan(0.5 * math.tan(vehicle.steering))
+        vehicle.x += speed * math.cos(heading + slip) * dt
+        vehicle.y += speed * math.sin(heading + slip) * dt
+        heading += speed * math.sin(slip) / (traits.length / 2) * dt
+        vehicle.heading = heading
+        vehicle.cos, vehicle.sin = math.cos(heading), math.sin(heading)
+    if vehicle.has_impact:
+        vehicle.x += vehicle.impact_x
+        vehicle.y += vehicle.impact_y
+        vehicle.crashed = True
+        vehicle.has_impact = False
+    vehicle.speed += vehicle.acceleration * dt
+
+
+@kernel_inner
+def _limit_commands(vehicle: Vehicle, traits: Traits) -> None:
+    """Keep the vehicle within its speed range, and stop it after a crash: `Vehicle.clip_actions`."""
+    if vehicle.crashed:
+        vehicle.steering = 0.0
+        vehicle.acceleration = -1.0 * vehicle.speed
+    if vehicle.speed > traits.max_speed:
+        vehicle.acceleration = min(vehicle.acceleration, 1.0 * (traits.max_speed - vehicle.speed))
+    elif vehicle.speed < traits.min_speed:
+        vehicle.acceleration = max(vehicle.acceleration, 1.0 * (traits.min_speed - vehicle.speed))

@@ -1,0 +1,156 @@
+"""Collisions of vehicles with one another and with obstacles: `RoadObject.handle_collisions`."""
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.stock.record_types import Records
+from behavexplor.envs.stock.state import OBSTACLE, Traits, Vehicle
+from behavexplor.jit import kernel_inner
+
+Floats = NDArray[np.float64]
+
+Corner: TypeAlias = tuple[float, float]
+Corners: TypeAlias = tuple[Corner, Corner, Corner, Corner]
+
+
+@kernel_inner
+def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float, xs: Floats) -> None:
+    """Find collisions of all pairs, and note what they do to the vehicles.
+
+    Most pairs are passed over at once, because they are too far apart along x, or because neither checks collisions.
+
+    Args:
+        vehicles: the vehicles and obstacles, changed in place.
+        traits: their traits.
+        n_vehicles: number of vehicles, which come first.
+        n_obstacles: number of obstacles.
+        dt: duration of a frame, for which a collision is foreseen [s].
+        xs: memory for the positions along x, shape (N,).
+    """
+    longest = 0.0
+    end_of_checking = 0
+    for j in range(n_vehicles + n_obstacles):
+        xs[j] = vehicles[j].x
+        longest = max(longest, traits[j].diameter)
+        if traits[j].checks_collisions:
+            end_of_checking = j + 1
+    for i in range(n_vehicles):
+        x, reach = xs[i], (traits[i].diameter + longest) / 2 + vehicles[i].speed * dt
+        end = n_vehicles + n_obstacles if traits[i].checks_collisions else end_of_checking
+        after = xs[i + 1 : end]
+        for k in range(_count_within(after, x, reach)):
+            j = i + 1 + k
+            if abs(xs[j] - x) <= reach:
+                _collide_pair(vehicles[i], traits[i], vehicles[j], traits[j], dt)
+
+
+@kernel_inner
+def _count_within(xs: Floats, x: float, reach: float) -> int:
+    """Return how many of the first positions contain all that are within reach, in one pass without branches."""
+    end = 0
+    for k in range(len(xs)):
+        end = max(end, k + 1 if abs(xs[k] - x) <= reach else 0)
+    return end
+
+
+@kernel_inner
+def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits: Traits, dt: float) -> None:
+    """Find a collision of two vehicles, or of a vehicle and an obstacle: `RoadObject.handle_collisions`."""
+    if not (traits.checks_collisions or other_traits.checks_collisions):
+        return
+    dx, dy = other.x - vehicle.x, other.y - vehicle.y
+    if math.sqrt(dx * dx + dy * dy) > (traits.diameter + other_traits.diameter) / 2 + vehicle.speed * dt:
+        return
+    a, b = _corners(vehicle, traits), _corners(other, other_traits)
+    dx = vehicle.speed * vehicle.cos * dt - other.speed * other.cos * dt
+    dy = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt
+    is_now, is_soon, push_x, push_y = _contact(a, b, dx, dy)
+    if is_soon:
+        share = 1.0 if other_traits.kind == OBSTACLE else 2.0
+        vehicle.impact_x, vehicle.impact_y, vehicle.has_impact = push_x / share, push_y / share, True
+        if other_traits.kind != OBSTACLE:
+            other.impact_x, other.impact_y, other.has_impact = -push_x / 2, -push_y / 2, True
+    if is_now:
+        vehicle.crashed = other.crashed = True
+
+
+@kernel_inner
+def _corners(vehicle: Vehicle, traits: Traits) -> Corners:
+    """Compute the corners of a vehicle: `RoadObject.polygon`."""
+    a, b = traits.length / 2, traits.width / 2
+    return _corner(vehicle, -a, -b), _corner(vehicle, -a, b), _corner(vehicle, a, b), _corner(vehicle, a, -b)
+
+
+@kernel_inner
+def _corner(vehicle: Vehicle, along: float, aside: float) -> Corner:
+    x = vehicle.cos * along + -vehicle.sin * aside + vehicle.x
+    return x, vehicle.sin * along + vehicle.cos * aside + vehicle.y
+
+
+@kernel_inner
+def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, float, float]:
+    """Return whether two boxes overlap, whether they will, and the push that parts them [m].
+
+    This is `highway_env.utils.are_polygons_intersecting`. It ends early only if the rest cannot change the result.
+
+    Args:
+        a: corners of a box [m].
+        b: corners of the other box [m].
+        dx: motion of the first box relative to the other [m].
+        dy: motion of the first box relative to the other [m].
+    """
+    is_now = is_soon = True
+    least = math.inf
+    push_x = push_y = 0.0
+    for side in range(8):
+        box = a if side < 4 else b
+        start, end = box[side % 4], box[(side + 1) % 4]
+        nx, ny = -end[1] + start[1], end[0] - start[0]
+        norm = math.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / norm, ny / norm
+        low_a, high_a = _span(a, nx, ny)
+        low_b, high_b = _span(b, nx, ny)
+        if _gap(low_a, high_a, low_b, high_b) > 0:
+            is_now = False
+        motion = nx * dx + ny * dy
+        if motion < 0:
+            low_a += motion
+        else:
+            high_a += motion
+        gap = _gap(low_a, high_a, low_b, high_b)
+        if gap > 0:
+            is_soon = False
+        if not is_now and not is_soon:
+            break
+        if abs(gap) < least:
+            least = abs(gap)
+            ax, ay = _center(a)
+            bx, by = _center(b)
+            sign = 1.0 if (ax - bx) * nx + (ay - by) * ny > 0 else -1.0
+            push_x, push_y = sign * nx, sign * ny
+    return is_now, is_soon, least * push_x, least * push_y
+
+
+@kernel_inner
+def _span(box: Corners, nx: float, ny: float) -> tuple[float, float]:
+    """Compute the least and greatest projection of the corners on an axis: `highway_env.utils.project_polygon`."""
+    low = high = box[0][0] * nx + box[0][1] * ny
+    for corner in box:
+        along = corner[0] * nx + corner[1] * ny
+        low, high = min(low, along), max(high, along)
+    return low, high
+
+
+@kernel_inner
+def _gap(low_a: float, high_a: float, low_b: float, high_b: float) -> float:
+    """Compute the distance of two intervals, negative if they overlap: `highway_env.utils.interval_distance`."""
+    return low_b - high_a if low_a < low_b else low_a - high_b
+
+
+@kernel_inner
+def _center(box: Corners) -> Corner:
+    a, b, c, d = box
+    return (a[0] + b[0] + c[0] + d[0]) / 4, (a[1] + b[1] + c[1] + d[1]) / 4

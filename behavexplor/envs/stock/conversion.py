@@ -1,0 +1,183 @@
+"""Copy the state of a highway-env environment into a slot, and back."""
+
+import math
+from typing import Any
+
+import numpy as np
+from highway_env import utils
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import AbstractLane
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.road.road import LaneIndex
+from highway_env.vehicle.objects import Obstacle, RoadObject
+
+from behavexplor.envs.kinematics import default_ranges
+from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
+from behavexplor.envs.stock.record_types import Records
+from behavexplor.envs.stock.state import (
+    IDM,
+    LINEAR,
+    MDP,
+    NO_LANE,
+    NO_ROUTE,
+    OBSTACLE,
+    PLAIN,
+    SAME_NUMBER,
+    VEHICLE,
+    Slots,
+    Vehicle,
+)
+from behavexplor.envs.stock.stock_world import EGO, World
+from behavexplor.envs.stock.traits import give_traits, kind_of, traits_of
+from behavexplor.errors import InputError
+
+
+def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
+    """Copy the present state of an environment into slot b.
+
+    Args:
+        env: a highway-env environment, without wrappers, with the road and the rules of `world`.
+        world: the road and rules.
+        slots: the slots, changed in place.
+        b: the slot.
+
+    Raises:
+        InputError: if the environment has vehicles that the engine does not know, or too many for the slot.
+    """
+    road, episode = env.road, slots.episodes[b]
+    things = [*road.vehicles, *road.objects]
+    if len(things) > slots.vehicles.shape[1]:
+        raise InputError(
+            f"The environment has {len(things)} vehicles and obstacles, but a slot holds {slots.vehicles.shape[1]}; "
+            f"make slots with more places"
+        )
+    episode.n_vehicles, episode.n_obstacles = len(road.vehicles), len(road.objects)
+    episode.ego = road.vehicles.index(env.vehicle)
+    episode.frames, episode.time, episode.road_frames = env.steps, env.time, getattr(road, "steps", 0)
+    episode.n_side_lanes = _n_side_lanes(env)
+    lanes = {index: lane for lane, index in enumerate(lane_indexes(road.network))}
+    roads = road_numbers(road.network)
+    for i, thing in enumerate(things):
+        kind = kind_of(type(thing))
+        slots.traits[b, i] = traits_of(thing, kind)
+        slots.vehicles[b, i] = np.zeros((), VEHICLE)
+        _load_pose(slots.vehicles[b, i], thing, lanes)
+        if kind != OBSTACLE:
+            _load_commands(slots.vehicles[b, i], thing)
+        if kind in (MDP, IDM, LINEAR):
+            _load_targets(slots.vehicles[b, i], thing, lanes)
+            _load_route(slots.vehicles[b, i], slots.routes[b, i], thing.route, roads)
+    ego = world.templates[EGO]
+    slots.traits[b, episode.ego].min_speed, slots.traits[b, episode.ego].max_speed = ego.min_speed, ego.max_speed
+
+
+def _load_pose(vehicle: Vehicle, thing: RoadObject, lanes: dict[LaneIndex, int]) -> None:
+    (vehicle.x, vehicle.y), vehicle.heading, vehicle.speed = thing.position, thing.heading, thing.speed
+    vehicle.cos, vehicle.sin = math.cos(thing.heading), math.sin(thing.heading)
+    vehicle.lane, vehicle.target_lane = lanes[tuple(thing.lane_index)], NO_LANE
+    vehicle.crashed = thing.crashed
+
+
+def _load_commands(vehicle: Vehicle, thing: Any) -> None:
+    vehicle.steering, vehicle.acceleration = thing.action["steering"], thing.action["acceleration"]
+    if thing.impact is not None:
+        (vehicle.impact_x, vehicle.impact_y), vehicle.has_impact = thing.impact, True
+
+
+def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int]) -> None:
+    vehicle.target_lane, vehicle.target_speed = lanes[tuple(thing.target_lane_index)], thing.target_speed
+    vehicle.speed_index, vehicle.timer = getattr(thing, "speed_index", 0), getattr(thing, "timer", 0.0)
+    vehicle.is_yielding = getattr(thing, "is_yielding", False)
+
+
+def _load_route(
+    vehicle: Vehicle, steps: Records, route: list[LaneIndex] | None, roads: dict[tuple[str, str], int]
+) -> None:
+    vehicle.route_position, vehicle.route_length = 0, NO_ROUTE if route is None else len(route)
+    if len(route or []) > len(steps):
+        raise InputError(f"A route has {len(route or [])} steps, but a slot holds {len(steps)}; make longer ones")
+    for step, (origin, target, number) in zip(steps, route or [], strict=False):
+        if (origin, target) not in roads:
+            raise InputError(f"A route has the road {(origin, target)}, which the road network does not have")
+        step.road, step.number = roads[origin, target], SAME_NUMBER if number is None else number
+
+
+def _n_side_lanes(env: AbstractEnv) -> int:
+    """Return on how many lanes the default ranges of the observation are based: those of the ego's first road."""
+    ranges = getattr(env.observation_type, "features_range", None)
+    if ranges and "y" in ranges:
+        n_lanes: int = round(ranges["y"][1] / AbstractLane.DEFAULT_WIDTH)
+        return n_lanes
+    return len(env.road.network.all_side_lanes(env.vehicle.lane_index))
+
+
+def restore(env: AbstractEnv, slots: Slots, b: int) -> None:
+    """Give an environment the state of slot b: the inverse of `load`.
+
+    The environment can then be drawn or stepped. Its vehicles and obstacles are new objects. Its generator of random
+    numbers is left as it is.
+
+    Args:
+        env: a highway-env environment, without wrappers, of the same configuration. It has been reset.
+        slots: the slots.
+        b: the slot.
+    """
+    road, episode = env.road, slots.episodes[b]
+    n_vehicles, n_obstacles = int(episode.n_vehicles), int(episode.n_obstacles)
+    things = [_make_thing(env, slots, b, i) for i in range(n_vehicles + n_obstacles)]
+    road.vehicles, road.objects = things[:n_vehicles], things[n_vehicles:]
+    ego = things[episode.ego]
+    others = [things[i] for i in range(n_vehicles) if slots.traits[b, i].kind in (PLAIN, MDP) and i != episode.ego]
+    env.controlled_vehicles = [ego, *others]
+    env.steps, env.time = int(episode.frames), float(episode.time)
+    if isinstance(road, RegulatedRoad):
+        road.steps = int(episode.road_frames)
+    env.define_spaces()
+    observation: Any = env.observation_type
+    if hasattr(observation, "features_range") and not observation.features_range:
+        observation.features_range = default_ranges(int(episode.n_side_lanes))
+
+
+def _make_thing(env: AbstractEnv, slots: Slots, b: int, i: int) -> Any:
+    """Make the highway-env object of a vehicle or an obstacle."""
+    vehicle, traits, network = slots.vehicles[b, i], slots.traits[b, i], env.road.network
+    make: Any = utils.class_from_path(env.config["other_vehicles_type"])
+    if traits.kind in (PLAIN, MDP):
+        make = env.action_type.vehicle_class
+    elif traits.kind == OBSTACLE:
+        make = Obstacle
+    thing = make(env.road, (vehicle.x, vehicle.y), float(vehicle.heading), float(vehicle.speed))
+    indexes = lane_indexes(network)
+    thing.lane_index = indexes[vehicle.lane]
+    thing.lane = network.get_lane(thing.lane_index)
+    thing.crashed = bool(vehicle.crashed)
+    give_traits(thing, traits)
+    if traits.kind != OBSTACLE:
+        _give_commands(thing, vehicle)
+    if traits.kind in (MDP, IDM, LINEAR):
+        thing.target_lane_index, thing.target_speed = indexes[vehicle.target_lane], float(vehicle.target_speed)
+        thing.route = _make_route(vehicle, slots.routes[b, i], list(road_numbers(network)))
+    if traits.kind == MDP:
+        thing.speed_index = int(vehicle.speed_index)
+    if traits.kind in (IDM, LINEAR):
+        _give_timers(thing, vehicle)
+    return thing
+
+
+def _give_commands(thing: Any, vehicle: Vehicle) -> None:
+    thing.action = {"steering": float(vehicle.steering), "acceleration": float(vehicle.acceleration)}
+    thing.impact = np.array([vehicle.impact_x, vehicle.impact_y]) if vehicle.has_impact else None
+
+
+def _make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) -> list[LaneIndex] | None:
+    """Return what is left of a route."""
+    if vehicle.route_length == NO_ROUTE:
+        return None
+    rest = steps[vehicle.route_position : vehicle.route_length]
+    return [(*ends[step.road], None if step.number == SAME_NUMBER else int(step.number)) for step in rest]
+
+
+def _give_timers(thing: Any, vehicle: Vehicle) -> None:
+    thing.timer = float(vehicle.timer)
+    if vehicle.is_yielding:
+        thing.is_yielding, thing.yield_timer, thing.color = True, 0, RegulatedRoad.YIELDING_COLOR

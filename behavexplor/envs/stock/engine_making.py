@@ -1,0 +1,93 @@
+"""Make the tables and arrays of the compiled engine from an environment of highway-env."""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from highway_env.envs import HighwayEnvFast
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.observation import TimeToCollisionObservation
+from highway_env.utils import class_from_path
+
+from behavexplor.envs.stock.collision_grid import make_memory
+from behavexplor.envs.stock.conversion import load
+from behavexplor.envs.stock.episodes import Engine, Outcome
+from behavexplor.envs.stock.observing import grid_view, make_view
+from behavexplor.envs.stock.pcg64 import N_WORDS
+from behavexplor.envs.stock.state import make_slots
+from behavexplor.envs.stock.stock_world import OTHER, make_world
+from behavexplor.envs.stock.task import INTERSECTION, MOST_TERMS, make_starts, make_task, no_starts
+
+_CHANGED_BY_INTERSECTION = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
+_ROOM = 16  # more vehicles than in the first episode, for environments that place their own
+
+
+def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool) -> Engine:
+    """Return what the episodes of an environment have in common.
+
+    Args:
+        env: the environment, which has been reset.
+        kind: its kind.
+        num_envs: number of episodes in lock-step.
+        places_own: whether it makes its own road or vehicles.
+    """
+    world = make_world(env)
+    if isinstance(env, HighwayEnvFast):
+        world.templates[OTHER].checks_collisions = False
+    n_vehicles = len(env.road.vehicles)
+    example = make_slots(1, n_vehicles + len(env.road.objects), len(world.network.roads) + 1)
+    load(env, world, example, 0)
+    makes_starts = not places_own or kind == INTERSECTION  # where vehicles appear later on, too
+    starts = make_starts(env, kind, example.vehicles[0, n_vehicles:].copy()) if makes_starts else no_starts()
+    is_grid = isinstance(env.observation_type, TimeToCollisionObservation)
+    return Engine(
+        world=world,
+        task=make_task(env, kind, starts),
+        observed=grid_view() if is_grid else make_view(env.observation_type),
+        words=np.zeros((num_envs, N_WORDS), dtype=np.uint64),
+    )
+
+
+def most_vehicles(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
+    """Return the greatest number of vehicles and obstacles that an episode can have."""
+    config = env.config
+    count = len(env.road.vehicles) + len(env.road.objects)
+    if places_own:
+        count = 2 * count + _ROOM
+    elif kind == INTERSECTION:
+        count = config["initial_vehicle_count"] + 1
+    if kind == INTERSECTION:  # after each decision, a vehicle may appear
+        count += math.ceil(config["duration"] * config["policy_frequency"]) + 2
+    return count
+
+
+def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int) -> Outcome:
+    """Create the arrays of observations, rewards and ends."""
+    shape = env.observation_space.shape
+    return Outcome(
+        observations=np.zeros((num_envs, math.prod(shape[:-1]), shape[-1]), dtype=np.float32),
+        memory=make_memory(engine.world.network, len(engine.world.speeds), shape[-1]),
+        rewards=np.zeros(num_envs),
+        terms=np.zeros((num_envs, MOST_TERMS)),
+        speeds=np.zeros(num_envs),
+        crashed=np.zeros(num_envs, dtype=bool),
+        terminated=np.zeros(num_envs, dtype=bool),
+        truncated=np.zeros(num_envs, dtype=bool),
+    )
+
+
+@contextmanager
+def kept_class(env_class: type[AbstractEnv], config: Mapping[str, Any] | None) -> Iterator[None]:
+    """Undo what `IntersectionEnv` does to the class of its vehicles, which would change every other environment."""
+    traffic = class_from_path({**env_class.default_config(), **(config or {})}["other_vehicles_type"])
+    before = {name: vars(traffic)[name] for name in _CHANGED_BY_INTERSECTION if name in vars(traffic)}
+    try:
+        yield
+    finally:
+        for name in _CHANGED_BY_INTERSECTION:
+            if name in before:
+                setattr(traffic, name, before[name])
+            elif name in vars(traffic):
+                delattr(traffic, name)

@@ -1,0 +1,127 @@
+"""Simulate one decision of every episode: the ego's command, then frames of decisions, motion and collisions."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.envs.stock.bicycle import move
+from behavexplor.envs.stock.collisions import collide
+from behavexplor.envs.stock.lane_geometry import closest_lane, lane_coordinates
+from behavexplor.envs.stock.lane_keeping import keep_lane_and_speed, take_maneuver
+from behavexplor.envs.stock.lane_network import Network
+from behavexplor.envs.stock.neighbors import UNKNOWN
+from behavexplor.envs.stock.reactive_traffic import drive
+from behavexplor.envs.stock.regulation import enforce_rules
+from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
+from behavexplor.envs.stock.stock_world import Rules, World
+from behavexplor.jit import kernel_in_place, kernel_inline, kernel_inner
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+@kernel_in_place
+def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active: Bools) -> None:
+    """Simulate one decision of many episodes.
+
+    Args:
+        world: the environment's road and rules.
+        slots: the episodes, changed in place.
+        scratch: memory that is used within a frame.
+        commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the index
+            of the maneuver in `behavexplor.envs.vector.meta.MANEUVERS`.
+        active: whether each slot is stepped, shape (B,).
+    """
+    for b in range(len(active)):
+        if active[b]:
+            scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+            simulate(world, scene, commands[b, 0], commands[b, 1])
+
+
+@kernel_inline
+def simulate(world: World, scene: Scene, first: float, second: float) -> None:
+    """Simulate one decision: `AbstractEnv._simulate`.
+
+    Args:
+        world: the environment's road and rules.
+        scene: the episode, changed in place.
+        first: first number of the ego's command; see `step`.
+        second: second number of the ego's command.
+    """
+    give_command(world, scene, first, second)
+    run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames)
+
+
+@kernel_inline
+def give_command(world: World, scene: Scene, first: float, second: float) -> None:
+    """Begin a decision: count it, and give the ego its command. The arguments are those of `simulate`."""
+    rules, episode = world.rules[0], scene.episode
+    episode.time += rules.policy_period
+    episode.frames += rules.n_frames
+    ego = scene.vehicles[episode.ego]
+    if scene.traits[episode.ego].kind == MDP:
+        take_maneuver(world.network, world.speeds, ego, scene.routes[episode.ego], int(first))
+    else:
+        ego.acceleration, ego.steering = first, second
+
+
+@kernel_inner
+def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> None:
+    """Simulate some frames: `Road.act` and `Road.step`.
+
+    Args:
+        network: the road network.
+        rules: the record of `World.rules`.
+        scene: the episode, changed in place.
+        n_frames: number of frames.
+    """
+    episode = scene.episode
+    for _ in range(n_frames):
+        scene.scratch.n_on_lane[:] = UNKNOWN
+        for i in range(episode.n_vehicles):
+            kind, vehicle = scene.traits[i].kind, scene.vehicles[i]
+            if kind == MDP:
+                keep_lane_and_speed(network, vehicle, scene.routes[i], scene.traits[i].length)
+            elif kind != PLAIN and not vehicle.crashed:
+                drive(network, scene, i)
+        if rules.regulation_period > 0:
+            episode.road_frames += 1
+            if episode.road_frames % rules.regulation_period == 0:
+                enforce_rules(network, scene)
+        for i in range(episode.n_vehicles):
+            vehicle, traits = scene.vehicles[i], scene.traits[i]
+            if traits.kind in (IDM, LINEAR):
+                vehicle.timer += rules.dt
+            move(vehicle, traits, rules.dt)
+            vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
+        collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt, scene.scratch.xs)
+
+
+@kernel_inner
+def clear_vehicles(network: Network, scene: Scene) -> None:
+    """Remove the traffic that leaves an intersection, in its order: `IntersectionEnv._clear_vehicles`.
+
+    The scene has no obstacles.
+    """
+    kept = 0
+    for i in range(scene.episode.n_vehicles):
+        is_ego = scene.traits[i].kind in (PLAIN, MDP)
+        if not is_ego and _is_leaving(network, scene, i):
+            continue
+        if kept != i:
+            scene.vehicles[kept], scene.traits[kept] = scene.vehicles[i], scene.traits[i]
+            for k in range(scene.vehicles[i].route_length):
+                scene.routes[kept, k] = scene.routes[i, k]
+            if scene.episode.ego == i:
+                scene.episode.ego = kept
+        kept += 1
+    scene.episode.n_vehicles = kept
+
+
+@kernel_inner
+def _is_leaving(network: Network, scene: Scene, i: int) -> bool:
+    vehicle = scene.vehicles[i]
+    if vehicle.route_length == NO_ROUTE:
+        return True
+    lane = network.lanes[vehicle.lane]
+    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    return bool(lane.is_goal and station >= lane.length - 4 * scene.traits[i].length)

@@ -1,0 +1,41 @@
+"""Which environments the compiled engine replaces: highway-env's own, and subclasses with other roads and starts."""
+
+from types import FunctionType
+
+from highway_env.envs.common.abstract import AbstractEnv
+
+from behavexplor.envs.stock.task import KINDS
+from behavexplor.errors import InputError
+
+_STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
+_CHANGEABLE = _STARTS | {"__init__", "default_config"}
+
+
+def known_class(env_class: type[AbstractEnv]) -> type[AbstractEnv]:
+    """Return the class of highway-env whose rules an environment follows: itself, or one of its parents.
+
+    Raises:
+        InputError: if there is none, or the environment changes the rules. The message names the changed method.
+    """
+    known: type[AbstractEnv] | None = next((known for known in KINDS if issubclass(env_class, known)), None)
+    if known is None:
+        names = ", ".join(sorted(one.__name__ for one in KINDS))
+        raise InputError(
+            f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
+            f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"
+        )
+    for base in env_class.__mro__[: env_class.__mro__.index(known)]:
+        for name, value in vars(base).items():
+            is_method = isinstance(value, FunctionType | classmethod | staticmethod | property)
+            if is_method and hasattr(known, name) and name not in _CHANGEABLE:
+                raise InputError(
+                    f"The compiled engine does not know the method {base.__name__}.{name}; use gymnasium.make_vec with "
+                    f"vectorization_mode='sync'"
+                )
+    return known
+
+
+def has_own_starts(env_class: type[AbstractEnv]) -> bool:
+    """Return whether an environment changes the road or the first vehicles of the class whose rules it follows."""
+    known = known_class(env_class)
+    return any(getattr(env_class, name, None) is not getattr(known, name, None) for name in _STARTS)

@@ -1,0 +1,131 @@
+"""Geometry of lanes: coordinates, headings, distances and the closest lane.
+
+Operations follow highway-env's own order, so that results are equal to the last bits.
+"""
+
+import math
+from typing import Final
+
+from highway_env.road.lane import AbstractLane
+
+from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
+from behavexplor.envs.vector.lanes import wrap_to_pi
+from behavexplor.jit import kernel_inline, kernel_inner
+
+VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]
+SLACK: Final = 1e-9  # more than the rounding errors of a lane's least distance [m]
+
+
+@kernel_inline
+def lane_coordinates(lane: Lane, x: float, y: float) -> tuple[float, float]:
+    """Compute the station and the offset of a point [m]: `local_coordinates`."""
+    if lane.kind == STRAIGHT:
+        dx, dy = x - lane.x, y - lane.y
+        return dx * lane.cos + dy * lane.sin, dx * -lane.sin + dy * lane.cos
+    return _coordinates_on_curve(lane, x, y)
+
+
+@kernel_inner
+def _coordinates_on_curve(lane: Lane, x: float, y: float) -> tuple[float, float]:
+    dx, dy = x - lane.x, y - lane.y
+    if lane.kind == CIRCULAR:
+        start = lane.phase
+        phase = start + wrap_to_pi(math.atan2(dy, dx) - start)
+        station = lane.turn * (phase - start) * lane.radius
+        return station, lane.turn * (lane.radius - math.sqrt(dx * dx + dy * dy))
+    station = dx * lane.cos + dy * lane.sin
+    offset = dx * -lane.sin + dy * lane.cos
+    return station, offset - lane.amplitude * math.sin(lane.pulsation * station + lane.phase)
+
+
+@kernel_inner
+def lane_heading(lane: Lane, station: float) -> float:
+    """Compute the heading at a station [rad]: `heading_at`."""
+    if lane.kind == CIRCULAR:
+        return float(lane.turn * station / lane.radius + lane.phase + math.pi / 2 * lane.turn)
+    if lane.kind == SINE:
+        slope = lane.amplitude * lane.pulsation * math.cos(lane.pulsation * station + lane.phase)
+        return float(lane.heading + math.atan(slope))
+    return float(lane.heading)
+
+
+@kernel_inner
+def lane_point(lane: Lane, station: float) -> tuple[float, float]:
+    """Compute the point of the center line at a station [m]: `position` with a lateral coordinate of 0."""
+    if lane.kind == CIRCULAR:
+        phase = lane.turn * station / lane.radius + lane.phase
+        return lane.x + lane.radius * math.cos(phase), lane.y + lane.radius * math.sin(phase)
+    offset = 0.0
+    if lane.kind == SINE:
+        offset = lane.amplitude * math.sin(lane.pulsation * station + lane.phase)
+    x = lane.x + station * lane.cos + offset * -lane.sin
+    return x, lane.y + station * lane.sin + offset * lane.cos
+
+
+@kernel_inner
+def lane_distance(lane: Lane, x: float, y: float) -> float:
+    """Compute the distance of a point: its offset plus its distance beyond either end [m]: `distance`."""
+    station, offset = lane_coordinates(lane, x, y)
+    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+
+
+@kernel_inner
+def is_on_lane(lane: Lane, station: float, offset: float, margin: float) -> bool:
+    """Return whether a point with these coordinates [m] is on the lane: `on_lane`."""
+    is_beside = abs(offset) <= lane.width / 2 + margin
+    return bool(is_beside and station >= -VEHICLE_LENGTH and station < lane.length + VEHICLE_LENGTH)
+
+
+@kernel_inner
+def is_reachable(lane: Lane, x: float, y: float) -> bool:
+    """Return whether a vehicle at this point may change to the lane: `is_reachable_from`."""
+    if lane.is_forbidden:
+        return False
+    station, offset = lane_coordinates(lane, x, y)
+    return bool(abs(offset) <= 2 * lane.width and station >= 0 and station < lane.length + VEHICLE_LENGTH)
+
+
+@kernel_inner
+def is_after_end(lane: Lane, station: float) -> bool:
+    """Return whether a station is so near the end that highway-env looks for the next lane: `after_end`."""
+    return bool(station > lane.length - VEHICLE_LENGTH / 2)
+
+
+@kernel_inner
+def closest_lane(network: Network, likely: int, x: float, y: float, heading: float) -> int:
+    """Return the lane that is closest in position and heading: `RoadNetwork.get_closest_lane_index`.
+
+    Args:
+        network: the lanes. Of two equally close ones, the first is chosen.
+        likely: a lane that is probably close. It saves time, but does not change the result.
+        x: position [m].
+        y: position [m].
+        heading: heading [rad].
+    """
+    best, nearest = likely, _distance_with_heading(network.lanes[likely], x, y, heading)
+    for i in range(len(network.lanes)):
+        lane = network.lanes[i]
+        if i == likely or _least_distance(lane, x, y) > nearest + SLACK:
+            continue
+        distance = _distance_with_heading(lane, x, y, heading)
+        if distance < nearest or (distance == nearest and i < best):
+            best, nearest = i, distance
+    return best
+
+
+@kernel_inner
+def _distance_with_heading(lane: Lane, x: float, y: float, heading: float) -> float:
+    station, offset = lane_coordinates(lane, x, y)
+    angle = abs(wrap_to_pi(heading - lane_heading(lane, station)))
+    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0) + 1.0 * angle)
+
+
+@kernel_inner
+def _least_distance(lane: Lane, x: float, y: float) -> float:
+    """Compute a lower bound of the distance that is cheap to compute [m]."""
+    dx, dy = x - lane.x, y - lane.y
+    if lane.kind == CIRCULAR:
+        return float(abs(lane.radius - math.sqrt(dx * dx + dy * dy)))
+    station = dx * lane.cos + dy * lane.sin
+    offset = abs(dx * -lane.sin + dy * lane.cos) - abs(lane.amplitude)
+    return float(offset + max(station - lane.length, 0.0) + max(0 - station, 0.0))

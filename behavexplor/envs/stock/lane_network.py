@@ -1,0 +1,186 @@
+"""A highway-env road network as tables: every lane, every road, and how they are connected.
+
+A road is the list of lanes from one node to another. Lanes and roads are numbered in highway-env's own order, the order
+of `RoadNetwork.graph`. Ties between lanes are decided by that order.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
+from highway_env.road.road import LaneIndex, RoadNetwork
+from numpy.typing import NDArray
+
+from behavexplor.envs.stock.record_types import Records, record_type
+from behavexplor.errors import InputError
+
+Ints = NDArray[np.int64]
+Lane: TypeAlias = np.record
+
+STRAIGHT, SINE, CIRCULAR = range(3)  # `kind` of a lane
+
+LANE: Final = record_type(
+    kind=np.int64,
+    x=np.float64,  # start, or center of the circle [m]
+    y=np.float64,
+    cos=np.float64,  # direction of a straight line
+    sin=np.float64,
+    heading=np.float64,  # of a straight line [rad]
+    length=np.float64,  # [m]
+    width=np.float64,  # [m]
+    amplitude=np.float64,  # of a sine [m]
+    pulsation=np.float64,  # of a sine [rad/m]
+    phase=np.float64,  # of a sine, or start phase of a circle [rad]
+    radius=np.float64,  # [m]
+    turn=np.float64,  # 1 if a circle runs clockwise on the screen, else -1
+    speed_limit=np.float64,  # [m/s]; NaN: none
+    priority=np.int64,
+    is_forbidden=np.bool_,  # to vehicles on the lanes beside it
+    is_goal=np.bool_,  # see `make_network`
+    road=np.int64,
+    number=np.int64,  # on its road
+    first_link=np.int64,  # the lane's rows in `Network.links`
+    n_links=np.int64,
+)
+
+ROAD: Final = record_type(
+    first_lane=np.int64,
+    n_lanes=np.int64,
+    origin=np.int64,  # number of the node
+    target=np.int64,
+    first_exit=np.int64,  # the road's rows in `Network.exits`
+    n_exits=np.int64,
+)
+
+LINK: Final = record_type(lane=np.int64, offset=np.float64)
+
+_KINDS: dict[Any, int] = {
+    StraightLane.local_coordinates: STRAIGHT,
+    SineLane.local_coordinates: SINE,
+    CircularLane.local_coordinates: CIRCULAR,
+}
+_LANE_CLASSES = (StraightLane, SineLane, CircularLane)
+_GEOMETRY = (
+    *("position", "local_coordinates", "heading_at", "width_at", "on_lane", "is_reachable_from", "after_end"),
+    *("distance", "distance_with_heading", "local_angle"),
+)
+
+
+class Network(NamedTuple):
+    """A road network as tables.
+
+    Attributes:
+        lanes: all lanes, shape (lanes,) of `LANE`.
+        roads: all roads, shape (roads,) of `ROAD`.
+        exits: numbers of the roads that begin where a road ends, for one road after the other.
+        links: lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the
+            offset of their stations [m], of `LINK`. The first link of a lane is the lane itself.
+    """
+
+    lanes: Records
+    roads: Records
+    exits: Ints
+    links: Records
+
+
+def lane_indexes(network: RoadNetwork) -> list[LaneIndex]:
+    """Return highway-env's index of every lane, in the order of the tables."""
+    return list(network.lanes_dict())
+
+
+def road_numbers(network: RoadNetwork) -> dict[tuple[str, str], int]:
+    """Return the number of the road between two nodes."""
+    return {ends: road for road, (ends, _) in enumerate(_roads(network))}
+
+
+def make_network(
+    network: RoadNetwork, *, connected_lanes: bool = False, is_goal: Callable[[LaneIndex], bool] = lambda _: False
+) -> Network:
+    """Convert a road network of highway-env to tables.
+
+    Args:
+        network: the road network. Its lanes are straight, sine or circular.
+        connected_lanes: whether neighbors are looked for on preceding and following lanes, too: highway-env's option
+            `neighbour_vehicles_connected_lanes`.
+        is_goal: which lanes are marked. The meaning of the mark is the environment's.
+
+    Raises:
+        InputError: if a lane has another geometry.
+    """
+    roads = list(_roads(network))
+    numbers = road_numbers(network)
+    nodes: dict[str, int] = {}
+    lanes = np.zeros(sum(len(group) for _, group in roads), LANE).view(np.recarray)
+    table = np.zeros(len(roads), ROAD).view(np.recarray)
+    exits: list[int] = []
+    for road, ((origin, target), group) in enumerate(roads):
+        ends = [nodes.setdefault(node, len(nodes)) for node in (origin, target)]
+        following = [numbers[target, node] for node in network.graph.get(target, {})]
+        first = sum(len(before) for _, before in roads[:road])
+        table[road] = (first, len(group), *ends, len(exits), len(following))
+        exits += following
+        for number, lane in enumerate(group):
+            row = lanes[first + number]
+            _describe(row, lane, (origin, target, number))
+            row.road, row.number, row.is_goal = road, number, is_goal((origin, target, number))
+    return Network(
+        lanes=lanes.view(np.ndarray),
+        roads=table.view(np.ndarray),
+        exits=np.array(exits, dtype=np.int64),
+        links=_link(network, lanes, connected_lanes=connected_lanes),
+    )
+
+
+def _roads(network: RoadNetwork) -> Iterator[tuple[tuple[str, str], list[AbstractLane]]]:
+    for origin, to in network.graph.items():
+        for target, lanes in to.items():
+            yield (origin, target), lanes
+
+
+def _describe(row: Lane, lane: AbstractLane, index: LaneIndex) -> None:
+    """Fill a lane's row with its geometry and its rules."""
+    row.kind = _kind(lane, index)
+    if row.kind == CIRCULAR:
+        (row.x, row.y), row.radius, row.turn = lane.center, lane.radius, lane.direction
+        row.phase = lane.start_phase
+    else:
+        (row.x, row.y), (row.cos, row.sin), row.heading = lane.start, lane.direction, lane.heading
+    if row.kind == SINE:
+        row.amplitude, row.pulsation, row.phase = lane.amplitude, lane.pulsation, lane.phase
+    row.length, row.width, row.priority, row.is_forbidden = lane.length, lane.width, lane.priority, lane.forbidden
+    row.speed_limit = math.nan if lane.speed_limit is None else lane.speed_limit
+
+
+def _kind(lane: AbstractLane, index: LaneIndex) -> int:
+    """Return the kind of a lane. A subclass is of its parent's kind if it changes none of the geometry."""
+    for known in _LANE_CLASSES:
+        if all(getattr(type(lane), name) is getattr(known, name) for name in _GEOMETRY):
+            return _KINDS[known.local_coordinates]
+    raise InputError(
+        f"The lane {index} is a {type(lane).__name__}, which the compiled engine does not know; use straight, sine "
+        f"or circular lanes, or gymnasium.make_vec with vectorization_mode='sync'"
+    )
+
+
+def _link(network: RoadNetwork, lanes: Records, *, connected_lanes: bool) -> Records:
+    """Fill the lanes' `first_link` and `n_links`, and return the links: `Road.neighbour_vehicles`."""
+    indexes = {index: row for row, index in enumerate(lane_indexes(network))}
+    links: list[tuple[int, float]] = []
+    for (origin, target, number), row in indexes.items():
+        own = [(row, 0.0)]
+        if connected_lanes:
+            for node, group in network.graph.get(target, {}).items():
+                own.append((indexes[target, node, _same_or_first(number, group)], lanes[row].length))
+            for node, to in network.graph.items():
+                if origin in to:
+                    before = indexes[node, origin, _same_or_first(number, to[origin])]
+                    own.append((before, -lanes[before].length))
+        lanes[row].first_link, lanes[row].n_links = len(links), len(own)
+        links += own
+    return np.array(links, dtype=LINK)
+
+
+def _same_or_first(number: int, lanes: list[AbstractLane]) -> int:
+    return number if number < len(lanes) else 0

@@ -1,0 +1,211 @@
+"""Decisions of the reactive traffic: `IDMVehicle` and `LinearVehicle`.
+
+IDM is the Intelligent Driver Model (Treiber et al., 2000), which gives the acceleration. MOBIL (Kesting et al., 2007)
+decides about changes of lane.
+"""
+
+import math
+from typing import Final
+
+from behavexplor.envs.stock.lane_geometry import is_after_end, is_reachable, lane_coordinates
+from behavexplor.envs.stock.lane_keeping import clip, linear_steering, not_zero, steering
+from behavexplor.envs.stock.lane_network import Lane, Network
+from behavexplor.envs.stock.neighbors import NOBODY, neighbors
+from behavexplor.envs.stock.record_types import Records
+from behavexplor.envs.stock.routing import next_lane
+from behavexplor.envs.stock.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
+from behavexplor.jit import kernel_inline, kernel_inner
+
+MIN_CHANGE_SPEED: Final = 1  # a slower vehicle does not change lane [m/s]
+
+
+@kernel_inline
+def drive(network: Network, scene: Scene, i: int) -> None:
+    """Decide the lane, steering and acceleration of a vehicle: `IDMVehicle.act`.
+
+    Args:
+        network: the road network.
+        scene: the episode. Vehicle i is changed in place.
+        i: the vehicle, whose kind is IDM or LINEAR. It has not crashed.
+    """
+    vehicle, traits = scene.vehicles[i], scene.traits[i]
+    lane, target = network.lanes[vehicle.lane], network.lanes[vehicle.target_lane]
+    station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
+    if is_after_end(target, station):
+        vehicle.target_lane = next_lane(network, vehicle, scene.routes[i], station)
+    free = _free_acceleration(traits, lane, vehicle, traits.kind)
+    if traits.changes_lanes and (vehicle.lane != vehicle.target_lane or traits.lane_change_delay < vehicle.timer):
+        _change_lane(network, scene, i, free)
+    target = network.lanes[vehicle.target_lane]
+    station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
+    if traits.kind == LINEAR:
+        vehicle.steering = linear_steering(target, vehicle, station, offset, traits)
+    else:
+        vehicle.steering = steering(target, vehicle, station, offset, traits.length)
+    own = station
+    if vehicle.lane != vehicle.target_lane:
+        own, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    front, _ = neighbors(network, scene, i, vehicle.lane, own)
+    wanted = _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free)
+    if vehicle.lane != vehicle.target_lane:
+        front, _ = neighbors(network, scene, i, vehicle.target_lane, station)
+        wanted = min(wanted, _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free))
+    vehicle.acceleration = clip(wanted, -traits.max_acceleration, traits.max_acceleration)
+
+
+@kernel_inner
+def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
+    """Begin or abort a change of lane: `IDMVehicle.change_lane_policy`.
+
+    If MOBIL recommends both sides, the right one is taken.
+
+    Args:
+        network: the road network.
+        scene: the episode. Vehicle i is changed in place.
+        i: the vehicle.
+        free: the acceleration that it would want on a free road [m/s2].
+    """
+    vehicle, traits = scene.vehicles[i], scene.traits[i]
+    lane = network.lanes[vehicle.lane]
+    if vehicle.lane != vehicle.target_lane:
+        if lane.road == network.lanes[vehicle.target_lane].road and _is_cut_off(lane, scene, i):
+            vehicle.target_lane = vehicle.lane
+        return
+    vehicle.timer = 0.0
+    if abs(vehicle.speed) < MIN_CHANGE_SPEED:
+        return
+    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    front, rear = neighbors(network, scene, i, vehicle.lane, station)
+    unchanged = _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free)
+    for side in (-1, 1):
+        number = lane.number + side
+        if number < 0 or number >= network.roads[lane.road].n_lanes:
+            continue
+        wanted = vehicle.lane + side
+        if is_reachable(network.lanes[wanted], vehicle.x, vehicle.y) and _recommends(
+            network, scene, i, wanted, free, unchanged, front, rear
+        ):
+            vehicle.target_lane = wanted
+
+
+@kernel_inner
+def _is_cut_off(lane: Lane, scene: Scene, i: int) -> bool:
+    """Return whether another vehicle is closely ahead and is also changing to the target lane of vehicle i."""
+    vehicle = scene.vehicles[i]
+    own, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    for j in range(scene.episode.n_vehicles):
+        other = scene.vehicles[j]
+        if other.target_lane == vehicle.target_lane and other.lane != vehicle.target_lane and j != i:
+            distance = lane_coordinates(lane, other.x, other.y)[0] - own
+            if distance > 0 and distance < _desired_gap(scene.traits[i], vehicle, other):
+                return True
+    return False
+
+
+@kernel_inline
+def _recommends(
+    network: Network, scene: Scene, i: int, lane: int, free: float, unchanged: float, old_front: int, old_rear: int
+) -> bool:
+    """Return whether MOBIL recommends a change to a lane: `IDMVehicle.mobil`.
+
+    Args:
+        network: the road network.
+        scene: the episode.
+        i: the vehicle.
+        lane: the new lane.
+        free: the acceleration that it would want on a free road [m/s2].
+        unchanged: the acceleration that it wants in its present lane [m/s2].
+        old_front: the vehicle in front in the present lane, or `NOBODY`.
+        old_rear: the vehicle behind in the present lane, or `NOBODY`.
+    """
+    vehicle, traits = scene.vehicles[i], scene.traits[i]
+    station, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
+    new_front, new_rear = neighbors(network, scene, i, lane, station)
+    new_rear_changed = _acceleration_of(network, scene, traits, new_rear, i)
+    if new_rear_changed < -traits.max_braking:
+        return False
+    own_lane = network.lanes[vehicle.lane]
+    changed = _acceleration(traits, own_lane, scene.vehicles, i, traits.kind, new_front, free)
+    position = vehicle.route_position
+    if position < vehicle.route_length and scene.routes[i, position].number >= 0:
+        target = network.lanes[vehicle.target_lane].number
+        wanted = scene.routes[i, position].number
+        is_toward = _sign(network.lanes[lane].number - target) == _sign(wanted - target)
+        return bool(is_toward and not changed < -traits.max_braking)
+    gain = changed - unchanged
+    if traits.politeness != 0.0:
+        gain += traits.politeness * (
+            new_rear_changed
+            - _acceleration_of(network, scene, traits, new_rear, new_front)
+            + _acceleration_of(network, scene, traits, old_rear, old_front)
+            - _acceleration_of(network, scene, traits, old_rear, i)
+        )
+    return not gain < traits.min_gain
+
+
+@kernel_inner
+def _sign(number: int) -> int:
+    return (1 if number > 0 else 0) - (1 if number < 0 else 0)
+
+
+@kernel_inner
+def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, front: int) -> float:
+    """Compute the acceleration that a driver with these traits would want in place of vehicle i [m/s2].
+
+    Both i and `front` may be `NOBODY`.
+    """
+    if i == NOBODY:
+        return 0.0
+    lane, kind = network.lanes[scene.vehicles[i].lane], scene.traits[i].kind
+    free = _free_acceleration(traits, lane, scene.vehicles[i], kind)
+    return _acceleration(traits, lane, scene.vehicles, i, kind, front, free)
+
+
+@kernel_inner
+def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) -> float:
+    """Compute the acceleration that a driver wants with nobody in front [m/s2]; see `_acceleration`."""
+    target_speed = vehicle.target_speed
+    if traits.kind == LINEAR:
+        has_target = kind not in (PLAIN, OBSTACLE)
+        return float(traits.speed_gain * (target_speed - vehicle.speed)) if has_target else 0.0
+    if kind == OBSTACLE:
+        return 0.0
+    if not math.isnan(lane.speed_limit):
+        target_speed = clip(target_speed, 0.0, lane.speed_limit)
+    share = max(vehicle.speed, 0.0) / abs(not_zero(target_speed))
+    return float(traits.comfort_acceleration * (1 - share**traits.delta))
+
+
+@kernel_inner
+def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: int, front: int, free: float) -> float:
+    """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
+
+    Args:
+        traits: the driver's traits.
+        lane: lane of vehicle i.
+        vehicles: the vehicles.
+        i: the vehicle to be accelerated, which need not be the driver's own.
+        kind: kind of vehicle i.
+        front: the vehicle in front of it, or `NOBODY`.
+        free: the acceleration that the driver would want with nobody in front [m/s2].
+    """
+    if front == NOBODY or (kind == OBSTACLE and traits.kind != LINEAR):
+        return free
+    vehicle, other = vehicles[i], vehicles[front]
+    distance = lane_coordinates(lane, other.x, other.y)[0] - lane_coordinates(lane, vehicle.x, vehicle.y)[0]
+    if traits.kind == LINEAR:
+        safe = traits.distance_wanted + max(vehicle.speed, 0.0) * traits.time_wanted
+        follow = free + traits.front_speed_gain * min(other.speed - vehicle.speed, 0.0)
+        return float(follow + traits.front_gap_gain * min(distance - safe, 0.0))
+    closeness = _desired_gap(traits, vehicle, other) / not_zero(distance)
+    return float(free - traits.comfort_acceleration * (closeness * closeness))
+
+
+@kernel_inner
+def _desired_gap(traits: Traits, vehicle: Vehicle, front: Vehicle) -> float:
+    """Compute the gap that a driver wants to the vehicle in front [m]: `IDMVehicle.desired_gap`."""
+    dx = vehicle.speed * vehicle.cos - front.speed * front.cos
+    dy = vehicle.speed * vehicle.sin - front.speed * front.sin
+    closing = dx * vehicle.cos + dy * vehicle.sin
+    follow = traits.distance_wanted + vehicle.speed * traits.time_wanted
+    return float(follow + vehicle.speed * closing / traits.gap_divisor)

@@ -1,0 +1,124 @@
+"""An environment's road and rules as tables, for the kernels."""
+
+from collections.abc import Callable
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+from highway_env import utils
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
+from highway_env.envs.exit_env import ExitEnv
+from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.envs.merge_env import MergeEnv
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.road.road import LaneIndex
+from highway_env.vehicle.objects import Obstacle
+from numpy.typing import NDArray
+
+from behavexplor.envs.stock.lane_network import Network, make_network
+from behavexplor.envs.stock.record_types import Records, record_type
+from behavexplor.envs.stock.state import OBSTACLE, TRAITS
+from behavexplor.envs.stock.traits import kind_of, traits_of
+from behavexplor.errors import InputError
+
+Floats = NDArray[np.float64]
+
+Rules: TypeAlias = np.record
+
+EGO, OTHER, BARRIER = range(3)  # rows of `World.templates`
+
+RULES: Final = record_type(
+    n_frames=np.int64,  # of a decision
+    dt=np.float64,  # duration of a frame [s]
+    policy_period=np.float64,  # duration of a decision [s]
+    regulation_period=np.int64,  # frames from one check of the right of way to the next; 0: none
+)
+
+
+class World(NamedTuple):
+    """An environment's road and rules.
+
+    Attributes:
+        network: the road network.
+        rules: the numbers that determine how a decision runs, shape (1,) of `RULES`.
+        speeds: target speeds of the ego's meta-actions [m/s], shape (speeds,).
+        templates: traits of the ego, of new vehicles of the traffic, and of obstacles, shape (3,) of `TRAITS`.
+    """
+
+    network: Network
+    rules: Records
+    speeds: Floats
+    templates: Records
+
+
+def make_world(env: AbstractEnv) -> World:
+    """Return the road and rules of a highway-env environment that has been reset.
+
+    The parameters of the traffic are those that highway-env's classes have at this moment: `IntersectionEnv` changes
+    them for the whole process.
+
+    Raises:
+        InputError: if the environment has lanes, vehicles or actions that the engine does not know.
+    """
+    config = env.config
+    return World(
+        network=make_network(
+            env.road.network,
+            connected_lanes=config["neighbour_vehicles_connected_lanes"],
+            is_goal=goal_lanes(env),
+        ),
+        rules=_make_rules(env),
+        speeds=_target_speeds(env),
+        templates=_make_templates(env),
+    )
+
+
+def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:
+    """Return which lanes `is_goal` marks in an environment.
+
+    In the merge, it is the merging lane; in the exit environment, the lanes that are to be reached; in the
+    intersection, the lanes that lead out of it.
+    """
+    if isinstance(env, MergeEnv):
+        return lambda index: index == ("b", "c", 2)
+    if isinstance(env, ExitEnv):
+        goals = {("1", "2", env.config["lanes_count"]), ("2", "exit", 0)}
+        return lambda index: index in goals
+    if isinstance(env, IntersectionEnv):
+        return lambda index: "il" in index[0] and "o" in index[1]
+    return lambda _: False
+
+
+def _make_rules(env: AbstractEnv) -> Records:
+    config = env.config
+    rules = np.zeros(1, RULES)
+    row = rules[0]
+    row.n_frames = int(config["simulation_frequency"] // config["policy_frequency"])
+    row.dt = 1 / config["simulation_frequency"]
+    row.policy_period = 1 / config["policy_frequency"]
+    if isinstance(env.road, RegulatedRoad):
+        row.regulation_period = int(1 / row.dt / env.road.REGULATION_FREQUENCY)
+    return rules
+
+
+def _target_speeds(env: AbstractEnv) -> Floats:
+    action = env.action_type
+    if isinstance(action, DiscreteMetaAction):
+        return np.array(action.target_speeds, dtype=np.float64)
+    if isinstance(action, ContinuousAction):
+        return np.zeros(2)
+    raise InputError(
+        f"The compiled engine does not know the action {type(action).__name__}; it knows DiscreteMetaAction, "
+        f"DiscreteAction and ContinuousAction; use gymnasium.make_vec with vectorization_mode='sync'"
+    )
+
+
+def _make_templates(env: AbstractEnv) -> Records:
+    other = utils.class_from_path(env.config["other_vehicles_type"])
+    templates = np.zeros(3, TRAITS)
+    templates[EGO] = traits_of(env.vehicle, kind_of(type(env.vehicle)))
+    if isinstance(env.action_type, ContinuousAction) and env.action_type.speed_range:
+        templates[EGO].min_speed, templates[EGO].max_speed = env.action_type.speed_range
+    templates[OTHER] = traits_of(other, kind_of(other))
+    templates[BARRIER] = traits_of(Obstacle, OBSTACLE)
+    return templates

@@ -1,0 +1,85 @@
+"""The compiled generator draws numpy's numbers, bit by bit, and leaves the same state behind."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from behavexplor.envs.stock import pcg64
+from behavexplor.envs.stock.pcg64 import generator_words, put_words
+
+NAMES = ["exr", "sxr", "nxr"]
+
+
+def cumulated(n):
+    shares = np.arange(n) / np.arange(n).sum()
+    sums = shares.cumsum()
+    return shares, sums / sums[-1]
+
+
+def shuffled_by_numpy(generator, n):
+    table = np.arange(3.0 * n).reshape(n, 3).astype(np.float32)
+    generator.shuffle(table[1:])
+    return table.tolist()
+
+
+def shuffled(words, n):
+    table = np.arange(3.0 * n).reshape(n, 3).astype(np.float32)
+    pcg64.shuffle_rows(words, table, 1)
+    return table.tolist()
+
+
+DRAWS = {  # numpy's draw and ours; n is from 2 to 60
+    "random": (lambda g, n: g.random(), lambda w, n: pcg64.random(w)),
+    "uniform": (lambda g, n: g.uniform(1.5, n), lambda w, n: pcg64.uniform(w, 1.5, n)),
+    "integers": (lambda g, n: g.integers(n), pcg64.integer),
+    "integers from 1": (lambda g, n: g.integers(1, n + 1), lambda w, n: 1 + pcg64.integer(w, n)),
+    "many integers": (lambda g, n: g.integers(2**32 - n), lambda w, n: pcg64.integer(w, 2**32 - n)),
+    "one integer": (lambda g, n: g.integers(1), lambda w, n: pcg64.integer(w, 1)),
+    "choice": (lambda g, n: g.choice(NAMES), lambda w, n: NAMES[pcg64.integer(w, 3)]),
+    "two of": (lambda g, n: tuple(g.choice(range(n), size=2, replace=False)), pcg64.two_of),
+    "weighted": (
+        lambda g, n: g.choice(np.arange(n), size=1, p=cumulated(n)[0])[0],
+        lambda w, n: pcg64.weighted(w, cumulated(n)[1]),
+    ),
+    "normal": (lambda g, n: g.normal(), lambda w, n: pcg64.normal(w)),
+    "normal around": (lambda g, n: g.normal(1.0), lambda w, n: 1.0 + pcg64.normal(w)),
+    "shuffle": (shuffled_by_numpy, shuffled),
+}
+
+
+@given(st.integers(0, 2**64), st.lists(st.tuples(st.sampled_from(list(DRAWS)), st.integers(2, 60)), max_size=60))
+def test_draws_in_any_order_are_numpy_s(seed, draws):
+    generator = np.random.default_rng(seed)
+    words = generator_words(generator)
+    for name, n in draws:
+        expected, ours = DRAWS[name]
+        assert ours(words, n) == expected(generator, n)
+    assert (words == generator_words(generator)).all()
+
+
+@pytest.mark.parametrize("name", DRAWS)
+def test_5000_draws_of_each_kind_are_numpy_s(name):
+    generator = np.random.default_rng(7)
+    words = generator_words(generator)
+    expected, ours = DRAWS[name]
+    assert [ours(words, 2 + k % 59) for k in range(5000)] == [expected(generator, 2 + k % 59) for k in range(5000)]
+
+
+def test_the_tail_of_the_normal_distribution_is_numpy_s():
+    generator = np.random.default_rng(3)
+    words = generator_words(generator)
+    draws = np.array([pcg64.normal(words) for _ in range(200_000)])
+    assert (draws == generator.normal(size=200_000)).all()
+    assert (np.abs(draws) > 3.7).any()  # beyond the last layer
+
+
+@given(st.integers(0, 2**64), st.integers(0, 3))
+def test_a_generator_goes_on_where_the_array_stopped(seed, halves):
+    generator, other = np.random.default_rng(seed), np.random.default_rng(0)
+    words = generator_words(generator)
+    for _ in range(halves):  # an odd number leaves half a word over
+        pcg64.next_half(words)
+    put_words(words, other)
+    assert [pcg64.integer(words, 9) for _ in range(5)] == other.integers(9, size=5).tolist()
+    assert (words == generator_words(other)).all()

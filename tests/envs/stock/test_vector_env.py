@@ -1,0 +1,286 @@
+"""The compiled vector environments give what gymnasium's vector environments of the originals give, bit by bit."""
+
+import os
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from highway_env.envs import HighwayEnvFast, IntersectionEnv, MergeEnv, ParkingEnv, TwoWayEnv
+from highway_env.envs.merge_env import MergeGenericEnv
+from highway_env.vehicle.behavior import IDMVehicle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+
+from behavexplor.envs.kinematics import FEATURES
+from behavexplor.envs.sb3_vec_env import HighwayVecEnv
+from behavexplor.envs.stock import StockVectorEnv, registered
+from behavexplor.errors import InputError
+from tests.envs.stock.environments import DoublyRewardedEnv, DriftingRoadEnv
+from tests.envs.stock.side_by_side import IDS, assert_equal, compare, compare_in_child
+
+MODES = ("NextStep", "SameStep")
+SHORT = {"highway-v0": 3}  # decisions, which take ten times as long in highway-env
+DURATIONS = {"merge-v0": {}, "merge-v1": {}, "two-way-v0": {}}  # [s]
+CONFIGS = {
+    "many lanes": ("highway-fast-v0", {"lanes_count": 5, "vehicles_count": 9, "vehicles_density": 2.5}),
+    "one lane": ("highway-fast-v0", {"lanes_count": 1, "initial_lane_id": 0, "vehicles_count": 0}),
+    "linear vehicles": (
+        "highway-fast-v0",
+        {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle", "vehicles_count": 5},
+    ),
+    "unnormalized": ("highway-fast-v0", {"normalize_reward": False, "offroad_terminal": True, "on_road_reward": 0.3}),
+    "continuous": ("highway-fast-v0", {"action": {"type": "ContinuousAction"}, "vehicles_count": 5}),
+    "discrete at the roundabout": ("roundabout-v0", {"action": {"type": "DiscreteAction"}}),
+    "a long merge": ("merge-v1", {"policy_frequency": 5, "action": {"type": "DiscreteMetaAction", "lateral": False}}),
+    "times on the highway": (
+        "highway-fast-v0",
+        {"observation": {"type": "TimeToCollision", "horizon": 7}, "policy_frequency": 2, "vehicles_count": 8},
+    ),
+    "times at the intersection": ("intersection-v2", {"observation": {"type": "TimeToCollision"}, "destination": None}),
+    "aggressive at the intersection": (
+        "intersection-v0",
+        {"other_vehicles_type": "highway_env.vehicle.behavior.AggressiveVehicle", "spawn_probability": 1.0},
+    ),
+    "continuous at the intersection": (
+        "intersection-v1",
+        {"action": {"type": "ContinuousAction", "dynamical": False}, "normalize_reward": True},
+    ),
+    "own vehicles at the intersection": (
+        "tests.envs.stock.environments:QuietIntersectionEnv",
+        {"duration": 3, "spawn_probability": 1.0},
+    ),
+    "everything observed": (
+        "merge-v0",
+        {"observation": {"type": "Kinematics", "features": list(FEATURES), "vehicles_count": 8, "see_behind": True}},
+    ),
+    "shuffled": (
+        "roundabout-v1",
+        {"observation": {"type": "Kinematics", "order": "shuffled", "features": list(FEATURES), "normalize": False}},
+    ),
+    "shuffled at the exit": ("exit-v1", {"observation": {"type": "ExitObservation", "order": "shuffled"}}),
+    "intentions": (
+        "intersection-v0",
+        {
+            "observation": {
+                "type": "Kinematics",
+                "features": ["cos_d", "sin_d", "heading", "x"],
+                "observe_intentions": True,
+                "features_range": {"heading": [-1, 1], "x": [-50, 50]},
+                "clip": False,
+            }
+        },
+    ),
+}
+
+
+def is_apart(env_id):
+    """Return whether an environment needs a process of its own, because it changes a class of highway-env."""
+    return "ntersection" in env_id
+
+
+@pytest.fixture(scope="module")
+def results():
+    calls = {
+        (env_id, mode): {
+            "env_id": env_id,
+            "mode": mode,
+            "decisions": SHORT.get(env_id, 5),
+            "config": DURATIONS.get(env_id, {"duration": 2}),
+        }
+        for env_id in IDS
+        for mode in MODES
+    }
+    calls |= {
+        name: {"env_id": env_id, "config": config, "decisions": 4, "num_envs": 1, "seed": 5}
+        for name, (env_id, config) in CONFIGS.items()
+    }
+    found = {}
+    for apart in (False, True):
+        group = {name: call for name, call in calls.items() if is_apart(call["env_id"]) == apart}
+        found |= dict(zip(group, compare_in_child(*group.values()), strict=True))
+    return found
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("env_id", IDS)
+def test_observations_rewards_ends_and_infos_are_equal_to_the_last_bit(env_id, mode, results):
+    assert_equal(results[env_id, mode])
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_configurations_are_reproduced_to_the_last_bit(name, results):
+    assert_equal(results[name])
+
+
+def test_episodes_end_and_begin_again_in_the_comparisons(results):
+    assert sum(result.episodes for result in results.values()) >= 2 * len(IDS)
+
+
+@st.composite
+def configs(draw):
+    """Draw configurations of the highway."""
+    lanes = draw(st.integers(1, 4))
+    features = draw(st.lists(st.sampled_from(FEATURES), min_size=1, unique=True))
+    observation = {
+        "type": "Kinematics",
+        "features": features,
+        "vehicles_count": draw(st.integers(2, 9)),
+        "order": draw(st.sampled_from(["sorted", "shuffled"])),
+        **{name: draw(st.booleans()) for name in ("absolute", "normalize", "clip", "see_behind", "observe_intentions")},
+    }
+    return {
+        "observation": observation,
+        "action": {
+            "type": "DiscreteMetaAction",
+            "target_speeds": draw(st.sampled_from([[20, 25, 30], [0, 10], [15, 20, 25, 30, 35]])),
+            "lateral": draw(st.booleans()),
+        },
+        "lanes_count": lanes,
+        "initial_lane_id": draw(st.none() | st.integers(0, lanes - 1)),
+        "vehicles_count": draw(st.integers(0, 6)),
+        "vehicles_density": draw(st.floats(0.5, 3.0)),
+        "ego_spacing": draw(st.floats(0.5, 3.0)),
+        "simulation_frequency": draw(st.integers(2, 6)),
+        "policy_frequency": draw(st.sampled_from([0.5, 1, 2])),
+        "duration": draw(st.integers(1, 5)),
+        "reward_speed_range": sorted(draw(st.tuples(st.integers(0, 20), st.integers(21, 40)))),
+        "collision_reward": draw(st.floats(-3, -1)),
+        "right_lane_reward": draw(st.floats(0, 1)),
+        "normalize_reward": draw(st.booleans()),
+        "offroad_terminal": draw(st.booleans()),
+        "neighbour_vehicles_connected_lanes": draw(st.booleans()),
+    }
+
+
+@settings(max_examples=25)
+@given(configs(), st.integers(0, 2**31), st.sampled_from(MODES))
+def test_drawn_configurations_have_the_same_outcomes(config, seed, mode):
+    result = compare("highway-fast-v0", config, mode=mode, num_envs=1, decisions=3, seed=seed)
+    assert not result.different or set(result.different) <= {"speed", "rewards.high_speed_reward"}  # in the last bits
+    assert result.worst < 1e-5
+
+
+def test_making_an_intersection_leaves_the_class_of_its_vehicles_alone():
+    before = IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN
+    env = StockVectorEnv(IntersectionEnv, 2)
+    env.reset(seed=0)
+    assert before == (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN)
+
+
+def test_an_environment_may_make_its_own_vehicles():
+    result = compare(
+        "tests.envs.stock.environments:CrowdedEnv", {"most_others": 4, "duration": 2}, mode="SameStep", decisions=6
+    )
+    assert not result.different
+    assert result.worst < 1e-9
+    assert result.episodes >= 2
+
+
+@pytest.mark.parametrize(
+    ("env_class", "message"),
+    [
+        (DoublyRewardedEnv, "does not know the method DoublyRewardedEnv._reward"),
+        (MergeGenericEnv, "does not know the method MergeGenericEnv._is_terminated"),
+        (ParkingEnv, "does not know ParkingEnv; it knows ExitEnv, HighwayEnv"),
+    ],
+)
+def test_environments_with_other_rules_are_refused(env_class, message):
+    with pytest.raises(InputError, match=message):
+        StockVectorEnv(env_class)
+
+
+def test_a_road_that_changes_is_refused():
+    with pytest.raises(InputError, match="The road of DriftingRoadEnv changes"):
+        StockVectorEnv(DriftingRoadEnv).reset(seed=0)
+
+
+def test_gymnasium_makes_the_compiled_environment_and_the_original():
+    made = gymnasium.make_vec(
+        "behavexplor/two-way-v0", num_envs=3, vectorization_mode="vector_entry_point", autoreset_mode="SameStep"
+    )
+    assert isinstance(made, StockVectorEnv)
+    made.reset(seed=1)
+    ends = [made.step(np.ones(3, dtype=np.int64))[2:4] for _ in range(15)]
+    assert all(bool(truncated.all() or terminated.any()) for terminated, truncated in ends[-1:])
+    assert isinstance(gymnasium.make("behavexplor/merge-v1").unwrapped, MergeEnv)
+    refused = pytest.raises(InputError, match=r"action.dynamical: .*vectorization_mode='sync'")
+    with pytest.warns(DeprecationWarning, match="out of date"), refused:
+        gymnasium.make_vec("behavexplor/intersection-v1", vectorization_mode="vector_entry_point")
+
+
+def test_another_release_of_highway_env_runs_itself_and_says_so(monkeypatch):
+    monkeypatch.setattr(registered, "changed_sources", lambda: ("behavior.IDMVehicle.act", "road.Road.step"))
+    with pytest.warns(UserWarning, match=r"another behavior.IDMVehicle.act, road.Road.step; highway-env itself runs"):
+        env = registered.vector_env(TwoWayEnv, num_envs=2, autoreset_mode="SameStep", max_episode_steps=3)
+    assert isinstance(env, SyncVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    env.reset(seed=0)
+    assert [bool((step := env.step(np.ones(2, dtype=np.int64)))[2].any() or step[3].all()) for _ in range(3)][-1]
+
+
+def test_a_sub_environment_rests_after_its_episode_without_autoreset():
+    env = StockVectorEnv(HighwayEnvFast, 3, {"duration": 2, "vehicles_count": 2}, autoreset_mode="Disabled")
+    env.reset(seed=[4, 5, None])
+    env.step(np.ones(3, dtype=np.int64))
+    last, _, _, truncated, _ = env.step(np.ones(3, dtype=np.int64))
+    assert truncated.all()
+    mask = np.array([False, True, False])
+    fresh, infos = env.reset(options={"reset_mask": mask})
+    assert (fresh[~mask] == last[~mask]).all()
+    assert (fresh[mask] != last[mask]).any()
+    assert infos["_speed"].tolist() == mask.tolist()
+    rested, rewards, _, truncated, infos = env.step(np.ones(3, dtype=np.int64))
+    assert (rested[~mask] == last[~mask]).all()
+    assert rewards[~mask].tolist() == [0.0, 0.0]
+    assert truncated.tolist() == [True, False, True]
+    assert infos["_speed"].tolist() == mask.tolist()
+
+
+def test_wrong_use_is_refused():
+    env = StockVectorEnv(HighwayEnvFast, 2, {"vehicles_count": 2})
+    with pytest.raises(ResetNeeded):
+        env.step(np.ones(2, dtype=np.int64))
+    with pytest.raises(InputError, match="Unknown reset option 'config'"):
+        env.reset(options={"config": {}})
+    env.reset()
+    with pytest.raises(InputError, match="actions: expected"):
+        env.step(np.full(2, 5))
+    with pytest.raises(InputError, match="cannot render"):
+        StockVectorEnv(HighwayEnvFast, render_mode="rgb_array")
+    with pytest.raises(InputError, match="num_envs: expected"):
+        StockVectorEnv(HighwayEnvFast, 0)
+
+
+EPISODES = int(os.environ.get("EPISODES", "200"))  # of the slow comparison, by environment
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("env_id", IDS)
+def test_many_episodes_are_equal_to_the_last_bit(env_id, mode):
+    (result,) = compare_in_child(
+        {"env_id": env_id, "mode": mode, "num_envs": 4, "decisions": 10**9, "episodes": EPISODES // 2}
+    )
+    assert_equal(result)
+    assert result.episodes >= EPISODES // 2
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*out of date")
+@pytest.mark.parametrize("env_id", IDS)
+def test_episodes_of_a_trained_policy_are_equal_to_the_last_bit(env_id, tmp_path):
+    torch.set_num_threads(1)
+    env = make_vec_env(env_id, n_envs=16, seed=0, vec_env_cls=HighwayVecEnv)
+    model = PPO("MlpPolicy", env, n_steps=64, batch_size=256, n_epochs=4, seed=0, device="cpu").learn(20_000)
+    model.save(tmp_path / "policy.zip")
+    (result,) = compare_in_child(
+        {"env_id": env_id, "num_envs": 4, "decisions": 10**9, "episodes": EPISODES // 4}
+        | {"policy": str(tmp_path / "policy.zip")}
+    )
+    assert_equal(result)
+    assert result.episodes >= EPISODES // 4
