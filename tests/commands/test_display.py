@@ -41,7 +41,8 @@ def shown(stream, budget, progress=PROGRESS, quiet=False):
 
 def test_a_plain_line():
     line = shown(io.StringIO(), Budget(executions=100))
-    assert "50 of 100 executions, 2.5/s, 6 failed (collision 4, lines 0, destination 2) in 2 classes, 3 at fault in 2 classes" in line
+    assert "50 of 100 executions, 2.5/s, 6 failed (collision 4, lines 0, destination 2) in 2 classes, " in line
+    assert "3 at fault in 2 classes, 20.0%" in line
     assert "20.0% novel, 0:20 left" in line
 
 
@@ -106,7 +107,7 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
         store.add(execution(number, ["collision"], f"R1/kind-{min(number // 2, 10):02}"))
     store.commit()
     text = summary(PROGRESS, store, "behavexplor")
-    assert "6 failed (12.0%) in 11 classes, 3 at fault in 2 classes; each failure is counted under its most severe type:" in text
+    assert "6 failed (12.0%) in 11 classes, 3 at fault in 2 classes; each failure is counted under" in text
     assert "The 8 most frequent classes:\n  R1/kind-10    10   first 20\n  R1/kind-00     2   first 0\n" in text
     assert "kind-07" not in text
     assert "a new class with a probability of about 0.00%; an estimated 0 classes (95 %: 0 to 0) have not been" in text

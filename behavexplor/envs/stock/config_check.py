@@ -33,7 +33,6 @@ from behavexplor.envs.values import (
     RANGE,
     WHOLE,
     Kind,
-    check_value,
     one_of,
     optional,
     shown,
@@ -131,9 +130,9 @@ def _check_key(key: str, value: object, kind: int) -> None:
         if value != ONLY[key]:
             raise InputError(f"{key}: the compiled engine supports {ONLY[key]} only, not {shown(value)}; {OTHER_WAY}")
     elif key in READ:
-        check_value(key, value, READ[key])
+        READ[key].check(key, value)
     elif key in TERMS[kind]:
-        check_value(key, value, NUMBER)
+        NUMBER.check(key, value)
     else:
         raise InputError(f"{key}: the compiled engine does not know this key; {OTHER_WAY}")
 

@@ -30,7 +30,7 @@ from behavexplor.envs.stock.task import (
     MERGE,
     ROUNDABOUT,
 )
-from behavexplor.envs.values import COUNT, check_value, optional
+from behavexplor.envs.values import COUNT, optional
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_seeds, chosen_slots
 from behavexplor.errors import InputError, unknown_name
@@ -73,8 +73,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
     ) -> None:
-        check_value("num_envs", num_envs, COUNT)
-        check_value("max_episode_steps", max_episode_steps, optional(COUNT))
+        COUNT.check("num_envs", num_envs)
+        optional(COUNT).check("max_episode_steps", max_episode_steps)
         if render_mode is not None:
             raise InputError("The vector environment cannot render; use gymnasium.make for highway-env's own")
         self._mode = chosen_mode(autoreset_mode)
