@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import highway_env.envs.common.observation as observations
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import class_from_path
+from pydantic import StrictStr
 
 from behavexplor.envs.env_config import ACTIONS, check_type
 from behavexplor.envs.stock.state import IDM, LINEAR
@@ -69,7 +70,7 @@ READ: Mapping[str, Kind] = MappingProxyType(  # keys that are reproduced, beside
         "simulation_frequency": COUNT,
         "policy_frequency": POSITIVE,
         "neighbour_vehicles_connected_lanes": FLAG,
-        "other_vehicles_type": Kind("the path of a class of vehicles", lambda value: isinstance(value, str)),
+        "other_vehicles_type": Kind("the path of a class of vehicles", StrictStr),
         "lanes_count": COUNT,
         "vehicles_count": WHOLE,
         "initial_lane_id": optional(WHOLE),
@@ -79,7 +80,7 @@ READ: Mapping[str, Kind] = MappingProxyType(  # keys that are reproduced, beside
         "reward_speed_range": RANGE,
         "normalize_reward": FLAG,
         "offroad_terminal": FLAG,
-        "incoming_vehicle_destination": optional(Kind("0, 1 or 2", lambda value: value in (0, 1, 2))),
+        "incoming_vehicle_destination": optional(Kind("0, 1 or 2", Literal[0, 1, 2])),
         "destination": optional(one_of(("o0", "o1", "o2", "o3"))),
         "initial_vehicle_count": COUNT,
         "spawn_probability": NUMBER,
