@@ -5,8 +5,7 @@ most of them matter to the ego. And an archive has a niche for each class of vio
 this class are kept (`behavexplor.fuzz.near_misses`). The search works on niches that are near to a violation and were
 little tried, and turns away from those that have failed. So it looks for further classes instead of repeating one.
 
-It uses routes, traces and verdicts, and neither the driving system's log nor its internals. docs/encounters.md explains
-it with a picture.
+It uses routes, traces and verdicts, and neither the driving system's log nor its internals.
 """
 
 import math

@@ -6,8 +6,8 @@ Sources: I. J. Good, "The population frequencies of species and the estimation o
 catchability", Biometrics 43, 1987. M. Boehme, "STADS: Software testing as species discovery", ACM TOSEM 27, 2018, uses
 them for fuzzers.
 
-The estimates hold for independent executions, as uniform sampling makes them. A guided search returns to what it has
-found, and finds what uniform sampling hardly ever would. docs/discovery.md has what the estimates were worth.
+The estimates hold for independent executions, as uniform sampling makes them. The executions of a guided search are not
+independent, so its estimates are rough.
 """
 
 import math
