@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED
 from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.npc_motion import motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scenario import NPC, Waypoint
 from behavexplor.data.trace import Trace
@@ -25,7 +24,7 @@ from behavexplor.judge.situation import DRIFT, HALF_LANE
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
-Predict = Callable[[RoadMap, Route, Floats, Floats], Floats]  # see `motion_on_route`
+Predict = Callable[[RoadMap, Route, Floats, Floats], Floats]  # see `behavexplor.data.npc_motion.motion_on_route`
 
 INTERVAL: Final = 0.25  # time between two frames of a drive [s]
 CHANGE_TIME: Final = 3.0  # time over which the ego's motion across its heading is measured [s]
@@ -98,11 +97,13 @@ class Aiming:
     Args:
         logical: logical scenario of the vehicles.
         options: options of aiming.
-        predict: function that predicts the motion of vehicles from their waypoints.
+        predict: function that predicts the motion of vehicles from their waypoints; None for that of scripted vehicles.
     """
 
-    def __init__(self, logical: LogicalScenario, options: AimingOptions, predict: Predict = motion_on_route) -> None:
-        self._logical, self._options, self._predict = logical, options, predict
+    def __init__(self, logical: LogicalScenario, options: AimingOptions, predict: Predict | None = None) -> None:
+        from behavexplor.data.npc_motion import motion_on_route  # noqa: PLC0415 - slow to import
+
+        self._logical, self._options, self._predict = logical, options, predict or motion_on_route
 
     def aim(self, rng: np.random.Generator, drive: Drive, others: Sequence[NPC]) -> NPC | None:
         """Return a vehicle that would have met the ego and can start beside other vehicles, or None if none was found.

@@ -276,6 +276,9 @@ def test_long_calls_end_early_when_they_are_told_to_and_each_has_a_process(tmp_p
 
 
 def test_a_call_whose_worker_dies_after_it_was_told_to_stop_is_not_made_again(pool, tmp_path):
+    ready: set[int] = set()
+    while len(ready) < 2:  # a worker that is still loading would be ended, and nothing else
+        ready |= {int(call.result()) for call in [pool.submit("echo", b"") for _ in range(2)]}
     running = pool.submit("sleeping", b"60")
     worker = int(pool.submit("echo", b"").result())
     other = next(w for w in pool._workers if w is not None and w._process.pid != worker)
