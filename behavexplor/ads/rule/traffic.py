@@ -18,17 +18,17 @@ N_OTHER_COLUMNS: Final = 6
 TWO_PI: Final = 2 * math.pi
 SAME_WAY: Final = 0.5  # greatest angle to the route of a vehicle that drives along it [rad]
 TOUCHING: Final = 0.2  # lateral gap below which a vehicle is in the same lane [m]
-NOBODY: Final = -1
+NO_VEHICLE: Final = -1
 
 
 class Neighbors(NamedTuple):
     """The nearest vehicles ahead of and behind the ego's station in a lane.
 
     Attributes:
-        ahead: row of the nearest vehicle ahead in the table of other vehicles, `NOBODY` for none.
+        ahead: row of the nearest vehicle ahead in the table of other vehicles, `NO_VEHICLE` for none.
         gap_ahead: gap to the vehicle ahead between bumpers [m], negative beside the ego, infinite for none.
         speed_ahead: speed of the vehicle ahead [m/s], infinite for none.
-        behind: row of the nearest vehicle behind, `NOBODY` for none.
+        behind: row of the nearest vehicle behind, `NO_VEHICLE` for none.
         gap_behind: gap to the vehicle behind between bumpers [m], infinite for none.
         speed_behind: speed of the vehicle behind [m/s], 0 for none.
     """
@@ -74,7 +74,7 @@ def in_lane(other: Floats, offset: float, half_width: float) -> bool:
 @kernel_in_place
 def neighbors(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbors:
     """Find the nearest vehicles ahead and behind in the lane at an offset."""
-    ahead, behind = NOBODY, NOBODY
+    ahead, behind = NO_VEHICLE, NO_VEHICLE
     gap_ahead, gap_behind = math.inf, math.inf
     for i in range(len(others)):
         if not in_lane(others[i], offset, half_width):

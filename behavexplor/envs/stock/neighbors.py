@@ -12,14 +12,14 @@ from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import Scene
 from behavexplor.jit import kernel_inline, kernel_inner
 
-NOBODY: Final = -1
+NO_VEHICLE: Final = -1
 UNKNOWN: Final = -1  # `n_on_lane` of a lane that has not been asked for in this frame
 MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m]
 
 
 @kernel_inline
 def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float) -> tuple[int, int]:
-    """Return the nearest vehicles or obstacles in front and behind, `NOBODY` if there is none.
+    """Return the nearest vehicles or obstacles in front and behind, `NO_VEHICLE` if there is none.
 
     Args:
         network: the road network.
@@ -37,16 +37,16 @@ def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float)
 
 @kernel_inner
 def _nearest(on_lane: Records, count: int, i: int, station: float) -> tuple[int, int]:
-    front = rear = NOBODY
+    front = rear = NO_VEHICLE
     front_station = rear_station = 0.0
     for k in range(count):
         other = on_lane[k]
         if other.vehicle == i:
             continue
         if station <= other.station:
-            if front == NOBODY or other.station <= front_station:
+            if front == NO_VEHICLE or other.station <= front_station:
                 front, front_station = other.vehicle, other.station
-        elif rear == NOBODY or other.station > rear_station:
+        elif rear == NO_VEHICLE or other.station > rear_station:
             rear, rear_station = other.vehicle, other.station
     return front, rear
 

@@ -10,7 +10,7 @@ from typing import Final
 from behavexplor.envs.stock.lane_geometry import is_after_end, is_reachable, lane_coordinates
 from behavexplor.envs.stock.lane_keeping import clip, linear_steering, not_zero, steering
 from behavexplor.envs.stock.lane_network import Lane, Network
-from behavexplor.envs.stock.neighbors import NOBODY, neighbors
+from behavexplor.envs.stock.neighbors import NO_VEHICLE, neighbors
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.routing import next_lane
 from behavexplor.envs.stock.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
@@ -115,8 +115,8 @@ def _recommends(
         lane: the new lane.
         free: the acceleration that it would want on a free road [m/s2].
         unchanged: the acceleration that it wants in its present lane [m/s2].
-        old_front: the vehicle in front in the present lane, or `NOBODY`.
-        old_rear: the vehicle behind in the present lane, or `NOBODY`.
+        old_front: the vehicle in front in the present lane, or `NO_VEHICLE`.
+        old_rear: the vehicle behind in the present lane, or `NO_VEHICLE`.
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     station, _ = lane_coordinates(network.lanes[lane], vehicle.x, vehicle.y)
@@ -152,9 +152,9 @@ def _sign(number: int) -> int:
 def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, front: int) -> float:
     """Compute the acceleration that a driver with these traits would want in place of vehicle i [m/s2].
 
-    Both i and `front` may be `NOBODY`.
+    Both i and `front` may be `NO_VEHICLE`.
     """
-    if i == NOBODY:
+    if i == NO_VEHICLE:
         return 0.0
     lane, kind = network.lanes[scene.vehicles[i].lane], scene.traits[i].kind
     free = _free_acceleration(traits, lane, scene.vehicles[i], kind)
@@ -186,10 +186,10 @@ def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: i
         vehicles: the vehicles.
         i: the vehicle to be accelerated, which need not be the driver's own.
         kind: kind of vehicle i.
-        front: the vehicle in front of it, or `NOBODY`.
+        front: the vehicle in front of it, or `NO_VEHICLE`.
         free: the acceleration that the driver would want with nobody in front [m/s2].
     """
-    if front == NOBODY or (kind == OBSTACLE and traits.kind != LINEAR):
+    if front == NO_VEHICLE or (kind == OBSTACLE and traits.kind != LINEAR):
         return free
     vehicle, other = vehicles[i], vehicles[front]
     distance = lane_coordinates(lane, other.x, other.y)[0] - lane_coordinates(lane, vehicle.x, vehicle.y)[0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.road.path import ego_path
-from behavexplor.ads.rule.traffic import ALONG_SPEED, NOBODY, OFFSET, STATION, TURNED, locate, neighbors
+from behavexplor.ads.rule.traffic import ALONG_SPEED, NO_VEHICLE, OFFSET, STATION, TURNED, locate, neighbors
 from behavexplor.data.logical import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
@@ -39,18 +39,18 @@ def test_the_next_ones_in_each_lane_are_found_with_the_gaps_between_bumpers():
     assert (own.ahead, own.speed_ahead, own.behind, own.speed_behind) == (1, 4.0, 2, 9.0)
     assert (own.gap_ahead, own.gap_behind) == pytest.approx((20 - (EGO_SIZE[0] + SEDAN[0]) / 2,) * 2)
     right = neighbors(others, 40.0, 3.5, *HALF)
-    assert (right.ahead, right.behind, right.gap_behind) == (3, NOBODY, math.inf)
+    assert (right.ahead, right.behind, right.gap_behind) == (3, NO_VEHICLE, math.inf)
 
 
 def test_who_drives_alongside_has_a_negative_gap_and_who_crosses_is_in_no_lane():
     others = table(ROAD, [on_road(41, 1), on_road(50, 0, turned=1.5)])
     assert neighbors(others, 40.0, 3.5, *HALF).gap_ahead < 0
-    assert neighbors(others, 40.0, 0.0, *HALF).ahead == NOBODY
+    assert neighbors(others, 40.0, 0.0, *HALF).ahead == NO_VEHICLE
 
 
 def test_a_vehicle_between_two_lanes_is_in_both():
     others = table(ROAD, [on_road(60, 0.5)])
-    assert [neighbors(others, 40.0, offset, *HALF).ahead for offset in (-3.5, 0.0, 3.5)] == [NOBODY, 0, 0]
+    assert [neighbors(others, 40.0, offset, *HALF).ahead for offset in (-3.5, 0.0, 3.5)] == [NO_VEHICLE, 0, 0]
 
 
 def test_absent_vehicles_are_nowhere():
@@ -58,4 +58,4 @@ def test_absent_vehicles_are_nowhere():
     observation[1, 0] = 0.0
     others = np.empty((1, 6))
     locate(ego_path(ROAD), observation, others)
-    assert neighbors(others, 40.0, 0.0, *HALF).ahead == NOBODY
+    assert neighbors(others, 40.0, 0.0, *HALF).ahead == NO_VEHICLE
