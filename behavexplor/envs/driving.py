@@ -11,7 +11,7 @@ from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from numpy.typing import NDArray
 
-from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED
+from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED, STANDSTILL_TIME
 from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scenario import Scenario
@@ -26,7 +26,6 @@ from behavexplor.envs.viewer import MapViewer
 from behavexplor.errors import InputError, unknown_name
 
 PASSED_DISTANCE = 5.0  # distance beyond the destination, along its lane [m]
-STANDSTILL_TIME = 30.0  # [s]
 
 RENDER_MODES = ("human", "rgb_array")
 TERMINAL = ("collision", "arrived", "passed")  # ends that terminate the episode; all other ends truncate it

@@ -9,6 +9,7 @@ from typing import Any
 import highway_env.envs.common.action as actions
 import highway_env.envs.common.observation as observations
 
+from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.envs.kinematics import FEATURES, ORDERS
 from behavexplor.envs.reward import WEIGHTS
@@ -124,7 +125,7 @@ def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> di
         "action": {"type": "ContinuousAction"},
         "simulation_frequency": 20,  # [Hz]
         "policy_frequency": 10,  # [Hz]
-        "duration": 200.0,  # [s]
+        "duration": EPISODE_TIME,
         "reward": dict(WEIGHTS),
         "logical": {},
         "screen_width": 800,

@@ -130,7 +130,7 @@ class Encounters:
         return candidate
 
     def _propose(self, rng: np.random.Generator, number: int, niche: Niche | None) -> Candidate:
-        if number == 0 and not self._asked:
+        if number == 0:
             return Candidate(number, Scenario(self._logical.name, ()), EMPTY_ROAD, None)
         if self._empty_road is None or rng.random() < self._options.uniform_share:
             return Candidate(number, self._logical.sample(rng), UNIFORM, None)

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.conventions import STANDING_SPEED
+from behavexplor.data.conventions import EPISODE_TIME, STANDING_SPEED, STANDSTILL_TIME
 from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
 from behavexplor.data.trace import Trace
 from behavexplor.fuzz.aiming import Drive
@@ -18,10 +18,9 @@ from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 
-LONGEST_STAND: Final = 30.0  # a stand of this length ends an episode [s]
-LONGEST_DRIVE: Final = 200.0  # a drive of this length ends an episode [s]
 SHORT_STAND: Final = 2.0  # shorter stands are no near misses [s]
 LINE_WEIGHT: Final = 10.0  # a meter to a line counts as this many meters to a vehicle: an ego is always near to lines
+FAR: Final = 200.0  # distance from the destination at which a return to the lane has a degree of 1 [m]
 LEAST: Final = 0.01  # least degree of a near miss, so that 0 means a violation
 _CLOSEST_FRAMES: Final = 8  # frames with the nearest centers, in which the distance between the boxes is computed
 
@@ -119,15 +118,15 @@ def _near_ends(trace: Trace, drive: Drive) -> Iterator[NearMiss]:
     seconds = float(drive.time[row] - drive.time[row - stand[row]]) if stand[row] else 0.0
     if seconds > SHORT_STAND:
         event = ViolationEvent(R3, int(drive.frame[row]))
-        yield _miss(trace, event, LEAST + max(1 - seconds / LONGEST_STAND, 0.0), end="standstill")
-    if trace.duration > LONGEST_DRIVE / 5:
+        yield _miss(trace, event, LEAST + max(1 - seconds / STANDSTILL_TIME, 0.0), end="standstill")
+    if trace.duration > EPISODE_TIME / 5:
         event = ViolationEvent(R3, int(drive.frame[len(drive.frame) // 2]))
-        yield _miss(trace, event, LEAST + max(1 - trace.duration / LONGEST_DRIVE, 0.0), end="timeout")
+        yield _miss(trace, event, LEAST + max(1 - trace.duration / EPISODE_TIME, 0.0), end="timeout")
     aside = np.flatnonzero(np.abs(route_offsets(trace)) > HALF_LANE)
     if len(aside):
         frame = int(aside[-1])
         left = float(np.hypot(*(trace.position[frame, 0] - trace.destination)))
-        yield _miss(trace, ViolationEvent(R3, frame), LEAST + left / 200, end="passed")
+        yield _miss(trace, ViolationEvent(R3, frame), LEAST + left / FAR, end="passed")
 
 
 def _near_specs(trace: Trace, verdict: Verdict) -> Iterator[NearMiss]:

@@ -190,7 +190,7 @@ def test_a_folder_in_which_only_a_lock_was_made_is_empty(tmp_path):
 
 
 def test_a_run_of_format_1_stays_readable(tmp_path, capsys):
-    """It was written by the first version; whoever changes what is stored keeps this passing. It is not resumed."""
+    """A run that the first version wrote is read, also after changes of the format. It is not resumed."""
     old = Path(shutil.copytree(OLD, tmp_path / "old"))
     assert main(["records", str(old)]) == OK
     lines = capsys.readouterr().out.splitlines()

@@ -99,7 +99,9 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
 def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
     store.add(execution(0, ["collision"], "R1/kind"))
     store.commit()
-    assert "in 1 class, 3 at fault in 2 classes; each failure is counted" in summary(PROGRESS, store, "behavexplor")
+    text = summary(PROGRESS, store, "behavexplor")
+    assert "in 1 class, 3 at fault in 2 classes; each failure is counted" in text
+    assert "The next execution shows a new class with a probability of about 2.00%" in text  # 1 of 50
 
 
 def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture

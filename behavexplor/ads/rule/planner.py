@@ -75,11 +75,11 @@ class RulePlanner:
             InputError: if an array has the wrong shape.
         """
         scenes = as_scenes(observation)
-        numbers = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        memories = as_records(numbers)
+        rows = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
+        memories = as_records(rows)
         _plan_batch(self._path, self._graph, scenes, memories, self._numbers)
         commands = np.stack([memories["last_acceleration"], memories["last_steering"]], axis=1)
-        return as_actions(commands), numbers
+        return as_actions(commands), rows
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the last decisions, from the state that `predict` returned.

@@ -11,7 +11,7 @@ from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
 from behavexplor.jit import kernel_inline, kernel_inner
 
-INITIAL_PROBABILITY: Final = 0.6  # that a vehicle is there at the start, whatever the configuration
+INITIAL_PROBABILITY: Final = 0.6  # probability of each vehicle at the start; `spawn_probability` is for later ones
 
 
 @kernel_inline

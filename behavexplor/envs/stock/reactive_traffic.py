@@ -163,7 +163,7 @@ def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, fro
 
 @kernel_inner
 def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) -> float:
-    """Compute the acceleration that a driver wants with nobody in front [m/s2]; see `_acceleration`."""
+    """Compute the acceleration that a driver wants on a free road [m/s2]; see `_acceleration`."""
     target_speed = vehicle.target_speed
     if traits.kind == LINEAR:
         has_target = kind not in (PLAIN, OBSTACLE)
@@ -187,7 +187,7 @@ def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: i
         i: the vehicle to be accelerated, which need not be the driver's own.
         kind: kind of vehicle i.
         front: the vehicle in front of it, or `NO_VEHICLE`.
-        free: the acceleration that the driver would want with nobody in front [m/s2].
+        free: the acceleration that the driver would want on a free road [m/s2].
     """
     if front == NO_VEHICLE or (kind == OBSTACLE and traits.kind != LINEAR):
         return free

@@ -52,7 +52,7 @@ def put_terms(world: World, task: Task, scene: Scene, changes_lane: bool, terms:
         share = clip(share, 0.0, 1.0)
     if kind == TWO_WAY:
         terms[0] = ego.speed_index / (len(world.speeds) - 1)
-        terms[1] = (n_lanes - 1 - target.number) / (n_lanes - 1)
+        terms[1] = (n_lanes - 1 - target.number) / (n_lanes - 1) if n_lanes > 1 else 0.0  # highway-env divides by 0
         return
     terms[0] = 1.0 if ego.crashed else 0.0
     if kind in (HIGHWAY, U_TURN):

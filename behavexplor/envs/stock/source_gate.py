@@ -1,4 +1,4 @@
-"""Whether the installed highway-env still is the one that the engine was ported from.
+"""Check that the installed highway-env is the one that the engine was ported from.
 
 `source_digests.json` has a digest of the source of every function and constant that was ported, by module and name. A
 release of highway-env that changes one of them may drive differently from the engine.

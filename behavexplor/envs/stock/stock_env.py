@@ -32,8 +32,8 @@ from behavexplor.envs.stock.task import (
 )
 from behavexplor.envs.values import COUNT, optional
 from behavexplor.envs.vector.action_decoding import make_commands
-from behavexplor.envs.vector.arguments import chosen_mode, chosen_seeds, chosen_slots
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
+from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for
 
 Bools = NDArray[np.bool_]
@@ -121,10 +121,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         Raises:
             InputError: if an option or a seed cannot be used.
         """
-        options = options or {}
-        for key in options:
-            if key != "reset_mask":
-                raise unknown_name("reset option", str(key), ("reset_mask",))
+        options = chosen_options(options, ("reset_mask",))
         mask = chosen_slots(options.get("reset_mask"), self.num_envs)
         for b, own_seed in enumerate(chosen_seeds(seed, self.num_envs)):
             if mask[b] and (own_seed is not None or not self._is_seeded[b]):
@@ -239,7 +236,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 words[b] = generator_words(env.np_random)
 
     def _lane_changes(self, actions: NDArray[Any]) -> Bools:
-        """Return which actions highway-env takes for changes of lane, whatever they mean, shape (num_envs,)."""
+        """Return which actions highway-env counts as changes of lane, by their number alone, shape (num_envs,)."""
         if self._kind in (MERGE, ROUNDABOUT):  # the others do not ask
             return np.asarray((actions == 0) | (actions == 2))
         return self._no_lane_changes

@@ -1,6 +1,7 @@
 """The arguments that all vector environments have: seeds, slots to reset, and the autoreset mode."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -24,6 +25,18 @@ def chosen_mode(name: AutoresetMode | str) -> AutoresetMode:
     if name not in modes:
         raise unknown_name("autoreset mode", str(name), modes)
     return modes[name]
+
+
+def chosen_options(options: dict[str, Any] | None, known: Collection[str]) -> dict[str, Any]:
+    """Return the options of a reset.
+
+    Raises:
+        InputError: if one of them is unknown.
+    """
+    for key in options or {}:
+        if key not in known:
+            raise unknown_name("reset option", str(key), known)
+    return options or {}
 
 
 def chosen_slots(mask: object, num_envs: int) -> Bools:

@@ -19,14 +19,14 @@ from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
-from behavexplor.envs.vector.arguments import chosen_mode, chosen_seeds, chosen_slots
+from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import reward_terms
 from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, put_scenario
 from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -104,10 +104,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         Raises:
             InputError: if a scenario cannot be run in this environment, or an option is unknown or has a wrong shape.
         """
-        options = options or {}
-        for key in options:
-            if key not in _OPTIONS:
-                raise unknown_name("reset option", str(key), _OPTIONS)
+        options = chosen_options(options, _OPTIONS)
         mask = chosen_slots(options.get("reset_mask"), self.num_envs)
         scenarios = self._given_scenarios(options)
         seeds = chosen_seeds(seed, self.num_envs)

@@ -11,7 +11,7 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED
+from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED, STANDSTILL_TIME
 from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.envs import driving
@@ -121,7 +121,7 @@ def _make_rules(env: driving.DrivingEnv) -> Rules:
         arrival_distance=ARRIVAL_DISTANCE,
         passed_distance=driving.PASSED_DISTANCE,
         standstill_speed=STANDING_SPEED,
-        standstill_frames=float(driving.STANDSTILL_TIME * frequency),
+        standstill_frames=float(STANDSTILL_TIME * frequency),
         destination_x=float(x),
         destination_y=float(y),
         destination_cos=float(np.cos(heading)),

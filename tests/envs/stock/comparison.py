@@ -126,13 +126,19 @@ def rest_of_route(slots, b, i):
 
 
 def compare_in_child(*calls):
-    """Compare in a process in which numpy computes as the C library does.
+    """Compare in a process in which numpy computes as the C library does; arguments of `compare` by name."""
+    return [Comparison(**result) for result in results_of_child("tests.envs.stock.comparison", calls)]
+
+
+def results_of_child(module, calls):
+    """What a module writes as a script, in a process in which numpy computes as the C library does.
 
     Args:
+        module: the module, which calls its `compare`.
         calls: for each comparison, the arguments of `compare` by name.
     """
     done = subprocess.run(
-        [sys.executable, "-m", "tests.envs.stock.comparison", json.dumps(calls)],
+        [sys.executable, "-m", module, json.dumps(calls)],
         env=os.environ | C_LIBRARY,
         cwd=Path(__file__).parents[3],
         capture_output=True,
@@ -140,7 +146,7 @@ def compare_in_child(*calls):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return [Comparison(**result) for result in json.loads(done.stdout.splitlines()[-1])]
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 if __name__ == "__main__":

@@ -7,12 +7,9 @@ script, this module is that process.
 import hashlib
 import json
 import logging
-import os
-import subprocess
 import sys
 import warnings
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import gymnasium
 import highway_env  # noqa: F401 - registers the environments
@@ -24,7 +21,7 @@ from stable_baselines3 import PPO
 
 import behavexplor
 from behavexplor.envs.stock import StockVectorEnv
-from tests.envs.stock.comparison import C_LIBRARY
+from tests.envs.stock.comparison import results_of_child
 
 IDS = [name for name in behavexplor.HIGHWAY_ENV if name != "intersection-v1"]  # whose vehicle is dynamical
 
@@ -110,21 +107,8 @@ def alike(these, those, left_out):
 
 
 def compare_in_child(*calls):
-    """Compare in a process in which numpy computes as the C library does.
-
-    Args:
-        calls: for each comparison, the arguments of `compare` by name.
-    """
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.envs.stock.side_by_side", json.dumps(calls)],
-        env=os.environ | C_LIBRARY,
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return [Comparison(**result) for result in json.loads(done.stdout.splitlines()[-1])]
+    """Compare in a process in which numpy computes as the C library does; arguments of `compare` by name."""
+    return [Comparison(**result) for result in results_of_child("tests.envs.stock.side_by_side", calls)]
 
 
 def assert_equal(result):
