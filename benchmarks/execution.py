@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.simulation import Simulation, environment_id
@@ -43,7 +43,7 @@ def cpu(run: Callable[[], Any]) -> float:
     return time.process_time() - start
 
 
-def scenarios_of(simulation: Simulation, count: int) -> list[Scenario]:
+def scenarios_of(simulation: Simulation, count: int) -> list[ScriptedScenario]:
     """Return uniformly drawn scenarios, the same in every run."""
     generator = np.random.default_rng(0)
     return [simulation.logical.sample(generator) for _ in range(count)]

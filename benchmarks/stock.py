@@ -15,13 +15,13 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.network import road_network
 
 FREQUENCY, DECISIONS = 20, 10  # [Hz]
 
 
-def stock_road(scenario: Scenario, roadmap: RoadMap) -> tuple[Road, Vehicle]:
+def stock_road(scenario: ScriptedScenario, roadmap: RoadMap) -> tuple[Road, Vehicle]:
     """Return a scenario as a road with highway-env's objects, and the ego."""
     ours = road_network(roadmap)
     network = RoadNetwork()
@@ -40,7 +40,7 @@ def stock_road(scenario: Scenario, roadmap: RoadMap) -> tuple[Road, Vehicle]:
     return road, ego
 
 
-def drive_objects(scenario: Scenario, roadmap: RoadMap, seconds: float, policy: Any = None) -> None:
+def drive_objects(scenario: ScriptedScenario, roadmap: RoadMap, seconds: float, policy: Any = None) -> None:
     """Simulate a scenario for a time [s] without observations. A policy is called with zeros ten times a second."""
     road, ego = stock_road(scenario, roadmap)
     for step in range(round(seconds * FREQUENCY)):
@@ -54,7 +54,7 @@ def drive_objects(scenario: Scenario, roadmap: RoadMap, seconds: float, policy: 
 class StockEnv(AbstractEnv):  # type: ignore[misc]
     """The same scenarios as a gymnasium environment with highway-env's Kinematics observation."""
 
-    scenario: Scenario
+    scenario: ScriptedScenario
     roadmap: RoadMap
 
     @classmethod
@@ -77,7 +77,7 @@ class StockEnv(AbstractEnv):  # type: ignore[misc]
         return False
 
 
-def drive_env(scenarios: Sequence[Scenario], roadmap: RoadMap, seconds: Sequence[float]) -> None:
+def drive_env(scenarios: Sequence[ScriptedScenario], roadmap: RoadMap, seconds: Sequence[float]) -> None:
     """Run scenarios in `StockEnv`, each for its time [s]."""
     StockEnv.scenario, StockEnv.roadmap = scenarios[0], roadmap
     env = StockEnv()

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from behavexplor.behavior.distance import Labels
 from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
 
@@ -39,12 +39,12 @@ class Abstracted(NamedTuple):
     distances: dict[str, float]
 
 
-def scenario(vehicles: list[tuple[str, float, float]], logical: LogicalScenario) -> Scenario:
+def scenario(vehicles: list[tuple[str, float, float]], logical: ScriptedLogicalScenario) -> ScriptedScenario:
     """A scenario of sedans that drive steadily and park at the end of their routes."""
-    return Scenario(logical.name, tuple(_steady(logical, *vehicle) for vehicle in vehicles))
+    return ScriptedScenario(logical.name, tuple(_steady(logical, *vehicle) for vehicle in vehicles))
 
 
-def _steady(logical: LogicalScenario, route: str, start: float, speed: float) -> NPC:
+def _steady(logical: ScriptedLogicalScenario, route: str, start: float, speed: float) -> NPC:
     first, last = np.split(logical.position_ranges(logical.roadmap.routes[route]), 2)
     positions = [*np.linspace(start, first[0, 1], len(first)), *np.linspace(*last[0], len(last))]
     speeds = [speed] * (len(positions) - 1) + [0.0]

@@ -8,8 +8,8 @@ import gymnasium
 from PIL import Image
 
 import behavexplor
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 
 FOLDER = Path(__file__).parent / "environments"
 SEED = 4  # of the scenario in the pictures
@@ -17,7 +17,7 @@ VIEWS = {"intersection": (900, 900, 4.4, [0.5, 0.88]), "lane": (1500, 260, 5.6, 
 OTHER_VIEW = (900, 900, 3.0, [0.5, 0.5])
 
 
-def facts(logical: LogicalScenario) -> str:
+def facts(logical: ScriptedLogicalScenario) -> str:
     """What can be read from a logical scenario, as a table."""
     roadmap = logical.roadmap
     lanes = " or ".join(str(count) for count in sorted({len(route.lanes) for route in roadmap.npc_routes}))

@@ -9,14 +9,14 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy
 
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import ENDS, Trace
 
 seeds = st.integers(0, 2**32 - 1)
 
 
-def scenarios(logical: LogicalScenario) -> st.SearchStrategy[Scenario]:
+def scenarios(logical: ScriptedLogicalScenario) -> st.SearchStrategy[ScriptedScenario]:
     return seeds.map(lambda seed: logical.sample(np.random.default_rng(seed)))
 
 

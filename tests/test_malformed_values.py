@@ -33,7 +33,7 @@ from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.database import Row, connect, insert
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation, environment_id
@@ -149,7 +149,7 @@ def to_yaml(path, value):
 
 
 def of_scenario(value, folder, capfd):
-    scenario = Scenario.from_json(json.dumps(value))
+    scenario = ScriptedScenario.from_json(json.dumps(value))
     LOGICALS.get(scenario.functional, LOGICALS["lane-follow"]).check(scenario)
 
 
@@ -308,7 +308,9 @@ class Kind(NamedTuple):
 PLACES = st.sampled_from(list(LOGICALS))
 KINDS = {
     of_scenario: Kind(
-        lambda: PLACES.flatmap(lambda name: scenarios(LOGICALS[name])).map(Scenario.to_dict).flatmap(changed), 40, 1500
+        lambda: PLACES.flatmap(lambda name: scenarios(LOGICALS[name])).map(ScriptedScenario.to_dict).flatmap(changed),
+        40,
+        1500,
     ),
     of_config: Kind(lambda: st.sampled_from(list(map(config_of, METHODS))).flatmap(changed), 40, 1500),
     of_experiment: Kind(lambda: changed(EXPERIMENT), 15, 500),

@@ -40,7 +40,7 @@ def check_name(name: str) -> None:
         raise unknown_name('ADS (a known name, a policy file, or your own "module:attribute")', name, SYSTEMS)
 
 
-def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
+def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) -> ADS:
     """Load a driving system under test by name.
 
     Args:
@@ -50,7 +50,7 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
             "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), or
             of a class or function that makes such an object. A class or function with a parameter `roadmap` receives
             the road map.
-        roadmap: road map for the ADS.
+        roadmap: road map for the ADS; None in a stock environment, whose road is its own.
         trust: digests ("sha256:...") of files that may execute code of their own while they are loaded.
 
     Raises:
@@ -58,6 +58,11 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     """
     check_name(name)
     system, _, variant = name.partition(":")
+    if roadmap is None and is_shipped(name) and system != "constant":
+        raise InputError(
+            f"The driving system {name!r} follows a route on the roads of this package: in an environment of "
+            f"highway-env, name a policy file, your own module:attribute, or constant:ACTION"
+        )
     if system in SYSTEMS:
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
@@ -73,12 +78,14 @@ def load_ads(name: str, roadmap: RoadMap, trust: Collection[str] = ()) -> ADS:
     return _made(name, found, roadmap)
 
 
-def _policy(path: Path, roadmap: RoadMap, trust: Collection[str]) -> ADS:
+def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
         from behavexplor.ads.learned.driver import LearnedDriver, read_layers  # noqa: PLC0415 - numba is slow to import
 
-        return LearnedDriver(roadmap, read_layers(path))
+        driver: Any = LearnedDriver
+        learned: ADS = driver(roadmap, read_layers(path))
+        return learned
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
@@ -88,7 +95,7 @@ def _policy(path: Path, roadmap: RoadMap, trust: Collection[str]) -> ADS:
     return ads
 
 
-def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:
+def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
     """Return the object of a name if it is an ADS, or else the ADS that it makes."""
     is_factory = isinstance(found, type) or not hasattr(found, "predict")
     if is_factory and not callable(found):
@@ -100,7 +107,7 @@ def _made(name: str, found: Any, roadmap: RoadMap) -> ADS:
     return result
 
 
-def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap) -> Any:
+def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap | None) -> Any:
     """Call a class or function, with the road map if it has a parameter `roadmap`."""
     try:
         wants_map = "roadmap" in signature(factory).parameters

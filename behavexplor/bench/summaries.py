@@ -16,7 +16,7 @@ from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
 from behavexplor.data.decision_log import ENVIRONMENT
-from behavexplor.fuzz.mutation import ROUTES, WAYPOINTS
+from behavexplor.data.scripted_logical import ROUTES, WAYPOINTS
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import NPC_CAUSED

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Final, Self
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.specs import ERROR
 
@@ -72,7 +72,7 @@ class Record:
         Raises:
             InputError: if the record holds no valid scenario.
         """
-        return Scenario.from_dict(dict(self.scenario))
+        return read_scenario(dict(self.scenario))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as JSON values, in a fixed order."""

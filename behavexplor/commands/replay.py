@@ -12,6 +12,7 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
 from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
@@ -56,7 +57,7 @@ def replay(
     execution = store.execution(number)
     store.close()
     config = stored_config(run)
-    logical = logical_scenario(config.env)
+    logical = scripted(logical_scenario(config.env), "A replay")
     if avoided:
         return _avoid(execution, config, run, out or run / "replays")
     if (failure := execution.record.error) is not None:
@@ -135,7 +136,7 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
     frame = min(len(recorded.time), len(trace.time)) - 1
     caption = f"{witness.name} from {witness.begin:.2f} s on"
     path = folder / f"{execution.id:06d}-avoided"
-    animation, picture = _save(trace, simulation.logical.roadmap, frame, caption, path)
+    animation, picture = _save(trace, scripted(simulation.logical, "A replay").roadmap, frame, caption, path)
     print(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     print(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.roadmap import RoadMap, Route
-from behavexplor.data.scenario import NPC, Scenario
+from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Routes(NamedTuple):
     begin: Floats
 
 
-def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
+def motion_table(scenario: ScriptedScenario, roadmap: RoadMap, time: Floats) -> Floats:
     """Compute the motion of every NPC at given times.
 
     Args:

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -16,10 +16,13 @@ from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
 FORMAT = 1
-ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error")
+ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
+ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
+CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
 _MOTION = ("position", "heading", "velocity")
 
 
@@ -41,9 +44,16 @@ class Trace:
         route: center line of the ego's route, from its start to past its destination, shape (P, 2) [m].
         destination: the ego's destination, shape (2,) [m].
         illegal_lines: end points of the lines that must not be touched, shape (L, 2, 2) [m].
-        end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", or "error" if the
-            ADS failed instead of returning an action.
+        end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", "off-road",
+            "ended" (by another rule of the environment), or "error" if the ADS failed instead of returning an action.
         decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
+        signals: what a stock environment itself says of the ego in each frame, as arrays by name, each of shape (T,):
+            1 or 0 for "crashed", "off_road" and "arrived". A signal is missing if it means nothing in the environment.
+            Without signals, the specs judge by the vehicles' boxes.
+        present: whether each vehicle is present, shape (T, N); empty if all vehicles are present in all frames. An
+            absent vehicle stands at `ABSENT`.
+        partner: the vehicle that the ego crashed into, as the environment says, an index of `size`; -1 if there is
+            none, or if the vehicles' boxes tell.
 
     Raises:
         InputError: if the shape or a value of a field is wrong; the message names the field.
@@ -61,6 +71,9 @@ class Trace:
     illegal_lines: Floats
     end: str
     decisions: Mapping[str, Floats] = field(default_factory=dict)
+    signals: Mapping[str, Floats] = field(default_factory=dict)
+    present: Bools = field(default_factory=lambda: np.ones((0, 0), dtype=bool))
+    partner: int = -1
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -69,12 +82,10 @@ class Trace:
         for name in _MOTION:
             rounded = np.rint(getattr(self, name) / RESOLUTION) * RESOLUTION
             object.__setattr__(self, name, _frozen(name, rounded, np.float64))
-        if not isinstance(self.decisions, Mapping):
-            raise InputError(f"decisions: expected arrays by name, got {self.decisions!r:.80}")
-        log = {
-            name: _frozen(f"decisions[{name!r}]", values, np.float64) for name, values in sorted(self.decisions.items())
-        }
-        object.__setattr__(self, "decisions", MappingProxyType(log))
+        for name in ("decisions", "signals"):
+            object.__setattr__(self, name, _frozen_mapping(name, getattr(self, name)))
+        present = _frozen("present", self.present, np.bool_)
+        object.__setattr__(self, "present", present[:0, :0] if present.ndim == 2 and present.all() else present)
         self._validate()
 
     def _validate(self) -> None:
@@ -92,11 +103,14 @@ class Trace:
             "route": (None, 2),
             "destination": (2,),
             "illegal_lines": (None, 2, 2),
+            "present": (frames, vehicles) if self.present.size else (0, 0),
         }
         for name, expected in shapes.items():
             _check_shape(name, getattr(self, name), expected)
         for name, values in self.decisions.items():
             _check_shape(f"decisions[{name!r}]", values, (decisions, *values.shape[1:]))
+        for name, values in self.signals.items():
+            _check_shape(f"signals[{name!r}]", values, (frames,))
         if frames == 0 or vehicles == 0:
             raise InputError("time: a trace needs at least one frame, and an ego in size")
         if self.time[0] != 0 or (np.diff(self.time) <= 0).any():
@@ -107,6 +121,8 @@ class Trace:
             raise InputError(f"action_frame: must lie in [0, {frames})")
         if self.end not in ENDS:
             raise InputError(f"end: expected one of {', '.join(ENDS)}, got {self.end!r}")
+        if not (isinstance(self.partner, int) and -1 <= self.partner < vehicles and self.partner != 0):
+            raise InputError(f"partner: expected a vehicle other than the ego, or -1, got {self.partner!r:.80}")
 
     def __deepcopy__(self, memo: object) -> Self:
         return self  # a trace is immutable
@@ -129,12 +145,39 @@ class Trace:
         """Distance of the ego's last position from the destination [m]."""
         return float(np.hypot(*(self.position[-1, 0] - self.destination)))
 
+    def until(self, frames: int, end: str) -> Self:
+        """Return the first frames of the trace, as of an episode that ended there.
+
+        Args:
+            frames: number of frames, at least 1.
+            end: kind of end.
+        """
+        given = self.action_frame < frames
+        return replace(
+            self,
+            time=self.time[:frames],
+            position=self.position[:frames],
+            heading=self.heading[:frames],
+            velocity=self.velocity[:frames],
+            actions=self.actions[given],
+            action_frame=self.action_frame[given],
+            end=end,
+            decisions={name: values[given] for name, values in self.decisions.items()},
+            signals={name: values[:frames] for name, values in self.signals.items()},
+            present=self.present[:frames],
+        )
+
     def to_bytes(self) -> bytes:
         """Return the trace as a compressed npz file. Equal traces give equal bytes, and `from_bytes` restores them."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         for name in _MOTION:
             arrays[name] = _pack(arrays[name])
         arrays |= {f"decisions.{name}": values for name, values in self.decisions.items()}
+        arrays |= {f"signals.{name}": values for name, values in self.signals.items()}
+        if self.present.size:
+            arrays["present"] = self.present
+        if self.partner >= 0:
+            arrays["partner"] = np.int64(self.partner)
         buffer = io.BytesIO()
         np.savez_compressed(buffer, format=np.int64(FORMAT), end=np.str_(self.end), **arrays)
         return buffer.getvalue()
@@ -158,8 +201,14 @@ class Trace:
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
             arrays[name] = _unpack(arrays[name], arrays["time"].size)
-        log = {name.removeprefix("decisions."): values[name] for name in values if name.startswith("decisions.")}
-        return cls(**arrays, end=str(values["end"]), decisions=log)
+        return cls(
+            **arrays,
+            end=str(values["end"]),
+            decisions=_part(values, "decisions."),
+            signals=_part(values, "signals."),
+            present=values.get("present", np.ones((0, 0), dtype=bool)),
+            partner=_whole_number("partner", values["partner"]) if "partner" in values else -1,
+        )
 
     def save(self, path: Path) -> None:
         """Write the trace as an npz file."""
@@ -175,7 +224,26 @@ class Trace:
         return cls.from_bytes(path.read_bytes())
 
 
-_ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in ("end", "decisions"))
+_OTHERS = ("end", "decisions", "signals", "present", "partner")
+_ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in _OTHERS)
+
+
+def _whole_number(name: str, value: NDArray[Any]) -> int:
+    if np.shape(value) != () or value.dtype.kind not in "iu":
+        raise InputError(f"{name}: expected a whole number, got {' '.join(repr(value).split())[:80]}")
+    return int(value)
+
+
+def _part(values: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays whose names begin with a prefix, without the prefix."""
+    return {name.removeprefix(prefix): values[name] for name in values if name.startswith(prefix)}
+
+
+def _frozen_mapping(name: str, values: Any) -> Mapping[str, Floats]:
+    """Return arrays by name as a read-only mapping of read-only arrays, sorted by name."""
+    if not isinstance(values, Mapping):
+        raise InputError(f"{name}: expected arrays by name, got {values!r:.80}")
+    return MappingProxyType({key: _frozen(f"{name}[{key!r}]", values[key], np.float64) for key in sorted(values)})
 
 
 def _frozen(name: str, values: Any, kind: type[np.generic]) -> NDArray[Any]:

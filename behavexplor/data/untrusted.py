@@ -1,6 +1,7 @@
-"""Safe loading of untrusted YAML and npz files. Limits are checked before any value of a file is created."""
+"""Safe loading of untrusted YAML, JSON and npz files. Limits are checked before any value of a file is created."""
 
 import io
+import json
 from collections.abc import Mapping
 from typing import Any, Final
 from zipfile import ZipFile
@@ -9,8 +10,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from behavexplor.errors import InputError, brief
+
 MAX_NODES: Final = 100_000  # nodes in a YAML file; an alias counts as often as it is used
 MAX_DEPTH: Final = 40  # nesting depth of values in a YAML file
+MAX_JSON_LENGTH: Final = 1_000_000  # characters; a scenario of the paper has about 1500
 MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz file
 
 
@@ -61,6 +65,41 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
     if isinstance(node, yaml.MappingNode):
         return [child for pair in node.value for child in pair]
     return list(node.value) if isinstance(node, yaml.SequenceNode) else []
+
+
+def parse_json(text: str, what: str) -> Any:
+    """Return the value of a JSON document.
+
+    Args:
+        text: the document.
+        what: what the document should be, for error messages, such as "a scenario".
+
+    Raises:
+        InputError: if the text is too long or not JSON.
+    """
+    if len(text) > MAX_JSON_LENGTH:
+        raise InputError(f"{what.capitalize()} of {len(text)} characters is too long: the limit is {MAX_JSON_LENGTH}.")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"Not {what} in JSON: {error}") from None
+
+
+def object_fields(what: str, value: object, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return the fields of a JSON object that must have exactly these names.
+
+    Raises:
+        InputError: if the value is not an object, or a field is missing or unknown.
+    """
+    if not isinstance(value, dict):
+        raise InputError(f"{what} must be an object with {', '.join(names)}, got {brief(value)}")
+    for name in names:
+        if name not in value:
+            raise InputError(f"{name}: missing")
+    for name in value:
+        if name not in names:
+            raise InputError(f"{name!r:.80} is not a field of {what}; the fields are {', '.join(names)}")
+    return value
 
 
 def read_arrays(data: bytes) -> Mapping[str, NDArray[Any]]:

@@ -12,9 +12,10 @@ from highway_env.road.road import Road
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED, STANDSTILL_TIME
-from behavexplor.data.logical import VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.npc_motion import motion_table
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics
@@ -39,7 +40,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
 
     ## Concrete scenarios
 
-    `reset(options={"scenario": scenario})` runs a `behavexplor.data.scenario.Scenario`. Without the option, the
+    `reset(options={"scenario": scenario})` runs a `behavexplor.data.scripted.ScriptedScenario`. Without the option, the
     environment samples a scenario from the logical scenario with its own random generator, so the same environment can
     train a policy. `env.unwrapped.logical.sample(generator)` samples a scenario without running it, and
     `logical.check(scenario)` raises an error that says what is wrong with an invalid scenario.
@@ -115,7 +116,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     | policy_frequency | 10 | decisions [Hz] |
     | duration | 200 | time limit [s] |
     | reward | see above | weights to change |
-    | logical | {} | parameters of `behavexplor.data.logical.LogicalScenario` to change: `n_npcs`, `min_speed`, ... |
+    | logical | {} | parameters of `behavexplor.data.scripted_ranges.ScriptedRanges` to change: `n_npcs`, ... |
 
     The other keys are highway-env's. Most of them concern rendering: `screen_width`, `screen_height`, `scaling`,
     `centering_position`, `real_time_rendering`, ... `render_mode` is None, "human" or "rgb_array".
@@ -124,9 +125,9 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         InputError: if the config contains an unknown key, or a value that is out of range.
     """
 
-    logical: LogicalScenario
+    logical: ScriptedLogicalScenario
     config: dict[str, Any]
-    scenario: Scenario
+    scenario: ScriptedScenario
     viewer: MapViewer | None
     observation_type: Any  # highway-env has no annotations
     action_type: Any
@@ -193,8 +194,10 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         scenario = options.get("scenario")
         if scenario is None:
             scenario = self.logical.sample(self.np_random)
-        if not isinstance(scenario, Scenario):
-            raise InputError(f"options['scenario'] must be a behavexplor.data.scenario.Scenario, got {scenario!r:.80}")
+        if not isinstance(scenario, ScriptedScenario):
+            raise InputError(
+                f"options['scenario'] must be a behavexplor.data.scripted.ScriptedScenario, got {scenario!r:.80}"
+            )
         self.logical.check(scenario)
         self.update_metadata()
         self.time = self.steps = 0
@@ -211,7 +214,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
             self.render()
         return observation, {"scenario": scenario}
 
-    def _place(self, scenario: Scenario) -> None:
+    def _place(self, scenario: ScriptedScenario) -> None:
         """Put the ego and the NPCs of a scenario on the road."""
         roadmap = self.logical.roadmap
         network = road_network(roadmap)

@@ -10,7 +10,7 @@ import highway_env.envs.common.action as actions
 import highway_env.envs.common.observation as observations
 
 from behavexplor.data.conventions import EPISODE_TIME
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.kinematics import FEATURES, ORDERS
 from behavexplor.envs.reward import WEIGHTS
 from behavexplor.envs.values import (
@@ -110,10 +110,10 @@ _WITHOUT_EFFECT = {  # highway-env's keys; they stay in the `config`, since high
     "render_agent",
     "show_trajectories",
 }
-_LOGICAL_KEYS = {entry.name for entry in fields(LogicalScenario)} - {"name", "roadmap"}
+_LOGICAL_KEYS = {entry.name for entry in fields(ScriptedLogicalScenario)} - {"name", "roadmap"}
 
 
-def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> dict[str, Any]:
+def default_config(simulator: Mapping[str, Any], logical: ScriptedLogicalScenario) -> dict[str, Any]:
     """Return the default configuration of an environment.
 
     Args:
@@ -137,7 +137,7 @@ def default_config(simulator: Mapping[str, Any], logical: LogicalScenario) -> di
     return config
 
 
-def default_observation(logical: LogicalScenario) -> dict[str, Any]:
+def default_observation(logical: ScriptedLogicalScenario) -> dict[str, Any]:
     """Return the configuration of a Kinematics observation with one row for every possible vehicle."""
     return {"type": "Kinematics", "vehicles_count": 1 + logical.n_npcs}
 
@@ -174,7 +174,7 @@ def changed_config(config: Mapping[str, Any], changes: Mapping[str, Any]) -> dic
     return changed
 
 
-def changed_logical(logical: LogicalScenario, changes: Mapping[str, Any]) -> LogicalScenario:
+def changed_logical(logical: ScriptedLogicalScenario, changes: Mapping[str, Any]) -> ScriptedLogicalScenario:
     """Return a logical scenario with some parameters changed, such as the number of NPCs.
 
     Raises:

@@ -9,8 +9,8 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.c_library import with_c_library
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from behavexplor.ads.loading import is_shipped
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
@@ -153,4 +153,4 @@ def _explained(sentence: str) -> str:
 
 
 def _scenario(data: bytes) -> Scenario:
-    return Scenario.from_json(data.decode())
+    return parse_scenario(data.decode())

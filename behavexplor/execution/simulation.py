@@ -10,8 +10,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 import behavexplor
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
@@ -214,9 +216,9 @@ def logical_scenario(env: str) -> LogicalScenario:
         raise InputError(f"The environment {name!r} cannot be made: {error}") from error
     logical = getattr(made.unwrapped, "logical", None)
     made.close()
-    if not isinstance(logical, LogicalScenario):
+    if not isinstance(logical, ScriptedLogicalScenario | DrawnLogicalScenario):
         raise InputError(
-            f"The environment {name!r} cannot be fuzzed: it has no attribute `logical` that declares the scenarios "
-            f"it can run (a behavexplor.data.logical.LogicalScenario)"
+            f"The environment {name!r} cannot be fuzzed: it is not one of highway-env, and it has no attribute "
+            f"`logical` that declares its scenarios (a behavexplor.data.scripted_logical.ScriptedLogicalScenario)"
         )
     return logical

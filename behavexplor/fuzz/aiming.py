@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.roadmap import RoadMap, Route
-from behavexplor.data.scenario import NPC, Waypoint
+from behavexplor.data.scripted import NPC, Waypoint
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.judge.situation import DRIFT, HALF_LANE
@@ -100,7 +100,9 @@ class Aiming:
         predict: function that predicts the motion of vehicles from their waypoints; None for that of scripted vehicles.
     """
 
-    def __init__(self, logical: LogicalScenario, options: AimingOptions, predict: Predict | None = None) -> None:
+    def __init__(
+        self, logical: ScriptedLogicalScenario, options: AimingOptions, predict: Predict | None = None
+    ) -> None:
         from behavexplor.data.npc_motion import motion_on_route  # noqa: PLC0415 - slow to import
 
         self._logical, self._options, self._predict = logical, options, predict or motion_on_route

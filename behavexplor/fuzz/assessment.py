@@ -4,6 +4,7 @@ The recorded verdict comes from the specs alone (`behavexplor.judge.specs`) and 
 authors' released program is guided by figures that differ from the paper's formulas. These options reproduce them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.geometry import point_box_distance
-from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, RoadMap
+from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.judge.arrival import final_distance
@@ -65,17 +66,17 @@ class Assessment:
     failed: bool
 
 
-def assess(trace: Trace, verdict: Verdict, roadmap: RoadMap, options: AssessmentOptions) -> Assessment:
+def assess(trace: Trace, verdict: Verdict, line_kinds: Sequence[str], options: AssessmentOptions) -> Assessment:
     """Assess an execution.
 
     Args:
         trace: trace of the execution.
         verdict: verdict of the specs.
-        roadmap: map of the execution, which gives the kinds of the illegal lines in the trace.
+        line_kinds: the kinds of the illegal lines in the trace.
         options: options of the assessment.
     """
     seen = _until_retreat(trace, options)
-    degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, roadmap, options)
+    degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, line_kinds, options)
     failed = verdict.failed
     if options.destination_threshold is not None:
         others = [name for name in verdict.violated if name != "destination"]
@@ -105,26 +106,15 @@ def _until_retreat(trace: Trace, options: AssessmentOptions) -> Trace:
     if not len(growing):
         return trace
     frames = int(growing[0]) + 2  # keep the frame in which the distance grew
-    commands = trace.action_frame < frames
-    return replace(
-        trace,
-        time=trace.time[:frames],
-        position=trace.position[:frames],
-        heading=trace.heading[:frames],
-        velocity=trace.velocity[:frames],
-        actions=trace.actions[commands],
-        action_frame=trace.action_frame[commands],
-        end="timeout",
-        decisions={name: values[commands] for name, values in trace.decisions.items()},
-    )
+    return trace.until(frames, "timeout")
 
 
-def _clipped_degree(trace: Trace, roadmap: RoadMap, options: AssessmentOptions) -> float:
+def _clipped_degree(trace: Trace, line_kinds: Sequence[str], options: AssessmentOptions) -> float:
     smaller = replace(trace, size=trace.size - options.box_shrink)
-    kinds = np.array(roadmap.line_kinds)
+    kinds = np.array(line_kinds)
     terms = [Collision().degree(smaller)]
     terms += [
-        Lines().degree(replace(smaller, illegal_lines=roadmap.illegal_lines[kinds == kind]))
+        Lines().degree(replace(smaller, illegal_lines=trace.illegal_lines[kinds == kind]))
         for kind in (DOUBLE_YELLOW, CURB)
     ]
     clipped = [min(term, 1.0) for term in terms]

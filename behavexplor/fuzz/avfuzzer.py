@@ -21,7 +21,6 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
-from behavexplor.fuzz.encoding import ROUTE
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
@@ -193,12 +192,12 @@ class AVFuzzer:
     def _mutated(self, parent: _Individual, rng: np.random.Generator) -> _Individual:
         """AV-Fuzzer: change one slice of one NPC, to a new speed or a new maneuver."""
         blocks = self._blocks(parent)
-        gene = ROUTE if rng.random() < 0.5 else rng.choice(self._asker.encoding.speed_genes)
+        gene = self._asker.encoding.draw_gene(rng)
         blocks[rng.integers(len(blocks)), gene] = rng.random()
         return _Individual(blocks.ravel(), parent.number)
 
     def _blocks(self, individual: _Individual) -> Floats:
-        return individual.vector.reshape(self._asker.encoding.n_npcs, -1).copy()
+        return individual.vector.reshape(self._asker.encoding.n_blocks, -1).copy()
 
     def _end(self, generation: _Generation) -> None:
         """End a complete generation: update the population, then start the local fuzzer or restart if it is time."""

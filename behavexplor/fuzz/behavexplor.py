@@ -8,21 +8,13 @@ import numpy as np
 
 from behavexplor.behavior.miner import Behavior, BehaviorMiner, MinerOptions
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.logical import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
 from behavexplor.fuzz.corpus import Corpus, Testcase
 from behavexplor.fuzz.energy import GAMMA, SELECTION_CHANGE, degree_change, failure_change
-from behavexplor.fuzz.mutation import (
-    MAX_KEEP_PROBABILITY,
-    MIN_SIGMA,
-    ROUTES,
-    WAYPOINTS,
-    mutate_routes,
-    mutate_waypoints,
-)
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
@@ -54,6 +46,8 @@ class BehAVExplorOptions:
         point_keep_probability: probability that a waypoint of a chosen NPC stays unchanged.
         sigma_position: standard deviation of waypoint mutation [m].
         sigma_speed: standard deviation of waypoint mutation [m/s].
+        sigma_draw: in stock environments, the standard deviation of the small mutation of a draw, as a share of the
+            draw's range.
         failure_weight: w_1, weight of the failure frequency.
         degree_weight: w_2, weight of the change of the violation degree.
         selection_weight: w_3, weight of the selection frequency.
@@ -88,6 +82,7 @@ class BehAVExplorOptions:
     point_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.0
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0
+    sigma_draw: Annotated[float, between(MIN_SIGMA, 1)] = 0.1
     failure_weight: float = 0.5
     degree_weight: float = 0.5
     selection_weight: float = 1.0
@@ -143,24 +138,23 @@ class BehAVExplor:
 
     def _kind(self, parent: Testcase, rng: np.random.Generator) -> str:
         """Choose the mutation of the parent (Algorithm 2, line 3)."""
+        little, much = self._logical.mutations
         if self._options.mutation == "random":
-            return WAYPOINTS if rng.random() < self._options.waypoint_share else ROUTES
-        return WAYPOINTS if parent.energy > self._options.waypoint_energy else ROUTES
+            return little if rng.random() < self._options.waypoint_share else much
+        return little if parent.energy > self._options.waypoint_energy else much
 
     def _mutate(self, parent: Testcase, kind: str, rng: np.random.Generator) -> Scenario:
         options = self._options
-        if kind == ROUTES:
-            keep = options.route_keep_probability
-            return mutate_routes(parent.scenario, self._logical, rng, keep_probability=keep)
-        return mutate_waypoints(
-            parent.scenario,
-            self._logical,
-            rng,
+        if kind == self._logical.mutations.much:
+            return self._logical.mutate_much(parent.scenario, rng, options.route_keep_probability)
+        noise = Noise(
             keep_probability=options.waypoint_keep_probability,
             sigma_position=options.sigma_position,
             sigma_speed=options.sigma_speed,
+            sigma_draw=options.sigma_draw,
             point_keep_probability=options.point_keep_probability,
         )
+        return self._logical.mutate_little(parent.scenario, rng, noise)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Learn from an execution (Algorithm 1, lines 9-18).
@@ -170,7 +164,7 @@ class BehAVExplor:
             behaviors; whether it is `novel`; its `distance` from its parent; whether it was `kept`; the `parent_energy`
             after the update; and its own `energy` if it was kept.
         """
-        run = assess(trace, verdict, self._logical.roadmap, self._options.assessment)
+        run = assess(trace, verdict, self._logical.line_kinds, self._options.assessment)
         self._n_failed += run.failed
         behavior = self._miner.describe(run.trace) if self._options.novelty == "measured" else None
         if candidate.parent is None:
@@ -232,7 +226,7 @@ class BehAVExplor:
     def _update_energy(self, parent: Testcase, kind: str, change: float, failed: bool) -> None:
         """Update E_s of the parent after its mutant s' (paper equation 14)."""
         options = self._options
-        if kind == ROUTES and options.route_cost is not None:
+        if kind == self._logical.mutations.much and options.route_cost is not None:
             parent.energy -= options.route_cost
         else:
             parent.n_failed += failed

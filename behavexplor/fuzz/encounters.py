@@ -16,7 +16,9 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 
 from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.aiming import Aiming, AimingOptions, Drive
@@ -101,8 +103,9 @@ class Encounters:
     Options: ClassVar[type] = EncountersOptions
 
     def __init__(self, logical: LogicalScenario, seed: int, options: EncountersOptions) -> None:
-        self._logical, self._seed, self._options = logical, seed, options
-        self._aiming = Aiming(logical, options.aiming)
+        self._logical = scripted(logical, "The search method 'encounters', which aims vehicles along routes,")
+        self._seed, self._options = seed, options
+        self._aiming = Aiming(self._logical, options.aiming)
         self._number = 0
         self._asked: set[Scenario] = set()
         self._empty_road: Drive | None = None
@@ -131,7 +134,7 @@ class Encounters:
 
     def _propose(self, rng: np.random.Generator, number: int, niche: Niche | None) -> Candidate:
         if number == 0:
-            return Candidate(number, Scenario(self._logical.name, ()), EMPTY_ROAD, None)
+            return Candidate(number, ScriptedScenario(self._logical.name, ()), EMPTY_ROAD, None)
         if self._empty_road is None or rng.random() < self._options.uniform_share:
             return Candidate(number, self._logical.sample(rng), UNIFORM, None)
         if niche is None:
@@ -140,7 +143,7 @@ class Encounters:
         npcs, origin = self._mutate(rng, elite)
         return Candidate(number, self._filled(rng, npcs), origin, elite.candidate.number)
 
-    def _aimed_scenario(self, rng: np.random.Generator, drive: Drive) -> Scenario:
+    def _aimed_scenario(self, rng: np.random.Generator, drive: Drive) -> ScriptedScenario:
         """Return a scenario with some vehicles aimed at a drive and the other vehicles drawn uniformly."""
         npcs: list[NPC] = []
         for _ in range(rng.integers(self._logical.n_npcs) + 1 if self._logical.n_npcs else 0):
@@ -151,11 +154,11 @@ class Encounters:
         npc = self._aiming.aim(rng, drive, npcs)
         return npcs if npc is None else [*npcs, npc]
 
-    def _filled(self, rng: np.random.Generator, npcs: list[NPC]) -> Scenario:
+    def _filled(self, rng: np.random.Generator, npcs: list[NPC]) -> ScriptedScenario:
         """Return a scenario with as many vehicles as are possible; those that are missing are drawn uniformly."""
         for _ in range(self._logical.n_npcs - len(npcs)):
             npcs = [*npcs, self._logical.place(lambda: self._logical.sample_npc(rng), npcs)]
-        return Scenario(self._logical.name, tuple(npcs))
+        return ScriptedScenario(self._logical.name, tuple(npcs))
 
     def _pick_niche(self, rng: np.random.Generator) -> Niche | None:
         """Draw a niche: a spec by the square root of its number of niches, then one of them by its weight."""
@@ -170,7 +173,8 @@ class Encounters:
 
     def _mutate(self, rng: np.random.Generator, elite: Elite) -> tuple[list[NPC], str]:
         """Return the vehicles of a mutant, and its origin. The vehicle that nearly met the ego is kept or tuned."""
-        npcs, partner = list(elite.candidate.scenario.npcs), elite.miss.partner
+        scenario: Any = elite.candidate.scenario
+        npcs, partner = list(scenario.npcs), elite.miss.partner
         others = [i for i in range(len(npcs)) if i != partner]
         kind = rng.random()
         if kind < self._options.aimed_share or not npcs:
@@ -216,7 +220,7 @@ class Encounters:
         return {"niches": len(self._niches), "failed niches": failed}
 
 
-def tuned(npc: NPC, logical: LogicalScenario, rng: np.random.Generator) -> NPC:
+def tuned(npc: NPC, logical: ScriptedLogicalScenario, rng: np.random.Generator) -> NPC:
     """Return a vehicle with changed speeds, or with some changed waypoints, regardless of other vehicles.
 
     The size of the change is drawn over one and a half orders of magnitude, since some niches need a coarse change and

@@ -3,18 +3,10 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.logical import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
-from behavexplor.fuzz.mutation import (
-    MAX_KEEP_PROBABILITY,
-    MIN_SIGMA,
-    ROUTES,
-    WAYPOINTS,
-    mutate_routes,
-    mutate_waypoints,
-)
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 
@@ -32,6 +24,8 @@ class RandomMutationOptions:
         npc_keep_probability: epsilon, the probability that an NPC stays unchanged.
         sigma_position: standard deviation of waypoint mutation [m].
         sigma_speed: standard deviation of waypoint mutation [m/s].
+        sigma_draw: in stock environments, the standard deviation of the small mutation of a draw, as a share of the
+            draw's range.
 
     Raises:
         InputError: if an option is out of range; the message names it.
@@ -42,6 +36,7 @@ class RandomMutationOptions:
     npc_keep_probability: Annotated[float, between(0, MAX_KEEP_PROBABILITY)] = 0.5
     sigma_position: Annotated[float, between(MIN_SIGMA)] = 12.0
     sigma_speed: Annotated[float, between(MIN_SIGMA)] = 6.0
+    sigma_draw: Annotated[float, between(MIN_SIGMA, 1)] = 0.1
 
 
 class RandomMutation:
@@ -75,18 +70,12 @@ class RandomMutation:
         if self._told < self._options.initial_corpus or not self._corpus:
             return Candidate(number, self._logical.sample(rng), INITIAL, None)
         parent, scenario = self._corpus[rng.integers(len(self._corpus))]
-        keep = self._options.npc_keep_probability
+        options, (little, much) = self._options, self._logical.mutations
         if rng.random() < 0.5:
-            return Candidate(number, mutate_routes(scenario, self._logical, rng, keep_probability=keep), ROUTES, parent)
-        mutant = mutate_waypoints(
-            scenario,
-            self._logical,
-            rng,
-            keep_probability=keep,
-            sigma_position=self._options.sigma_position,
-            sigma_speed=self._options.sigma_speed,
-        )
-        return Candidate(number, mutant, WAYPOINTS, parent)
+            mutant = self._logical.mutate_much(scenario, rng, options.npc_keep_probability)
+            return Candidate(number, mutant, much, parent)
+        noise = Noise(options.npc_keep_probability, options.sigma_position, options.sigma_speed, options.sigma_draw)
+        return Candidate(number, self._logical.mutate_little(scenario, rng, noise), little, parent)
 
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
         """Keep a scenario that passed: an initial scenario always, a mutant at random.

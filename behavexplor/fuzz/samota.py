@@ -267,7 +267,7 @@ class SAMOTA:
     def _crossed_npcs(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:
         """Exchange NPCs between two parents; shape (count, n)."""
         first, second = self._selected(parents, count, rng)
-        other = rng.random((count, self._asker.encoding.n_npcs)) < self._options.crossover_probability
+        other = rng.random((count, self._asker.encoding.n_blocks)) < self._options.crossover_probability
         return np.asarray(np.where(np.repeat(other, self._asker.encoding.n_genes, axis=1), second, first))
 
     def _crossed_at_a_point(self, parents: Floats, count: int, rng: np.random.Generator) -> Floats:

@@ -53,7 +53,7 @@ def _varied(asker: Asker, archive: Any, options: VariationOptions, rng: np.rando
     first, second = rng.integers(len(elites[ELITES]), size=2)
     parents = elites["solution"][[first, second]]
     operator = IsoLineOperator(options.iso_sigma, options.line_sigma, seed=int(rng.integers(2**63)))
-    blocks = operator.ask(parents[:, None])[0].reshape(asker.encoding.n_npcs, -1)
+    blocks = operator.ask(parents[:, None])[0].reshape(asker.encoding.n_blocks, -1)
     stay = rng.random(len(blocks)) < options.npc_keep_probability
     blocks[stay] = parents[0].reshape(blocks.shape)[stay]
     return asker.candidate(np.clip(blocks.ravel(), 0.0, 1.0), rng, VARIATION, int(elites[ELITES][first]))

@@ -7,7 +7,6 @@ from threadpoolctl import threadpool_limits
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
-from behavexplor.fuzz.encoding import Encoding
 from behavexplor.fuzz.search import Candidate, draws
 
 Floats = NDArray[np.float64]
@@ -23,7 +22,7 @@ class Asker:
     """
 
     def __init__(self, logical: LogicalScenario, seed: int) -> None:
-        self.encoding = Encoding(logical)
+        self.encoding = logical.encoding
         self._seed = seed
         self._number = 0
         self._asked: set[Scenario] = set()
@@ -84,7 +83,7 @@ class Asker:
         for _ in range(_ATTEMPTS):
             if scenario not in self._asked:
                 break
-            blocks = vector.reshape(self.encoding.n_npcs, -1).copy()
+            blocks = vector.reshape(self.encoding.n_blocks, -1).copy()
             blocks[rng.integers(len(blocks))] = rng.random(self.encoding.n_genes)
             vector = blocks.ravel()
             scenario = self.encoding.decode(vector)

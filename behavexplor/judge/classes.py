@@ -146,12 +146,20 @@ def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
 
 def _line(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame = event.frame
-    start, end = trace.illegal_lines[event.partner]
-    place, along = trace.position[frame, 0], end - start
-    nearest = start + np.clip((place - start) @ along / (along @ along), 0.0, 1.0) * along
-    side = "right" if offset_to_right(nearest - place, trace.heading[frame, 0]) > 0 else "left"
+    if event.partner < 0:
+        side = "right" if route_offsets(trace)[frame] > 0 else "left"
+    else:
+        side = _side_of_line(trace, frame, trace.illegal_lines[event.partner])
     speed = "slow" if speed_of(trace, frame, 0) < SLOW else "fast"
     return ViolationClass(R2, maneuver_of(trace, frame), side, speed)
+
+
+def _side_of_line(trace: Trace, frame: int, line: Floats) -> str:
+    """Return the side of the ego on which a line lies, given its end points, shape (2, 2)."""
+    start, end = line
+    place, along = trace.position[frame, 0], end - start
+    nearest = start + np.clip((place - start) @ along / (along @ along), 0.0, 1.0) * along
+    return "right" if offset_to_right(nearest - place, trace.heading[frame, 0]) > 0 else "left"
 
 
 def _destination(trace: Trace, event: ViolationEvent, end: str) -> ViolationClass:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, box_segment_distance, point_segment_distance
-from behavexplor.data.trace import RESOLUTION, Trace
+from behavexplor.data.trace import OFF_ROAD, RESOLUTION, Trace
 from behavexplor.judge.fault import touched_npc
 from behavexplor.judge.specs import ERROR, Collision, Destination, Lines, gap_across
 
@@ -28,7 +28,7 @@ class ViolationEvent:
         spec: "R1", "R2", "R3", or the name of a user's spec.
         frame: frame of the violation; the last frame of the trace for all specs but R2.
         partner: touched vehicle (R1, an index of `trace.size`) or touched line (R2, an index of
-            `trace.illegal_lines`); -1 for all other specs.
+            `trace.illegal_lines`); -1 for all other specs, and for an ego that left the road of a stock environment.
     """
 
     spec: str
@@ -55,6 +55,8 @@ def violation_event(trace: Trace, violated: Sequence[str]) -> ViolationEvent | N
     if spec == R1:
         npc = touched_npc(trace)
         return None if npc is None else ViolationEvent(R1, last, npc)
+    if spec == R2 and OFF_ROAD in trace.signals:
+        return ViolationEvent(R2, int(trace.signals[OFF_ROAD].argmax()))
     if spec == R2:
         return first_line_touch(trace)
     return ViolationEvent(spec, last)

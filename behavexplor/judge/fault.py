@@ -67,7 +67,12 @@ def contact_fault(trace: Trace) -> Fault | None:
 
 
 def touched_npc(trace: Trace) -> int | None:
-    """Return the vehicle that the ego touches in the last frame, the nearest by its center if there are several."""
+    """Return the vehicle that the ego touches in the last frame, the nearest by its center if there are several.
+
+    In a stock environment, it is the vehicle into which the ego crashed, as the environment says.
+    """
+    if trace.signals:
+        return trace.partner if trace.partner > 0 else None
     boxes = box_corners(trace.position[-1], trace.heading[-1], trace.size)
     touched = 1 + np.flatnonzero(box_distance(boxes[:1], boxes[1:]) == 0.0)
     if not len(touched):

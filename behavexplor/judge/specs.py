@@ -3,6 +3,10 @@
 Source: paper section 2.3 (R1, R2, R3) and 3.2.2 (violation degree O). Traces are judged outside the search methods,
 so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
 arrival (`behavexplor.judge.arrival`).
+
+In a stock environment, a violation is what the environment itself says, as the signals of a trace. There a crash
+pushes the vehicles apart, so that their boxes do not tell it. Lines may be crossed, and not every environment has a
+destination.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +20,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
-from behavexplor.data.trace import RESOLUTION, Trace
+from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, RESOLUTION, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.arrival import final_distance, poses_until_arrival
 
@@ -49,7 +53,7 @@ class Spec(Protocol):
 
 @dataclass(frozen=True)
 class Collision:
-    """R1: the ego touches no NPC.
+    """R1: the ego touches no NPC; in a stock environment, it does not crash.
 
     The degree is D_b, the least distance between the ego's box and an NPC's box [m] (paper equation 1).
     """
@@ -57,17 +61,21 @@ class Collision:
     name: str = field(default="collision", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """Return D_b [m], or `NOTHING_NEAR` without any NPC."""
-        return _npc_distance(trace)
+        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In a stock environment, it is 0 exactly after a crash."""
+        if CRASHED not in trace.signals:
+            return _npc_distance(trace)
+        return 0.0 if self.violated(trace) else max(_npc_distance(trace), RESOLUTION)
 
     def violated(self, trace: Trace) -> bool:
-        """Return whether D_b is 0 (paper equation 2)."""
+        """Return whether D_b is 0 (paper equation 2), or whether the environment says that the ego crashed."""
+        if CRASHED in trace.signals:
+            return bool(trace.signals[CRASHED].any())
         return _npc_distance(trace) == 0.0
 
 
 @dataclass(frozen=True)
 class Lines:
-    """R2: the ego touches no illegal line.
+    """R2: the ego touches no illegal line; in a stock environment, it does not leave the road.
 
     The degree is D_l, the least distance between the ego's box and an illegal line [m] (paper equation 3).
     """
@@ -75,17 +83,19 @@ class Lines:
     name: str = field(default="lines", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """Return D_l [m], or `NOTHING_NEAR` without any illegal line."""
-        return _line_distance(trace)
+        """Return D_l [m], or `NOTHING_NEAR` without any illegal line. It is 0 for an ego that left the road."""
+        return 0.0 if self.violated(trace) else _line_distance(trace)
 
     def violated(self, trace: Trace) -> bool:
-        """Return whether D_l is 0 (paper equation 4)."""
+        """Return whether D_l is 0 (paper equation 4), or whether the environment says that the ego left the road."""
+        if OFF_ROAD in trace.signals:
+            return bool(trace.signals[OFF_ROAD].any())
         return _line_distance(trace) == 0.0
 
 
 @dataclass(frozen=True)
 class Destination:
-    """R3: the ego ends at its destination.
+    """R3: the ego ends at its destination; in a stock environment that has one, it arrives there.
 
     The degree is max(10 - D, 0) (paper section 3.2.2), where D is the final distance of the ego's center from the
     destination [m], see `behavexplor.judge.arrival.final_distance`. So the farther from the destination the episode
@@ -102,11 +112,15 @@ class Destination:
     reach: float = 10.0
 
     def degree(self, trace: Trace) -> float:
-        """Return max(reach - D, 0) [m]."""
+        """Return max(reach - D, 0) [m]. In a stock environment, it is `reach` if the ego arrived, or else 0."""
+        if trace.signals:
+            return 0.0 if self.violated(trace) else self.reach
         return max(self.reach - final_distance(trace), 0.0)
 
     def violated(self, trace: Trace) -> bool:
-        """Return whether D exceeds the threshold."""
+        """Return whether D exceeds the threshold, or whether the environment says that the ego did not arrive."""
+        if trace.signals:
+            return ARRIVED in trace.signals and not trace.signals[ARRIVED].any()
         return final_distance(trace) > self.threshold
 
 

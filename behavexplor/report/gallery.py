@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from behavexplor.campaign.record import Record
 from behavexplor.data.geometry import box_corners
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, ViolationEvent, violation_event
 from behavexplor.report.behavior_map import Behaviors
@@ -108,7 +109,8 @@ def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, A
     """
     event = violation_event(trace, record.violated)
     packed = pack(trace, event.frame if event else len(trace.time) - 1)
-    npcs = record.load_scenario().npcs
+    scenario = record.load_scenario()
+    npcs = scenario.npcs if isinstance(scenario, ScriptedScenario) else ()
     mark = None if event is None else _mark(trace, event)
     return {
         **packed.values(),

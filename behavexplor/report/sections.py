@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
-from behavexplor.data.logical import VEHICLE_SIZES
 from behavexplor.data.trace import Trace
+from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart

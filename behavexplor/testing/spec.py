@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import logical_scenario
@@ -30,14 +31,14 @@ def check_spec(spec: Any, *, env: str = "intersection-straight", traces: int = T
         InputError: if there is no such spec or environment.
     """
     made = load_spec(spec) if isinstance(spec, str) else as_spec(spec)
-    logical = logical_scenario(env)
+    logical = scripted(logical_scenario(env), "A check of a spec")
     generator = np.random.default_rng(0)
     for _ in range(traces):
         _check(made, synthetic_trace(logical.sample(generator), logical), "a trace")
     scenario = logical.sample(generator)
     whole = synthetic_trace(scenario, logical)
     _check(made, synthetic_trace(replace(scenario, npcs=()), logical), "a trace without NPCs")
-    _check(made, _first_frame(whole), "a trace of a single frame")
+    _check(made, whole.until(1, "error"), "a trace of a single frame")
 
 
 def _check(spec: Any, trace: Trace, what: str) -> None:
@@ -48,14 +49,4 @@ def _check(spec: Any, trace: Trace, what: str) -> None:
     promise(
         dict(first.degrees) == dict(again.degrees) and first.violated == again.violated,
         f"{spec.name} gave another robustness when it was called on {what} again",
-    )
-
-
-def _first_frame(trace: Trace) -> Trace:
-    return replace(
-        trace,
-        time=trace.time[:1],
-        position=trace.position[:1],
-        heading=trace.heading[:1],
-        velocity=trace.velocity[:1],
     )

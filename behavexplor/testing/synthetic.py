@@ -1,20 +1,22 @@
 """Synthetic traces: a stand-in for a simulator with a driving system in it."""
 
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 
 Floats = NDArray[np.float64]
 
 RATE = 20  # frames per second
 
 
-def synthetic_trace(scenario: Scenario, logical: LogicalScenario) -> Trace:
+def synthetic_trace(scenario: Any, logical: LogicalScenario) -> Trace:
     """Return the trace of an ego that follows its route and never looks.
 
     Its speed is drawn from the text of the scenario, so that equal scenarios have equal traces. The NPCs follow their
@@ -23,9 +25,13 @@ def synthetic_trace(scenario: Scenario, logical: LogicalScenario) -> Trace:
     Args:
         scenario: the concrete scenario.
         logical: the logical scenario to which it belongs.
+
+    Raises:
+        InputError: if its vehicles are not scripted.
     """
+    roadmap = scripted(logical, "A synthetic trace").roadmap
     rng = np.random.default_rng(crc32(scenario.to_json().encode()))
-    roadmap, time = logical.roadmap, np.arange(rng.integers(300, 900)) / RATE
+    time = np.arange(rng.integers(300, 900)) / RATE
     speed = np.clip(np.interp(time, np.linspace(0, 45, 10), rng.uniform(-3, 11, 10)), 0, None)
     station = np.minimum(roadmap.ego_start + np.cumsum(speed) / RATE, roadmap.destination + rng.uniform(-2, 2))
     poses = [roadmap.ego_route.pose(station)]

@@ -7,6 +7,7 @@ import numpy as np
 
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R1, violation_event
@@ -56,7 +57,7 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     quick, event = contact_fault(trace), violation_event(trace, ("collision",))
     if quick is None or event is None or event.spec != R1:
         return None
-    inside = in_junction(simulation.logical.roadmap, trace)
+    inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
     if quick != "other":
         return Blame(quick, inside)
     witness, tried = find_witness(simulation, scenario, trace, event, rng)

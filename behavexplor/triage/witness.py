@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
@@ -108,7 +109,7 @@ def drive(
     envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
     if envs is None:
         return []
-    driver = EvasionDriver(trace, evasions, path, simulation.logical.roadmap.speed_limit)
+    driver = EvasionDriver(trace, evasions, path, scripted(simulation.logical, "An evasion").roadmap.speed_limit)
     ended = dict(rollout_all(envs, driver, [scenario] * len(evasions)))
     envs.close()
     return [ended[row] for row in range(len(evasions))]

@@ -11,7 +11,7 @@ from behavexplor.campaign.campaign import Campaign, ExecutionError, search_metho
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.store import Store
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import ADSError
@@ -37,7 +37,7 @@ class FakeExecutor(Executor):
         if len(self.executed) - 1 == self.fail_at:
             future.set_exception(RuntimeError("the ADS has lost its mind\nand more"))
         else:
-            future.set_result(simulate(Scenario.from_json(scenario.decode())).to_bytes())
+            future.set_result(simulate(ScriptedScenario.from_json(scenario.decode())).to_bytes())
         return future
 
 
@@ -45,7 +45,7 @@ class FakeThreads(ThreadPoolExecutor):
     """The same in threads, which finish in any order."""
 
     def submit(self, _evaluate, scenario):
-        return super().submit(lambda: simulate(Scenario.from_json(scenario.decode())).to_bytes())
+        return super().submit(lambda: simulate(ScriptedScenario.from_json(scenario.decode())).to_bytes())
 
 
 def run(folder, executor=None, observe=lambda _: None, **config):
@@ -81,7 +81,7 @@ def test_each_record_says_what_happened(tmp_path):
         assert 0 <= record["novelty"] <= 1
         assert record["degree"] == pytest.approx(sum(record["degrees"].values()))
         assert set(record["violated"]) <= set(record["degrees"])
-        LOGICAL.check(Scenario.from_dict(record["scenario"]))
+        LOGICAL.check(ScriptedScenario.from_dict(record["scenario"]))
 
 
 def test_failures_are_recorded_with_their_class_and_fault(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
 from tests.strategies import random_trace
 
@@ -24,7 +24,7 @@ def execution(number, violated=(), violation_class=None):
         degrees={"collision": 0.1 * number},
         novelty=0.5,
         end="arrived",
-        scenario=Scenario("intersection-straight", ()).to_dict(),
+        scenario=ScriptedScenario("intersection-straight", ()).to_dict(),
     )
     return Execution(record, TRACES[number % 3], 1.5 * number)
 

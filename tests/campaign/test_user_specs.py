@@ -15,14 +15,14 @@ import pytest
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.judge.robustness import RobustnessSpec, as_spec, load_specs
 from behavexplor.judge.specs import NOTHING_NEAR, judge
 from behavexplor.testing import synthetic_trace
 
-LOGICAL: LogicalScenario = LaneFollowEnv.logical
+LOGICAL: ScriptedLogicalScenario = LaneFollowEnv.logical
 SPECS = """
     import numpy as np
     from behavexplor.judge.signals import speed

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 
 from behavexplor.data.npc_motion import ACCELERATION, HEADING, MAX_ACCELERATION, MIN_ACCELERATION, SPEED, motion_table
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from tests.strategies import scenarios
 
@@ -17,7 +17,7 @@ TIME = np.arange(4001) / 20
 
 def motion(waypoints, time=TIME, route="west-inner-straight"):
     npc = NPC("sedan", route, tuple(Waypoint(*pair) for pair in waypoints))
-    return motion_table(Scenario("x", (npc,)), ROADMAP, np.asarray(time, dtype=float))[:, 0]
+    return motion_table(ScriptedScenario("x", (npc,)), ROADMAP, np.asarray(time, dtype=float))[:, 0]
 
 
 def stations(table):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import behavexplor
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.npc_motion import SPEED, motion_table
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs import viewer
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
@@ -48,7 +48,7 @@ def cruise(speed):
 
 
 def scene(*npcs):
-    return Scenario("intersection-straight", npcs)
+    return ScriptedScenario("intersection-straight", npcs)
 
 
 def crawler(route, start, speed=0.2, kind="sedan"):
@@ -223,8 +223,8 @@ def test_a_wrong_config_is_refused(config, message):
     ("options", "message"),
     [
         ({"scenari": None}, "did you mean 'scenario'"),
-        ({"scenario": "s1.json"}, "must be a behavexplor.data.scenario.Scenario"),
-        ({"scenario": Scenario("lane-follow", ())}, "functional: this is a scenario of 'lane-follow'"),
+        ({"scenario": "s1.json"}, "must be a behavexplor.data.scripted.ScriptedScenario"),
+        ({"scenario": ScriptedScenario("lane-follow", ())}, "functional: this is a scenario of 'lane-follow'"),
     ],
 )
 def test_wrong_reset_options_are_refused(env, options, message):
@@ -262,7 +262,7 @@ def test_every_broken_scenario_is_refused_by_name_before_the_episode(env_id, see
     field = data.draw(st.sampled_from(sorted(breaks)))
     breaks[field]()
     with pytest.raises(InputError) as error:
-        env.reset(options={"scenario": Scenario.from_dict(value)})
+        env.reset(options={"scenario": ScriptedScenario.from_dict(value)})
     assert field in str(error.value)
 
 

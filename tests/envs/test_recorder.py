@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
 from behavexplor.data.geometry import box_corners
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.npc_motion import motion_table
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.recorder import Recorder
@@ -24,7 +24,7 @@ CLEAR = 1e-6  # distances below that are not judged [m]
 
 
 def recorder(scenario=None, logical=LEFT):
-    scenario = scenario or Scenario(logical.name, ())
+    scenario = scenario or ScriptedScenario(logical.name, ())
     sizes = [EGO_SIZE, *(VEHICLE_SIZES[npc.type] for npc in scenario.npcs)]
     return Recorder(logical.roadmap, TIME, motion_table(scenario, logical.roadmap, TIME), sizes)
 
@@ -128,7 +128,7 @@ def test_who_was_struck_from_behind(behind, speed, expected):
     )
     x, y, heading = motion_table(scenario, LEFT.roadmap, TIME)[0, 0, :3]
     gap = 4.5 if behind else -4.5  # of the centers; both boxes are longer together
-    record = recorder(Scenario(LEFT.name, scenario.npcs[:1]))
+    record = recorder(ScriptedScenario(LEFT.name, scenario.npcs[:1]))
     for _ in range(2):
         record.frame(ego(x + gap * math.cos(heading), y + gap * math.sin(heading), heading, speed))
         record._motion[:, 0] = record._motion[0, 0]

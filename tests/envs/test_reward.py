@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.reward import WEIGHTS, reward_terms
 from behavexplor.judge.specs import judge
@@ -57,7 +57,7 @@ def cruise(vehicle):
 
 
 def test_an_arrival_is_worth_its_way():
-    rewards, log = episode(Scenario("intersection-straight", ()), cruise)
+    rewards, log = episode(ScriptedScenario("intersection-straight", ()), cruise)
     assert rewards.tolist() == [sum(terms.values()) for terms in log]
     driven = sum(terms["progress"] for terms in log) / WEIGHTS["progress"]
     assert driven == pytest.approx(160, abs=1.1)  # arrival is within a meter of the destination
@@ -70,7 +70,7 @@ def test_a_line_counts_once():
         steering = -0.05 if vehicle.heading > -math.pi / 2 - 0.1 else 0.05
         return np.array([1.0 if vehicle.speed < 8 else 1 / 3, steering])
 
-    _, log = episode(Scenario("intersection-straight", ()), drift, duration=15.0)
+    _, log = episode(ScriptedScenario("intersection-straight", ()), drift, duration=15.0)
     assert sum(terms["lines"] for terms in log) == WEIGHTS["lines"]
 
 
@@ -80,13 +80,13 @@ def test_standing_in_front_of_a_fast_car_is_a_rear_end():
     )
     chaser = [Waypoint(2.6, 11.0)] + [Waypoint(float(high), 11.0) for _, high in ranges[1:-1]]
     npc = NPC("sedan", "south-inner-straight", (*chaser, Waypoint(float(ranges[-1, 1]), 0.0)))
-    _, log = episode(Scenario("intersection-straight", (npc,)), lambda _: HOLD)
+    _, log = episode(ScriptedScenario("intersection-straight", (npc,)), lambda _: HOLD)
     assert (log[-1]["rear_end"], log[-1]["collision"]) == (-2.0, 0.0)
 
 
 def test_weights_are_config():
     weights = {"arrived": 100.0, "progress": 0.0}
-    rewards, log = episode(Scenario("intersection-straight", ()), cruise, reward=weights)
+    rewards, log = episode(ScriptedScenario("intersection-straight", ()), cruise, reward=weights)
     assert log[-1]["arrived"] == 100
     assert all(terms["progress"] == 0 for terms in log)
     assert rewards[-1] > 99

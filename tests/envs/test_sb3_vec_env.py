@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.envs.vector import vector_env
 from behavexplor.errors import InputError
@@ -127,9 +127,9 @@ def test_the_time_limit_is_told_from_a_real_end():
     last = len(ranges) - 1
     waypoints = [Waypoint(float(max(low, 40.0)) if low < 240 else float(low), 0.2) for low, _ in ranges]
     waypoints = [Waypoint(w.position, 0.0 if i == last else w.speed) for i, w in enumerate(waypoints)]
-    ahead = Scenario("lane-follow", (NPC("sedan", "lane-3", tuple(waypoints)),))
+    ahead = ScriptedScenario("lane-follow", (NPC("sedan", "lane-3", tuple(waypoints)),))
     env = make(2, duration=6.0)
-    env.set_options([{"scenario": Scenario("lane-follow", ())}, {"scenario": ahead}])
+    env.set_options([{"scenario": ScriptedScenario("lane-follow", ())}, {"scenario": ahead}])
     env.reset()
     seen = {}
     for _ in range(60):

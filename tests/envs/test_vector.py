@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import behavexplor
 from behavexplor.data.npc_motion import motion_table
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.trace import RESOLUTION
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
@@ -236,7 +236,7 @@ def chaser(position, speed, slow_at):
     speeds = np.where(positions < slow_at, speed, 0.2)
     speeds[-1] = 0.0
     waypoints = tuple(Waypoint(float(s), float(v)) for s, v in zip(positions, speeds, strict=True))
-    return Scenario("intersection-straight", (NPC("suv", "south-inner-straight", waypoints),))
+    return ScriptedScenario("intersection-straight", (NPC("suv", "south-inner-straight", waypoints),))
 
 
 def test_who_ran_into_whom_is_the_single_environment_s():
@@ -317,7 +317,7 @@ def test_given_scenarios_are_run():
     assert infos["scenario"][1] == env.logical.sample(gymnasium.utils.seeding.np_random(1)[0])
     _, infos = env.reset(options={"scenario": scenarios[2]})
     assert list(infos["scenario"]) == [scenarios[2]] * 3
-    empty = Scenario("lane-follow", ())
+    empty = ScriptedScenario("lane-follow", ())
     _, infos = env.reset(options={"scenario": empty, "reset_mask": np.array([True, False, False])})
     assert infos["_scenario"].tolist() == [True, False, False]
     for _ in range(2):
@@ -379,8 +379,8 @@ def test_wrong_arguments_are_refused(arguments, message):
         ({"options": {"scenarios": [None]}}, "scenarios: expected a list of 2"),
         ({"options": {"scenarios": 7}}, "scenarios: expected a list of 2"),
         ({"options": {"scenarios": {"a": 1, "b": 2}}}, "scenarios: expected a list of 2"),
-        ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.data.scenario.Scenario"),
-        ({"options": {"scenarios": [None, Scenario("intersection-left", ())]}}, "not of 'lane-follow'"),
+        ({"options": {"scenario": "s1.json"}}, "must be a behavexplor.data.scripted.ScriptedScenario"),
+        ({"options": {"scenarios": [None, ScriptedScenario("intersection-left", ())]}}, "not of 'lane-follow'"),
         ({"options": {"reset_mask": [True, False]}}, "expected an array of 2 booleans"),
         ({"options": {"reset_mask": np.zeros(2, dtype=bool)}}, "at least one"),
         ({"options": {"reset_mask": np.ones(2, dtype=np.int64)}}, "expected an array of 2 booleans"),

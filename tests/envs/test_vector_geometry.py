@@ -5,7 +5,7 @@ import pytest
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
-from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network

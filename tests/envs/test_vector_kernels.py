@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.npc_motion import motion_table
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
@@ -181,7 +181,7 @@ def test_a_slot_forgets_the_episode_before():
     logical = LEFT.logical
     used, fresh = make_slots(2, 10, logical), make_slots(2, 10, logical)
     first, second = (logical.sample(np.random.default_rng(seed)) for seed in (0, 1))
-    small = Scenario(logical.name, second.npcs[:2])
+    small = ScriptedScenario(logical.name, second.npcs[:2])
     put_scenario(WORLDS[LEFT], used, 1, first, logical.roadmap)
     used.numbers[1, LINE_FRAME], used.numbers[1, END], used.ego[1] = 7, 1, 99.0
     put_scenario(WORLDS[LEFT], used, 1, small, logical.roadmap)
@@ -251,7 +251,7 @@ def test_the_ego_of_the_single_environment_is_placed_as_the_kernels_have_it():
     road = Road(network, np_random=np.random.default_rng(0))
     ego = place_ego(Vehicle, road, roadmap.start_pose, network.indexes(roadmap.ego_route))
     state = make_slots(1, 2, LEFT.logical)
-    put_scenario(WORLDS[LEFT], state, 0, Scenario(LEFT.logical.name, ()), roadmap)
+    put_scenario(WORLDS[LEFT], state, 0, ScriptedScenario(LEFT.logical.name, ()), roadmap)
     assert state.ego[0, :4].tolist() == [*ego.position, ego.heading, ego.speed]
     assert network._indexes[state.numbers[0, slots.TARGET_LANE]] == ego.lane_index
     assert (ego.LENGTH, ego.WIDTH) == EGO_SIZE

@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs import viewer
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
@@ -18,7 +18,7 @@ VIEW = {"screen_width": 600, "screen_height": 300, "scaling": 10.0, "centering_p
 @pytest.fixture
 def env():
     env = IntersectionLeftEnv(VIEW, render_mode="rgb_array")
-    env.reset(options={"scenario": Scenario("intersection-left", ())})
+    env.reset(options={"scenario": ScriptedScenario("intersection-left", ())})
     yield env
     env.close()
 

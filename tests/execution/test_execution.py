@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
@@ -136,7 +136,9 @@ def test_an_environment_of_another_package():
         "elsewhere/crossing-v3", "behavexplor.envs.functional.intersection_straight:IntersectionStraightEnv"
     )
     try:
-        trace = Simulation("elsewhere/crossing-v3", "tests.drivers:cruiser").run(Scenario("intersection-straight", ()))
+        trace = Simulation("elsewhere/crossing-v3", "tests.drivers:cruiser").run(
+            ScriptedScenario("intersection-straight", ())
+        )
     finally:
         del gymnasium.registry["elsewhere/crossing-v3"]
     assert isinstance(trace, Trace)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.npc_motion import HEADING, X, Y, motion_table
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.fuzz.aiming import INTERVAL, Aiming, AimingOptions, Drive
@@ -23,7 +23,7 @@ def drive_along(logical, speed=8.0, seconds=30.0):
 
 def nearest(logical, npc, drive):
     """Distance of the centers, and the row of the drive, where a vehicle is nearest to the ego."""
-    motion = motion_table(Scenario(logical.name, (npc,)), logical.roadmap, drive.time)[:, 0]
+    motion = motion_table(ScriptedScenario(logical.name, (npc,)), logical.roadmap, drive.time)[:, 0]
     gap = np.hypot(*(motion[:, [X, Y]] - drive.pose[:, :2]).T)
     return gap.min(), int(gap.argmin()), motion
 
@@ -35,7 +35,7 @@ def test_an_aimed_vehicle_meets_the_drive(logical):
     found = [npc for npc in npcs if npc is not None]
     assert len(found) >= 15
     for npc in found:
-        logical.check(Scenario(logical.name, (npc,)))
+        logical.check(ScriptedScenario(logical.name, (npc,)))
         assert nearest(logical, npc, drive)[0] < AimingOptions().reach
 
 
@@ -69,7 +69,7 @@ def test_an_aimed_vehicle_can_start_beside_others():
     for _ in range(LOGICAL.n_npcs):
         npc = aiming.aim(rng, drive, npcs)
         npcs += [] if npc is None else [npc]
-    LOGICAL.check(Scenario(LOGICAL.name, tuple(npcs)))
+    LOGICAL.check(ScriptedScenario(LOGICAL.name, tuple(npcs)))
 
 
 def test_a_drive_is_sampled_evenly_and_knows_where_the_ego_changed_lanes():

@@ -3,14 +3,14 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.fuzz.corpus import Corpus, Testcase
 
 
 def corpus_of(*energies):
     corpus = Corpus()
     for i, energy in enumerate(energies):
-        corpus.add(Testcase(10 * i, Scenario("s", ()), None, 1.0, i, energy))
+        corpus.add(Testcase(10 * i, ScriptedScenario("s", ()), None, 1.0, i, energy))
     return corpus
 
 

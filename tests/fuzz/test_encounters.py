@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
 from behavexplor.fuzz.encounters import AIMED, EMPTY_ROAD, REDRAWN, TUNED, Encounters, EncountersOptions, Niche, tuned
 from behavexplor.fuzz.search import UNIFORM, SearchExhausted
@@ -26,7 +26,7 @@ def campaign(executions, logical=LOGICAL, seed=0, **options):
 
 def test_the_empty_road_comes_first_then_aimed_vehicles_then_mutants():
     _, candidates = campaign(400, initial=20)
-    assert candidates[0].scenario == Scenario(LOGICAL.name, ())
+    assert candidates[0].scenario == ScriptedScenario(LOGICAL.name, ())
     assert [candidate.origin for candidate in candidates].count(EMPTY_ROAD) == 1
     assert {candidate.origin for candidate in candidates[1:20]} == {AIMED, UNIFORM}
     assert all(candidate.parent is None for candidate in candidates[:20])
@@ -125,7 +125,7 @@ def test_tuned_vehicles_are_valid_and_keep_their_route(seed):
         positions = [waypoint.position for waypoint in other.waypoints]
         assert positions == sorted(positions)
         if LOGICAL.spawn_conflict(other, []) is None:
-            LOGICAL.check(Scenario(LOGICAL.name, (other,)))
+            LOGICAL.check(ScriptedScenario(LOGICAL.name, (other,)))
 
 
 @pytest.mark.parametrize("option", [{"uniform_share": 1.5}, {"elites": 0}, {"aiming": {"reach": 0}}, {"near": -1}])

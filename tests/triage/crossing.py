@@ -5,8 +5,8 @@ import math
 import gymnasium
 import numpy as np
 
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.vector import vector_env
 
@@ -33,7 +33,7 @@ def _roadmap():
 class CrossingEnv(DrivingEnv):
     """A lane, and another across it."""
 
-    logical = LogicalScenario(name="crossing", roadmap=_roadmap(), n_npcs=2, waypoints_per_lane=3)
+    logical = ScriptedLogicalScenario(name="crossing", roadmap=_roadmap(), n_npcs=2, waypoints_per_lane=3)
 
 
 CrossingVectorEnv = vector_env(CrossingEnv)

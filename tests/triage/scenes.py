@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser
 from tests.triage.crossing import NAME as CROSSING
@@ -22,7 +22,7 @@ class Stopper(Cruiser):
         return np.stack([(wanted + 8.0) / 6.0 - 1.0, 0 * speed], axis=1), arrived
 
 
-def steady(logical: LogicalScenario, kind: str, route: str, start: float, speed: float) -> NPC:
+def steady(logical: ScriptedLogicalScenario, kind: str, route: str, start: float, speed: float) -> NPC:
     """An NPC that drives at one speed to the end of its route."""
     ranges = logical.position_ranges(logical.roadmap.routes[route])
     places = np.maximum.accumulate(np.maximum(ranges[:, 0], start))
@@ -34,7 +34,7 @@ def steady(logical: LogicalScenario, kind: str, route: str, start: float, speed:
 def scene(env: str, ads: str, *npcs: tuple[str, str, float, float]):
     """A simulation, a scenario with steady NPCs (kind, route, start, speed), and what happens in it."""
     simulation = Simulation(env, ads)
-    scenario = Scenario(env, tuple(steady(simulation.logical, *npc) for npc in npcs))
+    scenario = ScriptedScenario(env, tuple(steady(simulation.logical, *npc) for npc in npcs))
     return simulation, scenario, simulation.run(scenario)
 
 
@@ -70,7 +70,7 @@ def cut_off(kind: str, start: float):
     """The ego sets out, and a vehicle that comes from the left as fast as it may crosses its way at once."""
     register()
     simulation = Simulation(CROSSING, "constant:2,0")
-    scenario = Scenario("crossing", (steady(simulation.logical, kind, "across", start, 11.0),))
+    scenario = ScriptedScenario("crossing", (steady(simulation.logical, kind, "across", start, 11.0),))
     return simulation, scenario, simulation.run(scenario)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
 from behavexplor.triage.counterfactual import UNKNOWN, Cause, find_cause, primary_cause, upstream_first
@@ -20,7 +20,7 @@ QUICK = ("R1-2", "R1-8", "R2-2", "R3-3")
 
 
 def planted(name, profile="hardened+{}"):
-    scenario = Scenario.from_json((SCENARIOS / f"{name}.json").read_text())
+    scenario = ScriptedScenario.from_json((SCENARIOS / f"{name}.json").read_text())
     simulation = Simulation(scenario.functional, f"rule:{profile.format(name)}")
     return simulation, scenario, simulation.run(scenario)
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import LENGTH, lane_array, pose_on_lane
 from behavexplor.ads.road.path import SPACING, Path, ego_path, pose_on_path, project_on_path
-from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.roadmap import Lane, RoadMap
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """S2: the ego turns left at an unsignalized intersection."""
 
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import crossing
 from behavexplor.envs.vector import vector_env
@@ -18,7 +18,7 @@ class IntersectionLeftEnv(DrivingEnv):
     - v0: first version.
     """
 
-    logical = LogicalScenario(
+    logical = ScriptedLogicalScenario(
         name="intersection-left",
         roadmap=crossing("left", ego_start=10.0, destination=60.0),
         n_npcs=5,

@@ -1,6 +1,6 @@
 """S1: the ego goes straight through an unsignalized intersection."""
 
-from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.roads import crossing
 from behavexplor.envs.vector import vector_env
@@ -19,7 +19,7 @@ class IntersectionStraightEnv(DrivingEnv):
     - v0: first version.
     """
 
-    logical = LogicalScenario(
+    logical = ScriptedLogicalScenario(
         name="intersection-straight",
         roadmap=crossing("straight", ego_start=20.0, destination=60.0),
         n_npcs=5,

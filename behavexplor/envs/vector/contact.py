@@ -6,7 +6,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]

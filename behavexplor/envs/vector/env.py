@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from behavexplor.data.npc_motion import SPEED, motion_table
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import TERMINAL, DrivingEnv
@@ -88,7 +88,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._observations = np.zeros((num_envs, *(space.shape or ())), dtype=space.dtype)
         n_decisions = -(-n_frames // self._world.rules.substeps)
         self._actions = np.zeros((num_envs, n_decisions, *(self.single_action_space.shape or (1,))))
-        self.scenarios: list[Scenario] = [Scenario(self.logical.name, ())] * num_envs
+        self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
 
     def reset(
@@ -164,7 +164,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         terminated = (end >= 0) & _TERMINAL[end]
         return terminated, (end >= 0) & ~terminated
 
-    def _begin(self, mask: Bools, scenarios: Sequence[Scenario | None] | None = None) -> dict[str, Any]:
+    def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
         infos = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(mask).tolist():
@@ -224,7 +224,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             end=ENDS[slots.numbers[b, END]],
         )
 
-    def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[Scenario | None]:
+    def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[ScriptedScenario | None]:
         given = options.get("scenarios")
         scenarios = [options.get("scenario")] * self.num_envs if given is None else given
         if not isinstance(scenarios, Sequence) or len(scenarios) != self.num_envs:
@@ -232,8 +232,10 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         for scenario in scenarios if given is not None else scenarios[:1]:
             if scenario is None:
                 continue
-            if not isinstance(scenario, Scenario):
-                raise InputError(f"A scenario must be a behavexplor.data.scenario.Scenario, got {shown(scenario)}")
+            if not isinstance(scenario, ScriptedScenario):
+                raise InputError(
+                    f"A scenario must be a behavexplor.data.scripted.ScriptedScenario, got {shown(scenario)}"
+                )
             self.logical.check(scenario)
         return scenarios
 

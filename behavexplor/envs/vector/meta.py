@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 from numpy.typing import NDArray
 
-from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.vector.lanes import (
     COUNT,
     FIRST,

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data import scene
-from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.kinematics import FEATURES, RELATIVE, Kinematics
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, wrap_to_pi
 from behavexplor.envs.vector.slots import N_NPCS, ROUTE, ROUTE_POSITION, Slots

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES, LogicalScenario
 from behavexplor.data.npc_motion import (
     ACCELERATION,
     BEGIN,
@@ -24,7 +23,9 @@ from behavexplor.data.npc_motion import (
     route_index,
 )
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.vector.contact import touches_line
 from behavexplor.envs.vector.lanes import closest_lane
 from behavexplor.envs.vector.world import World
@@ -77,7 +78,7 @@ class Slots(NamedTuple):
     phases: Floats
 
 
-def make_slots(n_slots: int, n_frames: int, logical: LogicalScenario) -> Slots:
+def make_slots(n_slots: int, n_frames: int, logical: ScriptedLogicalScenario) -> Slots:
     """Create slots without episodes.
 
     Args:
@@ -157,7 +158,7 @@ def move_npcs(
         npc[b, i, ACCELERATION] = phases[b, i, n, PHASE_ACCELERATION]
 
 
-def put_scenario(world: World, slots: Slots, b: int, scenario: Scenario, roadmap: RoadMap) -> None:
+def put_scenario(world: World, slots: Slots, b: int, scenario: ScriptedScenario, roadmap: RoadMap) -> None:
     """Begin an episode of a scenario in slot b. Changes `slots` in place."""
     index = route_index(roadmap)
     n_waypoints = slots.phases.shape[2] - 1

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import is_rear_end
-from behavexplor.data.logical import EGO_SIZE
 from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.data.trace import ENDS
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
 from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle
 from behavexplor.envs.vector.slots import (

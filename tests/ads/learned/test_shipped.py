@@ -7,7 +7,7 @@ import yaml
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
 from behavexplor.evaluation import estimate_rates
 from behavexplor.execution.simulation import Simulation
@@ -40,7 +40,7 @@ def test_each_has_a_card_that_says_how_it_was_made_and_how_it_drives(name):
 @EVERYWHERE
 def test_without_traffic_the_good_one_arrives(name):
     simulation = Simulation(name, f"learned:{name}")
-    assert simulation.run(Scenario(name, ())).end == "arrived"
+    assert simulation.run(ScriptedScenario(name, ())).end == "arrived"
     simulation.close()
 
 

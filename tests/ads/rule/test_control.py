@@ -10,7 +10,7 @@ from behavexplor.ads.rule.control import PERIOD, accelerate, steer
 from behavexplor.ads.rule.lateral import change_profile, keep_profile, offset_at
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
-from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 

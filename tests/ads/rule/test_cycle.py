@@ -23,7 +23,7 @@ from behavexplor.ads.rule.memory import as_records
 from behavexplor.ads.rule.parameters import numbers
 from behavexplor.ads.rule.speed import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
-from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 

@@ -7,7 +7,7 @@ from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.decision import CREEP, CRUISE, STOP, YIELD
 from behavexplor.ads.rule.lane_choice import ABORT
 from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, project_on_polyline
-from behavexplor.data.logical import EGO_SIZE
+from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import SEDAN, drive
 

@@ -17,7 +17,7 @@ from behavexplor.ads.rule.station_time import (
     project_obstacles,
 )
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
 

@@ -26,7 +26,7 @@ from behavexplor.ads.rule.weaknesses import (
     REACHED,
     TRIGGERED,
 )
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.logical import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.strategies import scenarios
@@ -35,7 +35,7 @@ def with_waypoint(npc, index, waypoint):
 
 
 def check(*npcs, functional=LOGICAL.name):
-    LOGICAL.check(Scenario(functional, npcs))
+    LOGICAL.check(ScriptedScenario(functional, npcs))
 
 
 @given(scenarios(LOGICAL))

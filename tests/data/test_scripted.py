@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.strategies import scenarios
@@ -29,16 +29,16 @@ def with_npc(**fields):
 
 @given(scenarios(LOGICAL))
 def test_json_restores_exactly(scenario):
-    assert Scenario.from_json(scenario.to_json()) == scenario
-    assert Scenario.from_json(scenario.to_json()).to_json() == scenario.to_json()
+    assert ScriptedScenario.from_json(scenario.to_json()) == scenario
+    assert ScriptedScenario.from_json(scenario.to_json()).to_json() == scenario.to_json()
 
 
 def test_scenarios_are_values():
-    scenario = Scenario.from_dict(VALID)
-    assert scenario == Scenario(
+    scenario = ScriptedScenario.from_dict(VALID)
+    assert scenario == ScriptedScenario(
         "intersection-straight", [NPC("sedan", "west-inner-left", [Waypoint(10, 3.5), Waypoint(20.25, 0)])]
     )
-    assert hash(scenario) == hash(Scenario.from_dict(VALID))
+    assert hash(scenario) == hash(ScriptedScenario.from_dict(VALID))
     with pytest.raises(AttributeError):
         scenario.functional = "other"
 
@@ -65,7 +65,7 @@ def test_scenarios_are_values():
 )
 def test_errors_name_the_field(value, message):
     with pytest.raises(InputError) as error:
-        Scenario.from_json(json.dumps(value))
+        ScriptedScenario.from_json(json.dumps(value))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -73,14 +73,14 @@ def test_errors_name_the_field(value, message):
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "NaN", '{"functional": "x", "npcs": ' + " " * 10**6 + "[]}"])
 def test_text_that_is_no_scenario(text):
     with pytest.raises(InputError):
-        Scenario.from_json(text)
+        ScriptedScenario.from_json(text)
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity"])
 def test_numbers_are_finite(number):
     text = json.dumps(VALID).replace("3.5", number)
     with pytest.raises(InputError, match=r"npcs\[0\].waypoints\[0\].speed"):
-        Scenario.from_json(text)
+        ScriptedScenario.from_json(text)
 
 
 anything = st.recursive(
@@ -112,14 +112,14 @@ def test_whatever_is_changed_is_refused_in_one_sentence_or_a_scenario(scenario, 
     value = scenario.to_dict()
     for _ in range(data.draw(st.integers(1, 3))):
         value = replaced(value, data.draw(st.sampled_from(sorted(places(value), key=str))), data.draw(anything))
-    for read, given_value in ((Scenario.from_dict, value), (Scenario.from_json, json.dumps(value))):
+    for read, given_value in ((ScriptedScenario.from_dict, value), (ScriptedScenario.from_json, json.dumps(value))):
         try:
             restored = read(given_value)
         except InputError as error:
             assert "\n" not in str(error)
             assert len(str(error)) < 400
             continue
-        assert Scenario.from_json(restored.to_json()) == restored
+        assert ScriptedScenario.from_json(restored.to_json()) == restored
         try:
             LOGICAL.check(restored)
         except InputError as error:
@@ -129,7 +129,7 @@ def test_whatever_is_changed_is_refused_in_one_sentence_or_a_scenario(scenario, 
 @given(st.text(max_size=60))
 def test_any_text_is_refused_or_a_scenario(text):
     with pytest.raises(InputError):
-        Scenario.from_json(text)
+        ScriptedScenario.from_json(text)
 
 
 @settings(max_examples=100, deadline=None)
@@ -138,9 +138,9 @@ def test_json_cut_or_scratched_anywhere_is_refused_or_a_scenario(scenario, data)
     text = scenario.to_json()
     place = data.draw(st.integers(0, len(text) - 1))
     with pytest.raises(InputError):
-        Scenario.from_json(text[:place])
+        ScriptedScenario.from_json(text[:place])
     try:
-        Scenario.from_json(text[:place] + data.draw(st.characters(codec="utf-8")) + text[place + 1 :])
+        ScriptedScenario.from_json(text[:place] + data.draw(st.characters(codec="utf-8")) + text[place + 1 :])
     except InputError as error:
         assert str(error)
 
@@ -148,10 +148,10 @@ def test_json_cut_or_scratched_anywhere_is_refused_or_a_scenario(scenario, data)
 @pytest.mark.parametrize(
     "build",
     [
-        lambda: Scenario("x", [1]),
+        lambda: ScriptedScenario("x", [1]),
         lambda: NPC("a", "b", [(1, 2)]),
         lambda: NPC("a", "b", 3),
-        lambda: Scenario("x", None),
+        lambda: ScriptedScenario("x", None),
     ],
 )
 def test_wrong_parts_are_refused_in_python_too(build):

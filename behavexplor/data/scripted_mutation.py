@@ -2,31 +2,26 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Final
 
 import numpy as np
 
-from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.errors import InputError
 
-WAYPOINTS: Final = "waypoints"  # kinds of mutation, which are the origins of mutants
-ROUTES: Final = "routes"
-MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
-MIN_SIGMA: Final = 1e-6  # [m] and [m/s]; smaller noise would leave a scenario unchanged
 _ATTEMPTS = 1000
 
 
 def mutate_waypoints(
-    scenario: Scenario,
-    logical: LogicalScenario,
+    scenario: ScriptedScenario,
+    logical: ScriptedRanges,
     rng: np.random.Generator,
     *,
     keep_probability: float,
     sigma_position: float,
     sigma_speed: float,
     point_keep_probability: float = 0.0,
-) -> Scenario:
+) -> ScriptedScenario:
     """Mutate a scenario by Gaussian noise on the waypoints of some NPCs. Routes and types stay unchanged.
 
     Args:
@@ -49,8 +44,8 @@ def mutate_waypoints(
 
 
 def mutate_routes(
-    scenario: Scenario, logical: LogicalScenario, rng: np.random.Generator, *, keep_probability: float
-) -> Scenario:
+    scenario: ScriptedScenario, logical: ScriptedRanges, rng: np.random.Generator, *, keep_probability: float
+) -> ScriptedScenario:
     """Mutate a scenario by a new type, a new route and new uniform waypoints for some NPCs.
 
     Args:
@@ -70,7 +65,7 @@ def mutate_routes(
 
 
 def shift_waypoints(
-    npc: NPC, logical: LogicalScenario, rng: np.random.Generator, sigma: tuple[float, float], keep_probability: float
+    npc: NPC, logical: ScriptedRanges, rng: np.random.Generator, sigma: tuple[float, float], keep_probability: float
 ) -> NPC:
     """Return an NPC with Gaussian noise on its waypoints, regardless of other vehicles.
 
@@ -96,19 +91,19 @@ def shift_waypoints(
 
 
 def _mutate(
-    scenario: Scenario,
-    logical: LogicalScenario,
+    scenario: ScriptedScenario,
+    logical: ScriptedRanges,
     rng: np.random.Generator,
     keep_probability: float,
     change: Callable[[NPC], NPC],
-) -> Scenario:
+) -> ScriptedScenario:
     """Change each NPC with probability 1 - epsilon, and place it beside the other NPCs by the spawn rules."""
     for _ in range(_ATTEMPTS):
         npcs = list(scenario.npcs)
         for i in np.flatnonzero(rng.random(len(npcs)) > keep_probability):
             others = npcs[:i] + npcs[i + 1 :]
             npcs[i] = logical.place(partial(change, npcs[i]), others)
-        mutant = Scenario(scenario.functional, tuple(npcs))
+        mutant = ScriptedScenario(scenario.functional, tuple(npcs))
         if mutant != scenario:
             return mutant
     raise InputError(f"None of {_ATTEMPTS} mutations changed a scenario with {len(scenario.npcs)} NPCs")

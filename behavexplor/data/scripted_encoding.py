@@ -1,7 +1,4 @@
-"""Encoding of scenarios as vectors of fixed length. Every vector is a valid scenario.
-
-Methods that recombine, interpolate or learn need numbers instead of NPCs. All of them use this encoding.
-"""
+"""Encoding of scripted scenarios as vectors of fixed length. Every vector is a valid scenario."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -9,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.roadmap import Route
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -22,7 +19,7 @@ _DIGITS = 6  # decimals of decoded positions [m] and speeds [m/s], so that copie
 _STEPS = 64  # positions tried along a lane for a vehicle that cannot start at its own position
 
 
-class Encoding:
+class ScriptedEncoding:
     """Encoding of a logical scenario's concrete scenarios as points of [0, 1]^n.
 
     Each parameter is a gene, and uniform genes give the distribution of the sampler. An NPC is a block of genes:
@@ -36,33 +33,37 @@ class Encoding:
 
     Attributes:
         logical: the encoded logical scenario.
-        n_npcs: number of blocks in a vector.
+        n_blocks: number of blocks in a vector.
         n_genes: number of genes in a block.
 
     Raises:
         InputError: if the logical scenario has no NPCs.
     """
 
-    def __init__(self, logical: LogicalScenario) -> None:
+    def __init__(self, logical: ScriptedRanges) -> None:
         if logical.n_npcs < 1:
             raise InputError(f"{logical.name}: a scenario has no NPCs, so there is nothing to search; raise n_npcs")
         self.logical = logical
         self._routes = logical.roadmap.npc_routes
         self._n_waypoints = max(len(logical.position_ranges(route)) for route in self._routes)
-        self.n_npcs = logical.n_npcs
+        self.n_blocks = logical.n_npcs
         self.n_genes = START + 2 * self._n_waypoints - 1
 
     @property
     def size(self) -> int:
         """Length n of a vector."""
-        return self.n_npcs * self.n_genes
+        return self.n_blocks * self.n_genes
 
     @cached_property
     def speed_genes(self) -> NDArray[np.intp]:
         """Indices of an NPC's speed genes within its block, shape (waypoints - 1,)."""
         return np.arange(START + self._n_waypoints, self.n_genes)
 
-    def decode(self, vector: Floats) -> Scenario:
+    def draw_gene(self, rng: np.random.Generator) -> int:
+        """Draw the gene of the route, or with equal probability that of one of the speeds."""
+        return ROUTE if rng.random() < 0.5 else int(rng.choice(self.speed_genes))
+
+    def decode(self, vector: Floats) -> ScriptedScenario:
         """Decode a vector to a scenario.
 
         Args:
@@ -78,17 +79,17 @@ class Encoding:
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
         npcs: list[NPC] = []
-        for genes in np.clip(vector, 0.0, 1.0).reshape(self.n_npcs, self.n_genes):
+        for genes in np.clip(vector, 0.0, 1.0).reshape(self.n_blocks, self.n_genes):
             npcs.append(self._placed(genes, npcs))
-        return Scenario(self.logical.name, tuple(npcs))
+        return ScriptedScenario(self.logical.name, tuple(npcs))
 
-    def encode(self, scenario: Scenario) -> Floats:
+    def encode(self, scenario: ScriptedScenario) -> Floats:
         """Encode a scenario as a vector. `decode` restores it to six decimals.
 
         The genes of type and route are the middles of their parts of [0, 1].
 
         Args:
-            scenario: a scenario that is valid in `logical` and has all `n_npcs` NPCs.
+            scenario: a scenario that is valid in `logical` and has an NPC for each block.
 
         Returns:
             Genes, shape (n,).
@@ -96,8 +97,8 @@ class Encoding:
         Raises:
             InputError: if the scenario has fewer NPCs.
         """
-        if len(scenario.npcs) != self.n_npcs:
-            raise InputError(f"npcs: expected {self.n_npcs}, got {len(scenario.npcs)}")
+        if len(scenario.npcs) != self.n_blocks:
+            raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
         return np.concatenate([self._block(npc) for npc in scenario.npcs])
 
     def features(self, vectors: Floats) -> Floats:
@@ -109,9 +110,9 @@ class Encoding:
             vectors: genes, shape (k, n).
 
         Returns:
-            Features, shape (k, n_npcs * (types + routes + n_genes - 2)).
+            Features, shape (k, n_blocks * (types + routes + n_genes - 2)).
         """
-        blocks = vectors.reshape(len(vectors), self.n_npcs, self.n_genes)
+        blocks = vectors.reshape(len(vectors), self.n_blocks, self.n_genes)
         parts = [
             np.eye(count)[_parts(blocks[..., gene], count)] / np.sqrt(2)
             for gene, count in ((TYPE, len(self.logical.vehicle_types)), (ROUTE, len(self._routes)))
@@ -126,7 +127,7 @@ class Encoding:
                 npc = self._npc(genes, self._routes[(route + i) % len(self._routes)], start)
                 if self.logical.spawn_conflict(npc, others) is None:
                     return npc
-        raise InputError(f"{self.logical.name}: no place for {self.n_npcs} NPCs; use fewer")
+        raise InputError(f"{self.logical.name}: no place for {self.n_blocks} NPCs; use fewer")
 
     def _npc(self, genes: Floats, route: Route, start: float) -> NPC:
         kinds = self.logical.vehicle_types

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behavexplor.data.roadmap import Route
-from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted_encoding import ROUTE, START, TYPE, ScriptedEncoding
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.errors import InputError
-from behavexplor.fuzz.encoding import ROUTE, START, TYPE, Encoding
 from tests.strategies import seeds
 
 LOGICAL = IntersectionStraightEnv.logical
@@ -38,7 +38,7 @@ def close(one, other):
 @settings(max_examples=60, deadline=None)
 @given(seed=seeds)
 def test_sampled_scenarios_survive_the_round_trip(logical, seed):
-    encoding, scenario = Encoding(logical), logical.sample(np.random.default_rng(seed))
+    encoding, scenario = ScriptedEncoding(logical), logical.sample(np.random.default_rng(seed))
     vector = encoding.encode(scenario)
     assert vector.shape == (encoding.size,)
     assert ((vector >= 0) & (vector <= 1)).all()
@@ -49,10 +49,10 @@ def test_sampled_scenarios_survive_the_round_trip(logical, seed):
 @settings(max_examples=60, deadline=None)
 @given(seed=seeds, crowded=st.booleans())
 def test_every_point_is_a_scenario_that_can_be_run(logical, seed, crowded):
-    encoding, rng = Encoding(logical), np.random.default_rng(seed)
+    encoding, rng = ScriptedEncoding(logical), np.random.default_rng(seed)
     vector = rng.random(encoding.size)
     if crowded:  # all in one lane, at one place
-        blocks = vector.reshape(encoding.n_npcs, -1)
+        blocks = vector.reshape(encoding.n_blocks, -1)
         blocks[:, [ROUTE, START]] = rng.random(2)
     scenario = encoding.decode(vector)
     logical.check(scenario)
@@ -63,19 +63,19 @@ def test_every_point_is_a_scenario_that_can_be_run(logical, seed, crowded):
 @EVERYWHERE
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_corners_are_scenarios(logical, value):
-    logical.check(Encoding(logical).decode(np.full(Encoding(logical).size, value)))
+    logical.check(ScriptedEncoding(logical).decode(np.full(ScriptedEncoding(logical).size, value)))
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(-3, 3), min_size=85, max_size=85))
 def test_values_beyond_the_range_count_as_its_ends(values):
-    encoding = Encoding(LOGICAL)
+    encoding = ScriptedEncoding(LOGICAL)
     assert encoding.decode(np.array(values)) == encoding.decode(np.clip(values, 0, 1))
 
 
 def test_points_are_as_uniform_as_the_sampler():
     """On lanes where hardly any is repaired: the sampler draws whole NPCs again, which makes others likelier."""
-    encoding, rng = Encoding(LOGICAL), np.random.default_rng(0)
+    encoding, rng = ScriptedEncoding(LOGICAL), np.random.default_rng(0)
     decoded = [encoding.decode(rng.random(encoding.size)) for _ in range(400)]
     sampled = [LOGICAL.sample(rng) for _ in range(400)]
     for figure in (
@@ -93,7 +93,7 @@ def test_points_are_as_uniform_as_the_sampler():
 
 
 def test_each_gene_is_used():
-    encoding = Encoding(LOGICAL)
+    encoding = ScriptedEncoding(LOGICAL)
     vector = np.full(encoding.size, 0.3)
     plain = encoding.decode(vector)
     for gene in range(encoding.size):
@@ -103,8 +103,8 @@ def test_each_gene_is_used():
 
 
 def test_genes_mean_what_they_say():
-    encoding = Encoding(LOGICAL)
-    blocks = np.full((encoding.n_npcs, encoding.n_genes), 0.5)
+    encoding = ScriptedEncoding(LOGICAL)
+    blocks = np.full((encoding.n_blocks, encoding.n_genes), 0.5)
     blocks[:, ROUTE] = np.arange(5) / 5
     blocks[0, TYPE], blocks[0, ROUTE], blocks[0, START] = 0.0, 0.99, 0.25
     blocks[0, encoding.speed_genes[0]] = 1.0
@@ -118,7 +118,7 @@ def test_genes_mean_what_they_say():
 
 
 def test_repair_takes_the_nearest_free_place_of_the_lane():
-    encoding = Encoding(replace(LOGICAL, n_npcs=2))
+    encoding = ScriptedEncoding(replace(LOGICAL, n_npcs=2))
     blocks = np.full((2, encoding.n_genes), 0.5)
     blocks[:, ROUTE] = 0.99  # east, far from the ego
     first, second = encoding.decode(blocks.ravel()).npcs
@@ -130,7 +130,7 @@ def test_repair_takes_the_nearest_free_place_of_the_lane():
 
 def test_repair_goes_on_to_the_next_lane_if_one_is_full():
     logical = replace(LaneFollowEnv.logical, npc_gap=100.0, n_npcs=9)
-    scenario = Encoding(logical).decode(np.zeros(Encoding(logical).size))
+    scenario = ScriptedEncoding(logical).decode(np.zeros(ScriptedEncoding(logical).size))
     logical.check(scenario)
     assert len({npc.route for npc in scenario.npcs}) > 1
 
@@ -138,26 +138,26 @@ def test_repair_goes_on_to_the_next_lane_if_one_is_full():
 def test_no_place_is_said():
     logical = replace(LOGICAL, npc_gap=500.0, n_npcs=12)
     with pytest.raises(InputError, match="no place for 12 NPCs; use fewer"):
-        Encoding(logical).decode(np.zeros(Encoding(logical).size))
+        ScriptedEncoding(logical).decode(np.zeros(ScriptedEncoding(logical).size))
 
 
 @pytest.mark.parametrize("vector", [np.zeros(84), np.zeros((5, 17)), np.full(85, np.nan)])
 def test_wrong_vectors_are_refused(vector):
     with pytest.raises(InputError, match="expected 85 finite numbers"):
-        Encoding(LOGICAL).decode(vector)
+        ScriptedEncoding(LOGICAL).decode(vector)
 
 
 def test_too_few_npcs_are_refused():
     scenario = LOGICAL.sample(np.random.default_rng(0))
     with pytest.raises(InputError, match="expected 5, got 4"):
-        Encoding(LOGICAL).encode(Scenario(LOGICAL.name, scenario.npcs[:4]))
+        ScriptedEncoding(LOGICAL).encode(ScriptedScenario(LOGICAL.name, scenario.npcs[:4]))
 
 
 def test_routes_of_other_lengths_leave_genes_unused():
     short, *others = LOGICAL.roadmap.npc_routes
     short = Route(short.name, short.lanes[:2])
     logical = replace(LOGICAL, roadmap=replace(LOGICAL.roadmap, npc_routes=(short, *others)), n_npcs=1)
-    encoding = Encoding(logical)
+    encoding = ScriptedEncoding(logical)
     vector = np.full(encoding.size, 0.3)
     vector[ROUTE] = 0.0
     scenario = encoding.decode(vector)
@@ -168,7 +168,7 @@ def test_routes_of_other_lengths_leave_genes_unused():
 
 
 def test_features_put_different_categories_at_distance_1():
-    encoding = Encoding(LOGICAL)
+    encoding = ScriptedEncoding(LOGICAL)
     vectors = np.full((3, encoding.size), 0.5)
     vectors[1, ROUTE], vectors[2, ROUTE] = 0.6, 0.99
     features = encoding.features(vectors)
@@ -178,7 +178,7 @@ def test_features_put_different_categories_at_distance_1():
 
 
 def test_features_keep_other_distances():
-    encoding = Encoding(LOGICAL)
+    encoding = ScriptedEncoding(LOGICAL)
     vectors = np.full((2, encoding.size), 0.5)
     vectors[1, START] = 0.9
     assert np.linalg.norm(np.diff(encoding.features(vectors), axis=0)) == pytest.approx(0.4)

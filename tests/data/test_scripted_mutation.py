@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.data.scenario import NPC, Scenario, Waypoint
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_mutation import mutate_routes, mutate_waypoints, shift_waypoints
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.fuzz.mutation import mutate_routes, mutate_waypoints, shift_waypoints
 
 LOGICAL = IntersectionStraightEnv.logical
 
@@ -154,6 +154,6 @@ def test_the_same_draws_give_the_same_mutant():
 
 
 def test_nothing_to_mutate_is_said():
-    empty = Scenario(LOGICAL.name, ())
+    empty = ScriptedScenario(LOGICAL.name, ())
     with pytest.raises(InputError, match="0 NPCs"):
         mutate_routes(empty, LOGICAL, np.random.default_rng(0), keep_probability=0.5)

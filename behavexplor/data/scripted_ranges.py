@@ -1,0 +1,176 @@
+"""Ranges of scripted scenarios on a map, which can be checked and sampled.
+
+Source: paper section 2.2, for the parameters that are searched (the NPCs' routes and waypoints).
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.geometry import box_corners, boxes_overlap
+from behavexplor.data.roadmap import RoadMap, Route
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.errors import InputError, unknown_name
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ScriptedRanges:
+    """The parameters of a functional scenario and their ranges.
+
+    Attributes:
+        name: name of the functional scenario, such as "intersection-straight".
+        roadmap: the map.
+        n_npcs: number of NPCs in a sampled scenario, and the greatest number in any scenario.
+        waypoints_per_lane: number of waypoints that an NPC has on each lane of its route.
+        min_speed: least speed at every waypoint except the last one [m/s]; the greatest speed is the speed limit.
+        end_gap: least distance of a starting NPC's center from the ends of its first lane [m].
+        npc_gap: least distance between the centers of NPCs that start in the same lane [m].
+        ego_gap: least distance between the centers of the ego and a starting NPC [m].
+        vehicle_types: possible vehicle types of NPCs.
+    """
+
+    name: str
+    roadmap: RoadMap
+    n_npcs: int
+    waypoints_per_lane: int
+    min_speed: float = 0.2
+    end_gap: float = 2.5
+    npc_gap: float = 8.0
+    ego_gap: float = 15.0
+    vehicle_types: tuple[str, ...] = field(default=tuple(VEHICLE_SIZES))
+
+    @property
+    def speed_range(self) -> tuple[float, float]:
+        """Least and greatest speed at every waypoint except the last one [m/s]."""
+        return self.min_speed, self.roadmap.speed_limit
+
+    def position_ranges(self, route: Route) -> Floats:
+        """Return the range of positions of each waypoint on a route, shape (waypoints, 2) [m].
+
+        Each waypoint lies within its lane. The first waypoint, at which the vehicle starts, also keeps a distance of
+        `end_gap` from both ends of its lane.
+        """
+        lanes = np.stack([route.bounds[:-1], route.bounds[1:]], axis=1)
+        ranges = np.repeat(lanes, self.waypoints_per_lane, axis=0)
+        ranges[0] += self.end_gap, -self.end_gap
+        return ranges
+
+    def check(self, scenario: ScriptedScenario) -> None:
+        """Check that a concrete scenario is valid in this logical scenario.
+
+        Raises:
+            InputError: if the scenario is invalid. The message names the field that is out of range, or the spawn
+                rule that is broken.
+        """
+        if scenario.functional != self.name:
+            raise InputError(f"functional: this is a scenario of {scenario.functional!r}, not of {self.name!r}")
+        if len(scenario.npcs) > self.n_npcs:
+            raise InputError(f"npcs: {len(scenario.npcs)} are too many; {self.name!r} has at most {self.n_npcs}")
+        for i, npc in enumerate(scenario.npcs):
+            try:
+                self._check_npc(npc)
+            except InputError as error:
+                raise InputError(f"npcs[{i}].{error}") from None
+            conflict = self.spawn_conflict(npc, scenario.npcs[:i])
+            if conflict is not None:
+                raise InputError(f"npcs[{i}].waypoints[0].position: the vehicle starts {conflict}")
+
+    def _check_npc(self, npc: NPC) -> None:
+        if npc.type not in self.vehicle_types:
+            raise InputError(f"type: {unknown_name('vehicle type', npc.type, self.vehicle_types)}")
+        if npc.route not in self.roadmap.routes:
+            raise InputError(f"route: {unknown_name('route', npc.route, self.roadmap.routes)}")
+        ranges = self.position_ranges(self.roadmap.routes[npc.route])
+        if len(npc.waypoints) != len(ranges):
+            raise InputError(f"waypoints: route {npc.route!r} takes {len(ranges)}, got {len(npc.waypoints)}")
+        low, high = self.speed_range
+        for i, (waypoint, (start, end)) in enumerate(zip(npc.waypoints, ranges, strict=True)):
+            if not start <= waypoint.position <= end:
+                raise InputError(f"waypoints[{i}].position: {waypoint.position} is not in [{start:g}, {end:g}] m")
+            if i == len(ranges) - 1:
+                low = high = 0.0
+            if not low <= waypoint.speed <= high:
+                raise InputError(f"waypoints[{i}].speed: {waypoint.speed} is not in [{low:g}, {high:g}] m/s")
+
+    def spawn_conflict(self, npc: NPC, others: Sequence[NPC]) -> str | None:
+        """Return the spawn rule that a vehicle breaks, or None if it can start beside the other vehicles.
+
+        Args:
+            npc: a vehicle with a valid type, route and first position.
+            others: vehicles that are already placed.
+
+        Returns:
+            The broken rule as the end of the sentence "the vehicle starts ...", or None.
+        """
+        start, size = self.start_pose_of(npc), VEHICLE_SIZES[npc.type]
+        ego = self.roadmap.start_pose
+        ego_gap = math.dist(start[:2], ego[:2])
+        if ego_gap < self.ego_gap:
+            return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
+        if _overlap(start, size, ego, EGO_SIZE):
+            return "where the ego stands"
+        lane = self.roadmap.routes[npc.route].lanes[0]
+        for i, other in enumerate(others):
+            pose = self.start_pose_of(other)
+            gap = math.dist(start[:2], pose[:2])
+            if lane is self.roadmap.routes[other.route].lanes[0] and gap < self.npc_gap:
+                return f"{gap:.2f} m from NPC {i} in the same lane, closer than {self.npc_gap:g} m"
+            if _overlap(start, size, pose, VEHICLE_SIZES[other.type]):
+                return f"where NPC {i} stands"
+        return None
+
+    def start_pose_of(self, npc: NPC) -> Floats:
+        """Return the pose at which a vehicle starts: x, y [m] and heading [rad], shape (3,)."""
+        return self.roadmap.routes[npc.route].lanes[0].pose(npc.waypoints[0].position)
+
+    def sample(self, rng: np.random.Generator) -> ScriptedScenario:
+        """Sample a scenario with every parameter uniform in its range.
+
+        Raises:
+            InputError: if the vehicles could not be placed by the spawn rules.
+        """
+        npcs: list[NPC] = []
+        for _ in range(self.n_npcs):
+            npcs.append(self.place(lambda: self.sample_npc(rng), npcs))
+        return ScriptedScenario(self.name, tuple(npcs))
+
+    def sample_npc(self, rng: np.random.Generator) -> NPC:
+        """Sample a vehicle with a uniform type, route and waypoints, regardless of other vehicles."""
+        kind = self.vehicle_types[rng.integers(len(self.vehicle_types))]
+        route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
+        waypoints = []
+        position = 0.0
+        for low, high in self.position_ranges(route):
+            position = float(rng.uniform(max(low, position), high))
+            waypoints.append(Waypoint(position, float(rng.uniform(*self.speed_range))))
+        waypoints[-1] = Waypoint(position, 0.0)
+        return NPC(kind, route.name, tuple(waypoints))
+
+    def place(self, draw: Callable[[], NPC], others: Sequence[NPC], attempts: int = 1000) -> NPC:
+        """Draw vehicles until one can start beside the other vehicles, and return it.
+
+        Raises:
+            InputError: if none of `attempts` drawn vehicles can be placed.
+        """
+        for _ in range(attempts):
+            npc = draw()
+            if self.spawn_conflict(npc, others) is None:
+                return npc
+        raise InputError(
+            f"{self.name}: none of {attempts} draws could be placed beside {len(others)} NPCs; use fewer NPCs"
+        )
+
+
+def _overlap(pose: Floats, size: tuple[float, float], other_pose: Floats, other_size: tuple[float, float]) -> bool:
+    """Return whether two boxes touch, given their poses, each of shape (3,)."""
+    if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
+        return False  # the circles around the boxes do not touch, which decides most pairs of vehicles
+    corners = box_corners(pose[:2], pose[2], np.array(size))
+    other_corners = box_corners(other_pose[:2], other_pose[2], np.array(other_size))
+    return bool(boxes_overlap(corners, other_corners))

@@ -1,0 +1,1 @@
+"""Environments of highway-env whose concrete scenarios are their own random draws."""

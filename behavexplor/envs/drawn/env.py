@@ -1,0 +1,223 @@
+"""A highway-env environment whose episodes are given by its own random draws."""
+
+import importlib
+import warnings
+from collections.abc import Mapping
+from typing import Any, Final
+
+import gymnasium
+import highway_env
+import numpy as np
+from highway_env.envs import IntersectionEnv
+from highway_env.envs.common.abstract import AbstractEnv
+
+from behavexplor.data.drawn import DEFAULT, DrawnScenario, Setup, config_text, sorted_draws
+from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
+from behavexplor.data.trace import Trace
+from behavexplor.envs.drawn.course import driven_route
+from behavexplor.envs.drawn.episode import Watch
+from behavexplor.envs.drawn.generator import DrawnGenerator
+from behavexplor.envs.drawn.layout import Layout
+from behavexplor.envs.stock.engine_making import kept_class
+from behavexplor.errors import InputError
+
+MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
+_PROBES: Final = 3  # resets from which the environment's draws are read
+
+
+class DrawnEnv(gymnasium.Env[Any, Any]):
+    """A highway-env environment, unchanged, whose episodes are given by its own random draws.
+
+    `reset(options={"scenario": scenario})` plays the draws of a `behavexplor.data.drawn.DrawnScenario`. Without the
+    option, the environment draws as always. At the end of an episode, `info["trace"]` is its trace, and
+    `info["scenario"]` the scenario with all draws that were made.
+
+    Args:
+        env: gymnasium id of the environment, such as "highway-fast-v0", or "module:id".
+        config: highway-env's configuration, as far as it differs from the environment's own.
+        traffic: kind of traffic, see `behavexplor.data.drawn.Setup`.
+
+    Attributes:
+        logical: all scenarios of the environment in this configuration.
+
+    Raises:
+        InputError: if there is no such environment, or it is not one of highway-env's, or it cannot be configured.
+    """
+
+    def __init__(self, env: str, config: Mapping[str, Any] | None = None, traffic: str = DEFAULT) -> None:
+        self._env = make_stock(env, config)
+        inner: Any = self._env.unwrapped
+        self._inner: AbstractEnv = inner
+        setup = Setup(env, config_text(self._inner.config), traffic, highway_env.__version__)
+        self.observation_space = self._env.observation_space
+        self.action_space = self._env.action_space
+        self.metadata = self._env.metadata
+        self._watch = Watch()
+        self._generator: np.random.Generator | None = None
+        self._setup = setup
+        self._seed = 0
+        self._decisions = 0
+        self.logical = DrawnLogicalScenario(setup, self._layout())
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """highway-env's whole configuration."""
+        config: dict[str, Any] = self._inner.config
+        return config
+
+    @property
+    def inner(self) -> AbstractEnv:
+        """The environment of highway-env, without wrappers."""
+        return self._inner
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        Args:
+            seed: seed of the environment's draws, if no scenario is given.
+            options: a `scenario` to play.
+
+        Raises:
+            InputError: if the scenario is not one of this environment.
+        """
+        scenario = (options or {}).get("scenario")
+        if scenario is None:
+            super().reset(seed=seed)
+            generator = DrawnGenerator({}, self.np_random, __file__)
+        else:
+            self.logical.check(scenario)
+            generator = DrawnGenerator(dict(scenario.draws), scenario.seed, __file__)
+        self._seed = 0 if scenario is None else scenario.seed
+        observation, info = self._begin(generator)
+        self._watch.begin(self._inner)
+        return observation, info
+
+    def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
+        self._generator = generator
+        self._decisions = 0
+        with kept_class(type(self._inner), self._inner.config):
+            self._inner._np_random = generator  # noqa: SLF001 - gymnasium's own place for a given generator
+            result: tuple[Any, dict[str, Any]] = self._env.reset()
+        generator.forget_calls()
+        return result
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Take an action; see the environment."""
+        record = self._watch.record
+        record.decide(action)
+        observation, reward, terminated, truncated, info = self._decide(action)
+        arrived = has_arrived(self._inner, info)
+        if arrived is not None:
+            record.arrivals.append(arrived)
+        if terminated or truncated:
+            info = {**info, "trace": self._trace(terminated), "scenario": self._played()}
+        return observation, float(reward), bool(terminated), bool(truncated), info
+
+    def _decide(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        with kept_class(type(self._inner), self._inner.config):
+            observation, reward, terminated, truncated, info = self._env.step(action)
+        self._decisions += 1
+        if isinstance(self._generator, DrawnGenerator):
+            self._generator.forget_calls()
+        return observation, reward, terminated, truncated or self._decisions >= MOST_DECISIONS, info
+
+    def _played(self) -> DrawnScenario:
+        """Return the scenario of the present episode with all draws that were made."""
+        drawn = self._generator.drawn if isinstance(self._generator, DrawnGenerator) else {}
+        return DrawnScenario(self._setup, self._seed, sorted_draws(drawn))
+
+    def _trace(self, terminated: bool) -> Trace:
+        record, inner = self._watch.record, self._inner
+        lanes = [frame.lane for frame in record.frames]
+        first, last = record.frames[0].rows[0, :2], record.frames[-1].rows[0, :2]
+        return record.trace(
+            end=end_of(inner, terminated, arrived=bool(record.arrivals and record.arrivals[-1])),
+            route=driven_route(inner.road.network, lanes, first, last),
+            destination=None,
+            leaves_road=leaving_matters(inner),
+        )
+
+    def _layout(self) -> tuple[Draw, ...]:
+        """Read the environment's draws from a few episodes."""
+        layout = Layout(type(self._inner))
+        for seed in range(_PROBES):
+            generator = DrawnGenerator({}, seed, __file__, self._n_vehicles)
+            self._begin(generator)
+            if seed == 0:
+                self._drive_on(generator)
+            layout.add(generator)
+        return layout.draws()
+
+    def _drive_on(self, generator: DrawnGenerator) -> None:
+        """Drive an episode of drawn actions to its time limit if the environment draws while it runs."""
+        config = self._inner.config
+        self.action_space.seed(0)
+        limit = min(int(config.get("duration", 1) * config["policy_frequency"]) + 1, MOST_DECISIONS)
+        for decision in range(limit):
+            before = generator.count
+            self._decide(self.action_space.sample())
+            if decision == 0 and generator.count == before:
+                return
+
+    def _n_vehicles(self) -> int:
+        road = self._inner.road
+        return 0 if road is None else len(road.vehicles)
+
+    def render(self) -> Any:
+        """Render the environment."""
+        return self._env.render()
+
+    def close(self) -> None:
+        """Release the environment's resources."""
+        self._env.close()
+
+
+def make_stock(env: str, config: Mapping[str, Any] | None = None) -> gymnasium.Env[Any, Any]:
+    """Make an environment of highway-env.
+
+    Raises:
+        InputError: if there is no such environment, or it is not one of highway-env's, or it cannot be configured.
+    """
+    try:
+        module, _, name = env.rpartition(":")
+        if module:
+            importlib.import_module(module)
+        registered = gymnasium.spec(name)
+        merged = {**(registered.kwargs.get("config") or {}), **(config or {})}
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
+            made = gymnasium.make(name, config=merged, disable_env_checker=True)
+    except InputError:
+        raise
+    except Exception as error:  # gymnasium's own errors, and any error of the environment
+        raise InputError(f"The environment {env!r} cannot be made: {type(error).__name__}: {error}") from error
+    if not isinstance(made.unwrapped, AbstractEnv):
+        raise InputError(f"The environment {env!r} is not one of highway-env: it must be a subclass of AbstractEnv")
+    return made
+
+
+def has_arrived(env: AbstractEnv, info: Mapping[str, Any]) -> bool | None:
+    """Return whether the ego has arrived, as the environment says; None if it has no destination."""
+    if isinstance(env, IntersectionEnv):
+        return bool(env.has_arrived(env.vehicle))
+    return bool(info["is_success"]) if "is_success" in info else None
+
+
+def leaving_matters(env: AbstractEnv) -> bool:
+    """Return whether it means something that the ego leaves the road.
+
+    It does where each lane line is a border of the road or of a lane that may be used. In junctions, a vehicle that
+    drives well leaves its lane for some frames.
+    """
+    return type(env).__module__.rpartition(".")[2] in ("highway_env", "merge_env", "racetrack_env", "exit_env")
+
+
+def end_of(env: AbstractEnv, terminated: bool, *, arrived: bool) -> str:
+    """Return the kind of an episode's end, one of `behavexplor.data.trace.ENDS`."""
+    if env.vehicle.crashed:
+        return "collision"
+    if arrived:
+        return "arrived"
+    if not terminated:
+        return "timeout"
+    return "ended" if env.vehicle.on_road else "off-road"
