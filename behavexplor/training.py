@@ -30,9 +30,9 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY, write_layers
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
+from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.execution.simulation import environment_id
 
 Floats = NDArray[np.float64]
 

@@ -13,8 +13,9 @@ from stable_baselines3 import PPO
 
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
+from behavexplor.envs.making import environment_id
 from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.simulation import Simulation, environment_id
+from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from benchmarks.stock import drive_env, drive_objects
 

@@ -35,8 +35,9 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
+from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
-from behavexplor.execution.simulation import Simulation, environment_id
+from behavexplor.execution.simulation import Simulation
 from behavexplor.fuzz.methods import METHODS, load_method
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -14,6 +15,7 @@ from behavexplor.errors import InputError
 Floats = NDArray[np.float64]
 
 DEFAULT: Final = "2,0"
+MANEUVERS: Final = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's meta-actions by index
 
 
 class ConstantDriver:
@@ -57,21 +59,52 @@ class ConstantDriver:
         return np.repeat(self._action, len(observation), axis=0), state
 
 
-def constant_driver(roadmap: RoadMap, variant: str = "") -> ConstantDriver:  # noqa: ARG001
+class ConstantManeuver:
+    """A driver that always chooses the same of highway-env's meta-actions.
+
+    Attributes:
+        action: highway-env's meta-actions.
+
+    Args:
+        maneuver: name of the meta-action, one of `MANEUVERS`.
+    """
+
+    action: Mapping[str, Any] = MappingProxyType({"type": "DiscreteMetaAction"})
+    vectorized: bool = True
+
+    def __init__(self, maneuver: str) -> None:
+        self._index = MANEUVERS.index(maneuver)
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,  # noqa: ARG002
+    ) -> tuple[NDArray[np.int64], Any]:
+        """Return the same meta-action for each ego, shape (B,); see `behavexplor.ads.interface.ADS`."""
+        count = len(observation) if episode_start is None else len(episode_start)
+        return np.full(count, self._index), state
+
+
+def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDriver | ConstantManeuver:  # noqa: ARG001
     """Make the driver of a variant.
 
     Args:
         roadmap: ignored.
-        variant: acceleration [m/s2], or acceleration and steering [rad]: "2" or "0,0.1"; `DEFAULT` if empty.
+        variant: acceleration [m/s2], or acceleration and steering [rad]: "2" or "0,0.1"; or one of highway-env's
+            meta-actions, such as "SLOWER"; `DEFAULT` if empty.
 
     Raises:
-        InputError: if the variant is not one or two such numbers.
+        InputError: if the variant is neither one or two such numbers nor a meta-action.
     """
+    if variant in MANEUVERS:
+        return ConstantManeuver(variant)
     number = r"[-+]?\d*\.?\d+"
     if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
         raise InputError(
             f"constant:{variant}: expected an acceleration [m/s2], or an acceleration and a steering angle [rad], "
-            "such as constant:2,0.1"
+            f"such as constant:2,0.1, or one of {', '.join(MANEUVERS)}"
         )
     acceleration, _, steering = (variant or DEFAULT).partition(",")
     return ConstantDriver(float(acceleration), float(steering or 0))

@@ -4,11 +4,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self
+from typing import Any, ClassVar, Final, Literal, Self
 
 import yaml
 from pydantic import ConfigDict
 
+from behavexplor.data.drawn import DEFAULT
 from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.data.validation import checked
@@ -70,6 +71,9 @@ class CampaignConfig:
         trust: digests ("sha256:...") of policy files that may run code while they are loaded.
         specs: user-defined requirements in addition to R1, R2 and R3, each as "package.module:attribute"; see
             `behavexplor.judge.robustness`.
+        env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
+            highway-env, see docs/highway-env.md.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
         options: options of the search method; see its `Options`.
         revision: revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,
@@ -92,6 +96,8 @@ class CampaignConfig:
     unconfined: bool = False
     trust: tuple[str, ...] = ()
     specs: tuple[str, ...] = ()
+    env_config: dict[str, Any] = field(default_factory=dict)
+    traffic: Literal["default", "wide"] = DEFAULT
     options: dict[str, Any] = field(default_factory=dict)
     revision: int = REVISION
 
@@ -111,7 +117,16 @@ class CampaignConfig:
     @property
     def target(self) -> Target:
         """The driving system and its environment, with the limits of the worker processes."""
-        return Target(self.env, self.ads, self.trust, self.unconfined, self.time_limit, self.memory_limit)
+        return Target(
+            self.env,
+            self.ads,
+            self.trust,
+            self.unconfined,
+            self.time_limit,
+            self.memory_limit,
+            self.env_config,
+            self.traffic,
+        )
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file."""

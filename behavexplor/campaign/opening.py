@@ -8,9 +8,10 @@ from pathlib import Path
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.store import Store
+from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import check_ads, start_executor
+from behavexplor.execution.start import check_ads, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 
 
@@ -58,13 +59,16 @@ def opened(
             used, or if the campaign has another revision.
     """
     check_revision(stored_config(folder) if resume else config, str(folder))
-    logical = logical_scenario(config.env)
-    search, specs = search_method(config, logical), load_specs(config.specs)
+    logical = None if is_stock(config.env) else logical_scenario(config.env)
+    search = None if logical is None else search_method(config, logical)
+    specs = load_specs(config.specs)
     with ExitStack() as stack:
         with patience or nullcontext():
             executor = start_executor(config.target, workers, cluster)
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
+        logical = logical or logical_of_target(executor, config.env)
+        search = search or search_method(config, logical)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         yield Ready(Campaign(config, search, logical, store, executor, specs), store, warnings)

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.loading import SYSTEMS
 from behavexplor.campaign.campaign import Campaign, ExecutionError, run_folder
-from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, stored_config
+from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
@@ -65,6 +65,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     workers: Annotated[int | None, _flag("N", "the available cores")] = None,
     cluster: Annotated[str | None, _flag("ray|dask[:ADDRESS]", None)] = None,
     trust: Annotated[str | None, _flag("DIGEST", None)] = None,
+    env_config: Annotated[Path | None, _flag("FILE", None)] = None,
+    traffic: Annotated[Literal["default", "wide"] | None, _flag("default|wide", _DEFAULTS.traffic)] = None,
     spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, _flag("MODULE:NAME", None)] = (),
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, _flag("RUN", None)] = None,
@@ -85,6 +87,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         workers: Number of worker processes (no effect on the records). 0: this process, with no limits for the ADS.
         cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
@@ -93,7 +97,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
-    flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None}
+    flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None, "traffic": traffic}
+    flags["env_config"] = read_yaml(env_config) if env_config else None
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers, cluster)
     if resume and (config or out or spec):

@@ -12,7 +12,8 @@ from typing import Any, Final, Self
 from behavexplor.data.untrusted import object_fields, parse_json
 from behavexplor.errors import InputError, brief
 
-DEFAULT, WIDE = "default", "wide"  # kinds of traffic
+DEFAULT: Final = "default"  # kinds of traffic
+WIDE: Final = "wide"
 TRAFFIC: Final = (DEFAULT, WIDE)
 MAX_DRAWS: Final = 20_000  # draws of one episode; highway-v0 with 50 vehicles has about 300
 MAX_SEED: Final = 2**63

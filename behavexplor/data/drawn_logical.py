@@ -1,9 +1,10 @@
 """Logical scenarios of stock environments: all the draws that an environment can make in one configuration."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,17 @@ class DrawnLogicalScenario:
     roadmap: None = None
     line_kinds: tuple[str, ...] = ()
     mutations: Mutations = _MUTATIONS
+
+    def to_json(self) -> str:
+        """Return the logical scenario as JSON, from which `from_json` restores it."""
+        draws = [[draw.name, draw.position, draw.kind, draw.block] for draw in self.draws]
+        return json.dumps({"setup": asdict(self.setup), "draws": draws})
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Return the logical scenario that `to_json` wrote."""
+        values = json.loads(text)
+        return cls(Setup(**values["setup"]), tuple(Draw(*draw) for draw in values["draws"]))
 
     @property
     def name(self) -> str:

@@ -1,7 +1,10 @@
 """Target: the driving system under test, its environment, and the limits of the processes in which it runs."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
+
+from behavexplor.data.drawn import DEFAULT
 
 TIME_LIMIT: Final = 300.0  # default limit of one execution [s]
 MEMORY_LIMIT: Final = 8.0  # default limit of one worker process [GiB]
@@ -12,12 +15,14 @@ class Target:
     """Everything that a process needs to know to execute scenarios.
 
     Attributes:
-        env: name of the environment, see `behavexplor.execution.simulation.environment_id`.
+        env: name of the environment, see `behavexplor.envs.making.environment_id`.
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`.
         trust: digests ("sha256:...") of policy files that may run code while they are loaded.
         unconfined: whether a third-party ADS may write files and use the network.
         time_limit: limit of one execution [s]. It applies to worker processes only.
         memory_limit: limit of one worker process [GiB], where the system can set it.
+        env_config: configuration of the environment, as far as it differs from what the driving system declares.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
     """
 
     env: str
@@ -26,6 +31,8 @@ class Target:
     unconfined: bool = False
     time_limit: float = TIME_LIMIT
     memory_limit: float = MEMORY_LIMIT
+    env_config: Mapping[str, Any] = field(default_factory=dict)
+    traffic: str = DEFAULT
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only

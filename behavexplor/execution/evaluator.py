@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from behavexplor.ads.loading import is_shipped
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
@@ -20,6 +21,7 @@ LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in on
 
 EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
 PREFLIGHT: Final = "preflight"
+LOGICAL: Final = "logical"
 
 
 class Evaluator(Service):
@@ -39,6 +41,7 @@ class Evaluator(Service):
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
             EXECUTE: self.execute,
             PREFLIGHT: self.preflight,
+            LOGICAL: self.logical,
             FINGERPRINT: fingerprint,
         }
         self.batch: ScenarioBatch | None = None
@@ -62,7 +65,7 @@ class Evaluator(Service):
             InputError: see `behavexplor.execution.simulation.Simulation`.
         """
         try:
-            self.simulation = Simulation(self.target.env, self.target.ads, self.target.trust)
+            self.simulation = simulation_of(self.target)
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
@@ -81,6 +84,15 @@ class Evaluator(Service):
             ADSError: if the ADS fails.
         """
         return self.simulation.run(_scenario(scenario)).to_bytes()
+
+    def logical(self, _: bytes) -> bytes:
+        """Return the logical scenario of a stock environment as JSON, which depends on what the ADS declares.
+
+        Returns:
+            JSON; nothing for an environment with scripted vehicles.
+        """
+        logical = self.simulation.logical
+        return logical.to_json().encode() if isinstance(logical, DrawnLogicalScenario) else b""
 
     def preflight(self, _: bytes) -> bytes:
         """Return warnings about the ADS as a JSON list of sentences; see `behavexplor.execution.preflight`."""
@@ -117,6 +129,15 @@ class ScenarioBatch:
             return [(key, trace.to_bytes()) for key, trace in self._episodes.step()]
         except ADSError:
             return [(key, None) for key in self._episodes.give_up()]
+
+
+def simulation_of(target: Target) -> Simulation:
+    """Return the simulation of a target.
+
+    Raises:
+        InputError: see `behavexplor.execution.simulation.Simulation`.
+    """
+    return Simulation(target.env, target.ads, target.trust, target.env_config, target.traffic)
 
 
 def evaluator_recipe(target: Target) -> Recipe:

@@ -10,65 +10,54 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 import behavexplor
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.data.drawn import DEFAULT
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.envs.making import environment_id, is_stock, make_env
+from behavexplor.errors import InputError
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
+_DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency")
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
-
-
-def environment_id(name: str) -> str:
-    """Return the gymnasium id of an environment.
-
-    Args:
-        name: name of a functional scenario, such as "intersection-straight", or a full gymnasium id. For an
-            environment that another package registers, write "package:namespace/name-v0".
-
-    Raises:
-        InputError: if there is no such environment.
-    """
-    if name in behavexplor.FUNCTIONAL_SCENARIOS:
-        return f"{behavexplor.NAMESPACE}/{name}-v0"
-    if "/" not in name and ":" not in name and name not in gymnasium.registry:
-        raise unknown_name("environment", name, behavexplor.FUNCTIONAL_SCENARIOS)
-    return name
 
 
 class Simulation:
     """Runs concrete scenarios with one ADS in one environment.
 
     Args:
-        env: name of the environment, see `environment_id`. The environment takes `reset(options={"scenario": ...})`,
-            declares the scenarios that it can run in its attribute `logical`, and ends an episode with
-            `info["trace"]`.
+        env: name of the environment, see `behavexplor.envs.making`. The environment takes
+            `reset(options={"scenario": ...})`, declares the scenarios that it can run in its attribute `logical`, and
+            ends an episode with `info["trace"]`.
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
-            `policy_frequency` and `simulation_frequency`, where it has them, configure the environment.
+            `policy_frequency` and `simulation_frequency`, where it has them, configure the environment; in a stock
+            environment, so does its attribute `env_config`.
         trust: digests of files from which code may be run when the ADS is loaded.
+        env_config: configuration of the environment, which replaces what the ADS declares.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
 
     Raises:
         InputError: if there is no such environment or ADS, or if they do not fit together.
     """
 
-    def __init__(self, env: str, ads: Any, trust: Collection[str] = ()) -> None:
-        name = environment_id(env)
-        self.logical = logical_scenario(env)
-        self.ads: Any = load_ads(ads, self.logical.roadmap, trust) if isinstance(ads, str) else ads
-        declared = ("observation", "action", "policy_frequency", "simulation_frequency")
-        config = {key: _plain(getattr(self.ads, key)) for key in declared if hasattr(self.ads, key)}
-        try:
-            self.env: gymnasium.Env[Any, Any] = gymnasium.make(name, config=config, disable_env_checker=True)
-        except InputError:
-            raise
-        except Exception as error:
-            message = f"{type(error).__name__}: {error}"
-            raise InputError(
-                f"The environment {name!r} cannot be configured as the ADS {ads!r} requires: {message}"
-            ) from error
-        _check_spaces(self.env, name, self.ads, ads)
+    def __init__(
+        self,
+        env: str,
+        ads: Any,
+        trust: Collection[str] = (),
+        env_config: Mapping[str, Any] | None = None,
+        traffic: str = DEFAULT,
+    ) -> None:
+        stock = is_stock(env)
+        roadmap = None if stock else logical_scenario(env).roadmap
+        self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
+        declared = {key: _plain(getattr(self.ads, key)) for key in _DECLARED if hasattr(self.ads, key)}
+        trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
+        self.env = make_env(env, {**declared, **trained, **(env_config or {})}, traffic)
+        self.logical = logical_of(self.env, env)
+        _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
         """Run a scenario to its end, and return its trace."""
@@ -160,7 +149,7 @@ def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) ->
     """Return a sentence on which environments of this package have a policy's spaces; empty if none has."""
     fitting = []
     for other in behavexplor.FUNCTIONAL_SCENARIOS:
-        made = gymnasium.make(environment_id(other), disable_env_checker=True)
+        made = make_env(other, {})
         if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
             fitting.append(other)
         made.close()
@@ -182,7 +171,8 @@ def compile_kernels(env: str) -> None:
     """Compile the kernels that execute an environment, for one scenario at a time and for many in lock-step.
 
     Args:
-        env: name of the environment, see `environment_id`. Nothing is done for an environment of another package.
+        env: name of the environment, see `behavexplor.envs.making`. Nothing is done for an environment of another
+            package.
     """
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
         return
@@ -201,21 +191,26 @@ def compile_kernels(env: str) -> None:
 
 
 def logical_scenario(env: str) -> LogicalScenario:
-    """Return the logical scenario of an environment.
+    """Return the logical scenario of an environment in its own configuration.
 
     Args:
-        env: name of the environment, see `environment_id`.
+        env: name of the environment, see `behavexplor.envs.making.environment_id`.
 
     Raises:
         InputError: if there is no such environment, or if it has no logical scenario.
     """
-    name = environment_id(env)
-    try:
-        made: gymnasium.Env[Any, Any] = gymnasium.make(name, disable_env_checker=True)
-    except Exception as error:  # gymnasium's own errors, and any error of the environment's package
-        raise InputError(f"The environment {name!r} cannot be made: {error}") from error
-    logical = getattr(made.unwrapped, "logical", None)
+    made = make_env(env, {})
     made.close()
+    return logical_of(made, env)
+
+
+def logical_of(made: gymnasium.Env[Any, Any], name: str) -> LogicalScenario:
+    """Return the logical scenario that an environment declares.
+
+    Raises:
+        InputError: if it declares none.
+    """
+    logical = getattr(made.unwrapped, "logical", None)
     if not isinstance(logical, ScriptedLogicalScenario | DrawnLogicalScenario):
         raise InputError(
             f"The environment {name!r} cannot be fuzzed: it is not one of highway-env, and it has no attribute "

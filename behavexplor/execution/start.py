@@ -4,15 +4,18 @@ import json
 from pathlib import Path
 
 from behavexplor.ads.loading import check_name
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.execution.cluster.address import open_cluster
 from behavexplor.execution.cluster.supervisor import ClusterExecutor
-from behavexplor.execution.evaluator import PREFLIGHT, evaluator_recipe
+from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.in_process import InProcessExecutor
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.service import Recipe
+from behavexplor.execution.simulation import logical_scenario
 
 
 def start_executor(target: Target, workers: int, cluster: str = "", recipe: Recipe | None = None) -> Executor:
@@ -58,6 +61,25 @@ def start_on_cluster(
     opened, count = open_cluster(cluster, nodes)
     settings = json.dumps({"recipe": recipe.to_json(), "time_limit": time_limit, "memory_limit": memory_limit})
     return ClusterExecutor(opened, count, ads, (settings, str(Path.cwd())))
+
+
+def logical_of_target(executor: Executor, env: str) -> LogicalScenario:
+    """Return the logical scenario of a target, whose configuration may depend on what the ADS declares.
+
+    Args:
+        executor: executor of the target.
+        env: name of the environment.
+
+    Raises:
+        InputError: if the ADS or the environment cannot be loaded.
+    """
+    try:
+        described = executor.submit(LOGICAL, b"").result()
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"The driving system ended its process while it was loaded: {error}") from error
+    return DrawnLogicalScenario.from_json(described.decode()) if described else logical_scenario(env)
 
 
 def check_ads(executor: Executor) -> list[str]:

@@ -9,8 +9,9 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
+from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
-from behavexplor.execution.simulation import environment_id, logical_scenario
+from behavexplor.execution.simulation import logical_scenario
 from behavexplor.testing.contract import ContractError, promise
 
 SCENARIOS: Final = 3

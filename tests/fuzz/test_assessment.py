@@ -151,8 +151,8 @@ def test_the_degree_of_a_run_that_retreats_is_that_of_its_beginning():
 
 def test_the_lines_of_a_place_have_kinds():
     """The clipped terms look for both kinds on every map."""
-    assert {DOUBLE_YELLOW, CURB} == set(IntersectionStraightEnv.logical.line_kinds)
-    assert len(IntersectionStraightEnv.logical.line_kinds) == len(IntersectionStraightEnv.logical.roadmap.illegal_lines)
+    assert {DOUBLE_YELLOW, CURB} == set(LOGICAL.line_kinds)
+    assert len(LOGICAL.line_kinds) == len(LOGICAL.roadmap.illegal_lines)
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,20 @@
 """A highway-env environment whose episodes are given by its own random draws."""
 
-import importlib
-import warnings
 from collections.abc import Mapping
 from typing import Any, Final
 
 import gymnasium
 import highway_env
 import numpy as np
-from highway_env.envs import IntersectionEnv
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn import DEFAULT, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.envs.drawn.course import driven_route
-from behavexplor.envs.drawn.episode import Watch
+from behavexplor.envs.drawn.episode import EpisodeRecord, Watch
 from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.layout import Layout
 from behavexplor.envs.stock.engine_making import kept_class
-from behavexplor.errors import InputError
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
 _PROBES: Final = 3  # resets from which the environment's draws are read
@@ -33,22 +28,19 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     `info["scenario"]` the scenario with all draws that were made.
 
     Args:
-        env: gymnasium id of the environment, such as "highway-fast-v0", or "module:id".
-        config: highway-env's configuration, as far as it differs from the environment's own.
+        name: name of the environment, such as "highway-fast-v0" or "module:id".
+        env: the environment, as gymnasium makes it.
         traffic: kind of traffic, see `behavexplor.data.drawn.Setup`.
 
     Attributes:
         logical: all scenarios of the environment in this configuration.
-
-    Raises:
-        InputError: if there is no such environment, or it is not one of highway-env's, or it cannot be configured.
     """
 
-    def __init__(self, env: str, config: Mapping[str, Any] | None = None, traffic: str = DEFAULT) -> None:
-        self._env = make_stock(env, config)
-        inner: Any = self._env.unwrapped
+    def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: str = DEFAULT) -> None:
+        self._env = env
+        inner: Any = env.unwrapped
         self._inner: AbstractEnv = inner
-        setup = Setup(env, config_text(self._inner.config), traffic, highway_env.__version__)
+        setup = Setup(name, config_text(self._inner.config), traffic, highway_env.__version__)
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
         self.metadata = self._env.metadata
@@ -69,6 +61,15 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def inner(self) -> AbstractEnv:
         """The environment of highway-env, without wrappers."""
         return self._inner
+
+    @property
+    def max_decisions(self) -> int | None:
+        """Number of decisions after which gymnasium truncates an episode; None if it does not."""
+        return None if self._env.spec is None else self._env.spec.max_episode_steps
+
+    def take_record(self) -> EpisodeRecord:
+        """Return the record of the present episode, which goes on elsewhere."""
+        return self._watch.record
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode.
@@ -106,11 +107,9 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         record = self._watch.record
         record.decide(action)
         observation, reward, terminated, truncated, info = self._decide(action)
-        arrived = has_arrived(self._inner, info)
-        if arrived is not None:
-            record.arrivals.append(arrived)
+        record.judge(has_arrived(info))
         if terminated or truncated:
-            info = {**info, "trace": self._trace(terminated), "scenario": self._played()}
+            info = {**info, "trace": self._trace(bool(terminated)), "scenario": self._played()}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def _decide(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -127,15 +126,8 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         return DrawnScenario(self._setup, self._seed, sorted_draws(drawn))
 
     def _trace(self, terminated: bool) -> Trace:
-        record, inner = self._watch.record, self._inner
-        lanes = [frame.lane for frame in record.frames]
-        first, last = record.frames[0].rows[0, :2], record.frames[-1].rows[0, :2]
-        return record.trace(
-            end=end_of(inner, terminated, arrived=bool(record.arrivals and record.arrivals[-1])),
-            route=driven_route(inner.road.network, lanes, first, last),
-            destination=None,
-            leaves_road=leaving_matters(inner),
-        )
+        network = self._inner.road.network
+        return self._watch.record.trace(network, terminated=terminated, leaving_matters=leaving_matters(self._inner))
 
     def _layout(self) -> tuple[Draw, ...]:
         """Read the environment's draws from a few episodes."""
@@ -172,35 +164,12 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self._env.close()
 
 
-def make_stock(env: str, config: Mapping[str, Any] | None = None) -> gymnasium.Env[Any, Any]:
-    """Make an environment of highway-env.
-
-    Raises:
-        InputError: if there is no such environment, or it is not one of highway-env's, or it cannot be configured.
-    """
-    try:
-        module, _, name = env.rpartition(":")
-        if module:
-            importlib.import_module(module)
-        registered = gymnasium.spec(name)
-        merged = {**(registered.kwargs.get("config") or {}), **(config or {})}
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
-            made = gymnasium.make(name, config=merged, disable_env_checker=True)
-    except InputError:
-        raise
-    except Exception as error:  # gymnasium's own errors, and any error of the environment
-        raise InputError(f"The environment {env!r} cannot be made: {type(error).__name__}: {error}") from error
-    if not isinstance(made.unwrapped, AbstractEnv):
-        raise InputError(f"The environment {env!r} is not one of highway-env: it must be a subclass of AbstractEnv")
-    return made
-
-
-def has_arrived(env: AbstractEnv, info: Mapping[str, Any]) -> bool | None:
-    """Return whether the ego has arrived, as the environment says; None if it has no destination."""
-    if isinstance(env, IntersectionEnv):
-        return bool(env.has_arrived(env.vehicle))
-    return bool(info["is_success"]) if "is_success" in info else None
+def has_arrived(info: Mapping[str, Any]) -> bool | None:
+    """Return whether the ego has arrived, as highway-env says; None if the environment has no destination."""
+    if "is_success" in info:
+        return bool(info["is_success"])
+    rewards = info.get("rewards", {})
+    return bool(rewards["arrived_reward"]) if "arrived_reward" in rewards else None
 
 
 def leaving_matters(env: AbstractEnv) -> bool:
@@ -210,14 +179,3 @@ def leaving_matters(env: AbstractEnv) -> bool:
     drives well leaves its lane for some frames.
     """
     return type(env).__module__.rpartition(".")[2] in ("highway_env", "merge_env", "racetrack_env", "exit_env")
-
-
-def end_of(env: AbstractEnv, terminated: bool, *, arrived: bool) -> str:
-    """Return the kind of an episode's end, one of `behavexplor.data.trace.ENDS`."""
-    if env.vehicle.crashed:
-        return "collision"
-    if arrived:
-        return "arrived"
-    if not terminated:
-        return "timeout"
-    return "ended" if env.vehicle.on_road else "off-road"

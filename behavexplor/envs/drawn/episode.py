@@ -1,146 +1,141 @@
-"""The record of one episode of a highway-env environment, frame by frame."""
+"""The record of one episode of a highway-env environment, and the trace that is made of it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.trace import ABSENT, ARRIVED, CRASHED, OFF_ROAD, Trace
-from behavexplor.envs.drawn.course import LaneIndex
+from behavexplor.envs.drawn.course import LaneIndex, driven_route
+from behavexplor.envs.stock.frame_log import THING
+from behavexplor.envs.stock.record_types import Records
 
 Floats = NDArray[np.float64]
 
-X, Y, HEADING, SPEED, SLIP = range(5)  # columns of a row of `Frame.rows`
 
-
-@dataclass(frozen=True, slots=True)
-class Frame:
+class Frame(NamedTuple):
     """What is on the road at one moment.
 
     Attributes:
-        things: the number of each vehicle and obstacle, the ego's first.
-        rows: x and y [m], heading [rad], speed [m/s] and slip angle [rad] of each of them, shape (n, 5).
-        crashed: whether each of them has crashed, shape (n,).
+        things: the vehicles and obstacles, shape (n,) of `behavexplor.envs.stock.frame_log.THING`.
+        ego: the ego's place among them.
         lane: the ego's lane.
-        is_off_road: whether the ego is beside its lane.
+        is_on_road: highway-env's `on_road` of the ego.
     """
 
-    things: Sequence[int]
-    rows: Floats
-    crashed: NDArray[np.bool_]
+    things: Records
+    ego: int
     lane: LaneIndex
-    is_off_road: bool
+    is_on_road: bool
 
 
-@dataclass
 class EpisodeRecord:
     """The frames and decisions of an episode.
 
-    Attributes:
+    Args:
         period: time between two frames [s].
-        sizes: length and width of each thing by its number [m].
+
+    Attributes:
         frames: the frames.
-        actions: the commands.
-        action_frames: the frame in which each command was given.
-        arrivals: whether the ego had arrived after each decision; empty if the environment has no destination.
+        sizes: length and width of each vehicle and obstacle by its number [m].
     """
 
-    period: float
-    sizes: dict[int, tuple[float, float]] = field(default_factory=dict)
-    frames: list[Frame] = field(default_factory=list)
-    actions: list[Floats] = field(default_factory=list)
-    action_frames: list[int] = field(default_factory=list)
-    arrivals: list[bool] = field(default_factory=list)
+    def __init__(self, period: float) -> None:
+        self.frames: list[Frame] = []
+        self.sizes: dict[int, tuple[float, float]] = {}
+        self._period = period
+        self._actions: list[Floats] = []
+        self._action_frames: list[int] = []
+        self._arrivals: list[bool] = []
 
     def decide(self, action: Any) -> None:
         """Record a command that is given at the latest frame."""
-        self.actions.append(np.atleast_1d(np.asarray(action, dtype=np.float64)))
-        self.action_frames.append(len(self.frames) - 1)
+        self._actions.append(np.atleast_1d(np.asarray(action, dtype=np.float64)))
+        self._action_frames.append(len(self.frames) - 1)
 
-    def trace(self, *, end: str, route: Floats, destination: Floats | None, leaves_road: bool) -> Trace:
+    def judge(self, arrived: bool | None) -> None:
+        """Record whether the ego has arrived after a decision; None if the environment has no destination."""
+        if arrived is not None:
+            self._arrivals.append(arrived)
+
+    def trace(self, network: RoadNetwork, *, terminated: bool, leaving_matters: bool) -> Trace:
         """Return the trace of the episode.
 
         Args:
-            end: kind of end.
-            route: the ego's route.
-            destination: the ego's destination; None for the end of the route.
-            leaves_road: whether it means something in this environment that the ego leaves the road.
+            network: the road network.
+            terminated: whether the environment terminated the episode, rather than that its time ran out.
+            leaving_matters: whether it means something in this environment that the ego leaves the road.
         """
-        numbers = list(self.sizes)
-        column = {number: i for i, number in enumerate(numbers)}
-        count = len(self.frames)
-        position = np.full((count, len(numbers), 2), ABSENT)
-        heading, speed, slip = np.zeros((3, count, len(numbers)))
-        present = np.zeros((count, len(numbers)), dtype=bool)
-        for i, frame in enumerate(self.frames):
-            at = [column[number] for number in frame.things]
-            position[i, at], heading[i, at] = frame.rows[:, [X, Y]], frame.rows[:, HEADING]
-            speed[i, at], slip[i, at] = frame.rows[:, SPEED], frame.rows[:, SLIP]
-            present[i, at] = True
-        course = heading + slip
-        signals = {CRASHED: np.array([frame.crashed[0] for frame in self.frames], dtype=np.float64)}
-        if leaves_road:
-            signals[OFF_ROAD] = np.array([frame.is_off_road for frame in self.frames], dtype=np.float64)
-        if self.arrivals:
-            signals[ARRIVED] = self._arrived(count)
+        things = [frame.things for frame in self.frames]
+        ego = int(things[0]["number"][self.frames[0].ego])
+        numbers = np.array([ego, *(number for number in self.sizes if number != ego)])
+        column = np.zeros(numbers.max() + 1, dtype=np.intp)
+        column[numbers] = np.arange(len(numbers))
+        frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
+        every = np.concatenate(things)
+        at = (frame, column[every["number"]])
+        motion = np.zeros((4, len(things), len(numbers)))
+        motion[:2] = ABSENT
+        present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
+        for values, name in zip(motion, ("x", "y", "heading", "speed"), strict=True):
+            values[at] = every[name]
+        present[at], crashed[at] = True, every["crashed"]
+        position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
+        size = np.array([self.sizes[number] for number in numbers.tolist()])
+        route = driven_route(network, [seen.lane for seen in self.frames], position[0, 0], position[-1, 0])
         return Trace(
-            time=np.arange(count, dtype=np.float64) * self.period,
+            time=np.arange(len(things), dtype=np.float64) * self._period,
             position=position,
             heading=heading,
-            velocity=speed[..., None] * np.stack([np.cos(course), np.sin(course)], axis=-1),
-            size=np.array([self.sizes[number] for number in numbers]),
-            actions=np.array(self.actions) if self.actions else np.zeros((0, 1)),
-            action_frame=np.array(self.action_frames, dtype=np.int64),
+            velocity=speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1),
+            size=size,
+            actions=np.array(self._actions) if self._actions else np.zeros((0, 1)),
+            action_frame=np.array(self._action_frames, dtype=np.int64),
             route=route,
-            destination=route[-1] if destination is None else destination,
+            destination=route[-1],
             illegal_lines=np.zeros((0, 2, 2)),
-            end=end,
-            signals=signals,
+            end=self._end(bool(crashed[-1, 0]), terminated=terminated),
+            signals=self._signals(crashed[:, 0], leaving_matters=leaving_matters),
             present=present,
-            partner=column.get(self._partner(), -1),
+            partner=_partner(position, heading, size, crashed),
         )
 
-    def _arrived(self, count: int) -> Floats:
-        arrived = np.zeros(count)
-        ends = [*self.action_frames[1:], count - 1]
-        for begin, end, has_arrived in zip(self.action_frames, ends, self.arrivals, strict=True):
-            arrived[begin + 1 : end + 1] = has_arrived
-            arrived[end] = has_arrived
-        return arrived
+    def _signals(self, crashed: NDArray[np.bool_], *, leaving_matters: bool) -> dict[str, Floats]:
+        signals = {CRASHED: crashed.astype(np.float64)}
+        if leaving_matters:
+            signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
+        if self._arrivals:
+            ends = [*self._action_frames[1:], len(self.frames) - 1]
+            signals[ARRIVED] = np.zeros(len(self.frames))
+            signals[ARRIVED][ends] = self._arrivals
+        return signals
 
-    def _partner(self) -> int:
-        """Return the number of the thing with which the ego crashed; -1 without a crash.
-
-        highway-env does not tell it. It is the nearest of those that have crashed by the frame of the ego's crash.
-        """
-        crash = next((frame for frame in self.frames if frame.crashed[0]), None)
-        if crash is None:
-            return -1
-        candidates = 1 + np.flatnonzero(crash.crashed[1:])
-        if not len(candidates):
-            return -1
-        size = np.array([self.sizes[number] for number in crash.things])
-        boxes = box_corners(crash.rows[:, [X, Y]], crash.rows[:, HEADING], size)
-        gaps = box_distance(boxes[:1], boxes[candidates])
-        return crash.things[int(candidates[gaps.argmin()])]
+    def _end(self, crashed: bool, *, terminated: bool) -> str:
+        """Return the kind of end, one of `behavexplor.data.trace.ENDS`."""
+        if crashed:
+            return "collision"
+        if self._arrivals and self._arrivals[-1]:
+            return "arrived"
+        if not terminated:
+            return "timeout"
+        return "ended" if self.frames[-1].is_on_road else "off-road"
 
 
 class Watch:
     """Watches a highway-env environment, and records every frame of its episodes."""
 
     def __init__(self) -> None:
-        self._numbers: dict[int, int] = {}
-        self._things: list[RoadObject] = []  # keeps the objects alive, because their identity is the key
+        self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
         self.record = EpisodeRecord(1.0)
 
     def begin(self, env: AbstractEnv) -> None:
         """Begin the record of an episode, after a reset of the environment."""
-        self._numbers, self._things = {}, []
+        self._things = {}
         self.record = EpisodeRecord(1 / env.config["simulation_frequency"])
         self._look(env)
         road: Any = env.road
@@ -153,30 +148,27 @@ class Watch:
         road.step = watched
 
     def _look(self, env: AbstractEnv) -> None:
+        seen = [*env.road.vehicles, *(thing for thing in env.road.objects if thing.solid and thing.collidable)]
+        rows = [self._row(thing) for thing in seen]
+        things = np.array(rows, dtype=THING)
         ego = env.vehicle
-        solid = [thing for thing in env.road.objects if thing.solid and thing.collidable]
-        things = [ego, *(thing for thing in [*env.road.vehicles, *solid] if thing is not ego)]
-        numbers = [self._number(thing) for thing in things]
-        self.record.frames.append(
-            Frame(
-                things=numbers,
-                rows=np.array([_row(thing) for thing in things]),
-                crashed=np.array([bool(thing.crashed) for thing in things]),
-                lane=ego.lane_index,
-                is_off_road=not ego.on_road,
-            )
-        )
+        self.record.frames.append(Frame(things, seen.index(ego), ego.lane_index, bool(ego.on_road)))
 
-    def _number(self, thing: RoadObject) -> int:
-        number = self._numbers.setdefault(id(thing), len(self._things))
-        if number == len(self._things):
-            self._things.append(thing)
-            self.record.sizes[number] = (float(thing.LENGTH), float(thing.WIDTH))
-        return number
+    def _row(self, thing: RoadObject) -> tuple[int, float, float, float, float, bool]:
+        number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
+        self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
+        x, y = thing.position.tolist()
+        return number, x, y, float(thing.heading), float(getattr(thing, "speed", 0.0)), bool(thing.crashed)
 
 
-def _row(thing: RoadObject) -> tuple[float, float, float, float, float]:
-    steering = getattr(thing, "action", {}).get("steering", 0.0)
-    slip = float(np.arctan(0.5 * np.tan(steering))) if steering else 0.0
-    x, y = thing.position
-    return float(x), float(y), float(thing.heading), float(getattr(thing, "speed", 0.0)), slip
+def _partner(position: Floats, heading: Floats, size: Floats, crashed: NDArray[np.bool_]) -> int:
+    """Return the vehicle or obstacle with which the ego crashed; -1 without a crash.
+
+    highway-env does not tell it. It is the nearest of those that have crashed by the frame of the ego's crash.
+    """
+    frame = int(crashed[:, 0].argmax())
+    candidates = 1 + np.flatnonzero(crashed[frame, 1:])
+    if not crashed[frame, 0] or not len(candidates):
+        return -1
+    boxes = box_corners(position[frame], heading[frame], size)
+    return int(candidates[box_distance(boxes[:1], boxes[candidates]).argmin()])

@@ -64,6 +64,15 @@ class DrawnGenerator(np.random.Generator):
         """Number of draws so far."""
         return sum(map(len, self.drawn.values()))
 
+    def forms(self, name: str, kinds: Sequence[str]) -> list[float]:
+        """Return the standard forms of the draws that a call would make, without making them.
+
+        Args:
+            name: name of the call.
+            kinds: kinds of its draws.
+        """
+        return [self._form(name, position, kind) for position, kind in enumerate(kinds)]
+
     def forget_calls(self) -> None:
         """Release the environment's calls, after they have ended."""
         self._path.forget()

@@ -56,8 +56,6 @@ class Layout:
 
     def _callers(self, caller: str) -> Iterator[str]:
         """Yield all calls of the function of a caller."""
-        if not self._is_repeated(caller):
-            return
         function = _COUNT.sub("", caller)
         for name in self._kinds:
             if _COUNT.sub("", name) == function:

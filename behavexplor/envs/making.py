@@ -1,0 +1,98 @@
+"""Make environments by name: those with scripted vehicles, and highway-env's own ones, whose draws are the scenario."""
+
+import importlib
+import warnings
+from collections.abc import Mapping
+from typing import Any, Final
+
+import gymnasium
+
+import behavexplor
+from behavexplor.data.drawn import DEFAULT
+from behavexplor.errors import InputError, unknown_name
+
+_HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second
+
+
+def environment_id(name: str) -> str:
+    """Return the gymnasium id of an environment.
+
+    Args:
+        name: name of a functional scenario, such as "intersection-straight", or a full gymnasium id, such as
+            "highway-fast-v0". For an environment that another module registers, write "module:id".
+
+    Raises:
+        InputError: if there is no such environment.
+    """
+    if name in behavexplor.FUNCTIONAL_SCENARIOS:
+        return f"{behavexplor.NAMESPACE}/{name}-v0"
+    if ":" in name or name in gymnasium.registry:
+        return name
+    importlib.import_module(_HIGHWAY_ENV)
+    if name not in gymnasium.registry:
+        stock = [known for known, spec in gymnasium.registry.items() if _HIGHWAY_ENV in str(spec.entry_point)]
+        raise unknown_name("environment", name, [*behavexplor.FUNCTIONAL_SCENARIOS, *stock])
+    return name
+
+
+def is_stock(name: str) -> bool:
+    """Return whether an environment is one of highway-env, or a subclass, without scripted vehicles.
+
+    Raises:
+        InputError: if there is no such environment.
+    """
+    if name in behavexplor.FUNCTIONAL_SCENARIOS:
+        return False
+    made = make_registered(name, {})
+    made.close()
+    return _is_stock(made)
+
+
+def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gymnasium.Env[Any, Any]:
+    """Make an environment that runs concrete scenarios.
+
+    Args:
+        name: name of the environment, see `environment_id`.
+        config: configuration of the environment, as far as it differs from its own.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
+
+    Returns:
+        An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
+
+    Raises:
+        InputError: if there is no such environment, or it cannot be configured.
+    """
+    made = make_registered(name, config)
+    if not _is_stock(made):
+        return made
+    from behavexplor.envs.drawn.env import DrawnEnv  # noqa: PLC0415 - slow to import
+
+    return DrawnEnv(name, made, traffic)
+
+
+def _is_stock(made: gymnasium.Env[Any, Any]) -> bool:
+    from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415 - slow to import
+
+    return isinstance(made.unwrapped, AbstractEnv) and not hasattr(made.unwrapped, "logical")
+
+
+def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+    """Make an environment as gymnasium does.
+
+    Raises:
+        InputError: if there is no such environment, or it cannot be configured.
+    """
+    module, _, own = environment_id(name).rpartition(":")
+    try:
+        if module:
+            importlib.import_module(module)
+        spec = gymnasium.spec(own)
+        merged = {**(spec.kwargs.get("config") or {}), **config}
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
+            made: gymnasium.Env[Any, Any] = gymnasium.make(spec, config=merged, disable_env_checker=True)
+    except InputError:
+        raise
+    except Exception as error:  # gymnasium's own errors, and any error of the environment's package
+        raise InputError(f"The environment {name!r} cannot be made: {type(error).__name__}: {error}") from error
+    return made
