@@ -14,6 +14,7 @@ from highway_env.utils import class_from_path
 from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import Engine, Outcome
+from behavexplor.envs.stock.frame_log import FrameLog
 from behavexplor.envs.stock.observing import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS
 from behavexplor.envs.stock.state import make_slots
@@ -63,8 +64,8 @@ def most_vehicles(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
     return count
 
 
-def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int) -> Outcome:
-    """Create the arrays of observations, rewards and ends."""
+def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> Outcome:
+    """Create the arrays of observations, rewards and ends, with the log of the frames."""
     shape = env.observation_space.shape
     return Outcome(
         observations=np.zeros((num_envs, math.prod(shape[:-1]), shape[-1]), dtype=np.float32),
@@ -75,6 +76,7 @@ def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int) -> Outcome:
         crashed=np.zeros(num_envs, dtype=bool),
         terminated=np.zeros(num_envs, dtype=bool),
         truncated=np.zeros(num_envs, dtype=bool),
+        log=log,
     )
 
 

@@ -44,6 +44,8 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     scene.episode.n_vehicles = i + 1
     scene.traits[i] = world.templates[template]
     vehicle, traits = scene.vehicles[i], scene.traits[i]
+    vehicle.number = scene.episode.n_numbered
+    scene.episode.n_numbered += 1
     vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
     vehicle.cos, vehicle.sin = math.cos(heading), math.sin(heading)
     vehicle.steering = vehicle.acceleration = vehicle.impact_x = vehicle.impact_y = vehicle.timer = 0.0

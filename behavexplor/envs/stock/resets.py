@@ -60,7 +60,8 @@ def populate(world: World, task: Task, slots: Slots, scratch: Scratch, words: Wo
 def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Begin an episode: `AbstractEnv._reset`."""
     episode, kind = scene.episode, task.rules[0].kind
-    episode.n_vehicles = episode.n_obstacles = episode.ego = episode.frames = episode.road_frames = 0
+    episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
+    episode.ego = episode.frames = episode.road_frames = 0
     episode.time = 0.0
     if kind == HIGHWAY:
         _start_on_highway(world, task, scene, words)
@@ -80,6 +81,8 @@ def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
     for k in range(len(task.starts.obstacles)):
         scene.vehicles[episode.n_vehicles + k] = task.starts.obstacles[k]
         scene.traits[episode.n_vehicles + k] = world.templates[BARRIER]
+        scene.vehicles[episode.n_vehicles + k].number = episode.n_numbered
+        episode.n_numbered += 1
     episode.n_obstacles = len(task.starts.obstacles)
 
 

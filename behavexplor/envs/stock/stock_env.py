@@ -17,6 +17,7 @@ from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_vehicles
 from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, advance
+from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
 from behavexplor.envs.stock.lane_network import make_network
@@ -30,7 +31,7 @@ from behavexplor.envs.stock.task import (
     MERGE,
     ROUNDABOUT,
 )
-from behavexplor.envs.values import COUNT, optional
+from behavexplor.envs.values import COUNT, FLAG, optional
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.errors import InputError
@@ -59,6 +60,11 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             is 0.
         render_mode: must be None, since the vector environment does not render.
         max_episode_steps: number of decisions after which an episode is truncated.
+        log_frames: whether the attribute `frame_log` has the frames of the latest step. Without this, it is empty.
+
+    Attributes:
+        frame_log: where every vehicle and obstacle was after each frame of the latest step; see
+            `behavexplor.envs.stock.frame_log.FrameLog`. The next step overwrites it.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only highway-env itself can do.
@@ -72,9 +78,12 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
+        *,
+        log_frames: bool = False,
     ) -> None:
         COUNT.check("num_envs", num_envs)
         optional(COUNT).check("max_episode_steps", max_episode_steps)
+        FLAG.check("log_frames", log_frames)
         if render_mode is not None:
             raise InputError("The vector environment cannot render; use gymnasium.make for highway-env's own")
         self._mode = chosen_mode(autoreset_mode)
@@ -94,7 +103,9 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         n_places = most_vehicles(self._single, self._kind, places_own=self._places_own)
         self._slots = make_slots(num_envs, n_places, n_steps)
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
-        self._outcome = make_outcome(self._single, self._engine, num_envs)
+        n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
+        self.frame_log = make_log(num_envs, n_logged, n_places)
+        self._outcome = make_outcome(self._single, self._engine, num_envs, self.frame_log)
         self.config: dict[str, Any] = self._single.config
         self.single_observation_space = self._single.observation_space
         self.single_action_space = self._single.action_space
@@ -150,6 +161,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         check_actions(self.action_space, actions)
         actions, outcome = np.asarray(actions), self._outcome
         rest, active = self._ended, ~self._ended
+        self.frame_log.frames[rest] = 0
         self._advance(active, actions, DECISION)
         if self._kind == INTERSECTION:
             self._populate(active, SPAWN)
