@@ -51,17 +51,21 @@ def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool)
     )
 
 
-def most_vehicles(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
-    """Return the greatest number of vehicles and obstacles that an episode can have."""
-    config = env.config
-    count = len(env.road.vehicles) + len(env.road.objects)
+def most_at_start(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
+    """Return the greatest number of vehicles and obstacles that an episode can begin with."""
+    count: int = len(env.road.vehicles) + len(env.road.objects)
     if places_own:
         count = 2 * count + _ROOM
     elif kind == INTERSECTION:
-        count = config["initial_vehicle_count"] + 1
-    if kind == INTERSECTION:  # after each decision, a vehicle may appear
-        count += math.ceil(config["duration"] * config["policy_frequency"]) + 2
+        count = int(env.config["initial_vehicle_count"]) + 1
     return count
+
+
+def most_new(env: AbstractEnv, kind: int) -> int:
+    """Return the greatest number of vehicles that can appear in an episode: one after each decision."""
+    if kind != INTERSECTION:
+        return 0
+    return math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
 
 
 def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> Outcome:

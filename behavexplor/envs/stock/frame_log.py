@@ -60,7 +60,7 @@ def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> 
     episode, ego = scene.episode, scene.vehicles[scene.episode.ego]
     frame.n_things = episode.n_vehicles + episode.n_obstacles
     frame.ego, frame.lane, frame.is_on_road = episode.ego, ego.lane, is_on_road(network, ego)
-    for i in range(frame.n_things):
+    for i in range(episode.n_vehicles + episode.n_obstacles):
         thing, vehicle = things[i], scene.vehicles[i]
         thing.number, thing.crashed = vehicle.number, vehicle.crashed
         thing.x, thing.y, thing.heading, thing.speed = vehicle.x, vehicle.y, vehicle.heading, vehicle.speed

@@ -62,9 +62,7 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
 
 
 @kernel_inner
-def run_frames(
-    network: Network, rules: Rules, scene: Scene, n_frames: int, frames: Records, things: Records
-) -> None:
+def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, frames: Records, things: Records) -> None:
     """Simulate some frames: `Road.act` and `Road.step`.
 
     Args:

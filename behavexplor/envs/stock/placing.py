@@ -21,7 +21,7 @@ FIRST_LANE: Any = np.int64(0)
 AS_EGO: Any = np.int64(EGO)
 AS_OTHER: Any = np.int64(OTHER)
 
-_LOW_DELTA, _HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
+LOW_DELTA, HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
     tuple(map(float, gains)) for gains in (*LinearVehicle.ACCELERATION_RANGE, *LinearVehicle.STEERING_RANGE)
 )
@@ -106,4 +106,4 @@ def draw_behavior(words: Words, scene: Scene, i: int) -> None:
         traits.heading_gain = low_steering[0] + uniform(words, 0.0, 1.0) * (high_steering[0] - low_steering[0])
         traits.offset_gain = low_steering[1] + uniform(words, 0.0, 1.0) * (high_steering[1] - low_steering[1])
     if traits.kind in (IDM, LINEAR):
-        traits.delta = uniform(words, _LOW_DELTA, _HIGH_DELTA)
+        traits.delta = uniform(words, LOW_DELTA, HIGH_DELTA)

@@ -14,6 +14,7 @@ import numpy as np
 from behavexplor.envs.stock import StockVectorEnv
 from behavexplor.envs.stock.lane_network import lane_indexes
 from tests.envs.stock.comparison import make, results_of_child
+from tests.envs.stock.side_by_side import deviation
 
 VALUES = ("x", "y", "heading", "speed")
 
@@ -26,27 +27,56 @@ class Comparison:
     frames: int = 0
     obstacles: int = 0  # logged, over all frames
     numbers: int = 0  # different things that were logged
-    worst: float = 0.0  # deviation of positions, headings and speeds
+    worst: float = 0.0  # deviation of positions, headings, speeds, observations and rewards
     different: list[str] = field(default_factory=list)
 
 
-def compare(env_id, config=None, *, decisions, seed=0):
-    """Drive highway-env and the second of two compiled episodes from the same start with the same random actions."""
+class Player:
+    """Plays given numbers in the place of a generator: a row for each decision."""
+
+    def __init__(self, rows):
+        self.rows = iter(rows)
+
+    def next_decision(self):
+        self.share, *self.choices, station, speed, self.delta = next(self.rows)
+        self.normals = iter([station, speed])
+
+    def uniform(self, low=None, high=None):
+        return self.share if low is None else low + (high - low) * self.delta
+
+    def choice(self, values, size, replace):
+        return np.array([values[int(choice)] for choice in self.choices])
+
+    def normal(self):
+        return next(self.normals)
+
+
+def compare(env_id, config=None, *, decisions, seed=0, is_given=False, draws=()):
+    """Drive highway-env and the second of two compiled episodes from the same start with the same random actions.
+
+    The start is drawn with the same seed, or it is given. The first numbers after it may be given as well.
+    """
     env = make(env_id, config)
     compiled = StockVectorEnv(type(env), 2, config, autoreset_mode="Disabled", log_frames=True)
-    env.reset(seed=seed)
-    compiled.reset(seed=[seed + 1, seed])
+    expected, _ = env.reset(seed=seed)
+    options = {"starts": {1: env}} | ({"spawn_draws": {1: draws}} if draws else {})
+    shown, _ = compiled.reset(seed=[seed + 1, None if is_given else seed], options=options if is_given else None)
     env.action_space.seed(seed)
-    return drive(env, compiled, decisions)
+    return drive(env, compiled, decisions, Comparison(worst=deviation(expected, shown[1])), draws)
 
 
-def drive(env, compiled, decisions):
-    result, seen, numbers = Comparison(), recorded(env), {}
-    for _ in range(decisions):
+def drive(env, compiled, decisions, result, draws):
+    seen, numbers, player, generator = recorded(env), {}, Player(draws), env.np_random
+    for k in range(decisions):
         seen.clear()
+        if draws:
+            env.np_random = env.road.np_random = player if k < len(draws) else generator
+        if k < len(draws):
+            player.next_decision()
         action = env.action_space.sample()
-        *_, terminated, truncated, _ = env.step(action)
-        compiled.step(np.array([action, action]))
+        expected, reward, terminated, truncated, _ = env.step(action)
+        shown, rewards, *_ = compiled.step(np.array([action, action]))
+        result.worst = max(result.worst, deviation(expected, shown[1]), abs(reward - float(rewards[1])))
         note_differences(compiled.frame_log, seen, numbers, result)
         result.decisions += 1
         if terminated or truncated or result.different:
