@@ -52,6 +52,7 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
             f"make slots with more places"
         )
     episode.n_vehicles, episode.n_obstacles = len(road.vehicles), len(road.objects)
+    episode.n_numbered = len(things)
     episode.ego = road.vehicles.index(env.vehicle)
     episode.frames, episode.time, episode.road_frames = env.steps, env.time, getattr(road, "steps", 0)
     episode.n_side_lanes = _n_side_lanes(env)
@@ -61,6 +62,7 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
         kind = kind_of(type(thing))
         slots.traits[b, i] = traits_of(thing, kind)
         slots.vehicles[b, i] = np.zeros((), VEHICLE)
+        slots.vehicles[b, i].number = i
         _load_pose(slots.vehicles[b, i], thing, lanes)
         if kind != OBSTACLE:
             _load_commands(slots.vehicles[b, i], thing)

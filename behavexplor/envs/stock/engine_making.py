@@ -14,6 +14,7 @@ from highway_env.utils import class_from_path
 from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import Engine, Outcome
+from behavexplor.envs.stock.frame_log import FrameLog
 from behavexplor.envs.stock.observing import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS
 from behavexplor.envs.stock.state import make_slots
@@ -50,21 +51,25 @@ def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool)
     )
 
 
-def most_vehicles(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
-    """Return the greatest number of vehicles and obstacles that an episode can have."""
-    config = env.config
-    count = len(env.road.vehicles) + len(env.road.objects)
+def most_at_start(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
+    """Return the greatest number of vehicles and obstacles that an episode can begin with."""
+    count: int = len(env.road.vehicles) + len(env.road.objects)
     if places_own:
         count = 2 * count + _ROOM
     elif kind == INTERSECTION:
-        count = config["initial_vehicle_count"] + 1
-    if kind == INTERSECTION:  # after each decision, a vehicle may appear
-        count += math.ceil(config["duration"] * config["policy_frequency"]) + 2
+        count = int(env.config["initial_vehicle_count"]) + 1
     return count
 
 
-def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int) -> Outcome:
-    """Create the arrays of observations, rewards and ends."""
+def most_new(env: AbstractEnv, kind: int) -> int:
+    """Return the greatest number of vehicles that can appear in an episode: one after each decision."""
+    if kind != INTERSECTION:
+        return 0
+    return math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
+
+
+def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> Outcome:
+    """Create the arrays of observations, rewards and ends, with the log of the frames."""
     shape = env.observation_space.shape
     return Outcome(
         observations=np.zeros((num_envs, math.prod(shape[:-1]), shape[-1]), dtype=np.float32),
@@ -75,6 +80,7 @@ def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int) -> Outcome:
         crashed=np.zeros(num_envs, dtype=bool),
         terminated=np.zeros(num_envs, dtype=bool),
         truncated=np.zeros(num_envs, dtype=bool),
+        log=log,
     )
 
 

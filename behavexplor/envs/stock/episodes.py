@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
+from behavexplor.envs.stock.frame_log import FrameLog
 from behavexplor.envs.stock.frames import give_command, run_frames
 from behavexplor.envs.stock.observing import View, observe
 from behavexplor.envs.stock.pcg64 import Words
@@ -34,6 +35,7 @@ class Outcome(NamedTuple):
         crashed: whether each ego has crashed, shape (B,).
         terminated: whether each episode is terminated, shape (B,).
         truncated: whether each episode is truncated, shape (B,).
+        log: the frames of the decision, or nothing if it has no room for them.
     """
 
     observations: Singles
@@ -44,6 +46,7 @@ class Outcome(NamedTuple):
     crashed: Bools
     terminated: Bools
     truncated: Bools
+    log: FrameLog
 
 
 class Engine(NamedTuple):
@@ -92,13 +95,14 @@ def advance(
         if not chosen[b]:
             continue
         scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-        n_frames = 0
+        n_frames = n_logged = 0
         if stage == DECISION:
             give_command(world, scene, commands[b, 0], commands[b, 1])
-            n_frames = world.rules[0].n_frames
+            n_frames = n_logged = world.rules[0].n_frames
         elif stage == WARM_UP:
             n_frames = task.rules[0].n_warm_up
-        run_frames(world.network, world.rules[0], scene, n_frames)  # in one place, because the compiler copies it
+        frames = outcome.log.frames[b, :n_logged]
+        run_frames(world.network, world.rules[0], scene, n_frames, frames, outcome.log.things[b])  # compiled once
         if stage == WARM_UP:
             continue
         episode = scene.episode

@@ -5,11 +5,13 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.stock.bicycle import move
 from behavexplor.envs.stock.collisions import collide
+from behavexplor.envs.stock.frame_log import FrameLog, log_frame
 from behavexplor.envs.stock.lane_geometry import closest_lane, lane_coordinates
 from behavexplor.envs.stock.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.neighbors import UNKNOWN
 from behavexplor.envs.stock.reactive_traffic import drive
+from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.regulation import enforce_rules
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import Rules, World
@@ -20,7 +22,7 @@ Bools = NDArray[np.bool_]
 
 
 @kernel_in_place
-def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active: Bools) -> None:
+def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active: Bools, log: FrameLog) -> None:
     """Simulate one decision of many episodes.
 
     Args:
@@ -30,16 +32,18 @@ def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active:
         commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the index
             of the maneuver in `behavexplor.envs.vector.meta.MANEUVERS`.
         active: whether each slot is stepped, shape (B,).
+        log: filled with the frames, as far as it has room for them.
     """
     for b in range(len(active)):
         if active[b]:
             scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-            simulate(world, scene, commands[b, 0], commands[b, 1])
+            give_command(world, scene, commands[b, 0], commands[b, 1])
+            run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames, log.frames[b], log.things[b])
 
 
 @kernel_inline
-def simulate(world: World, scene: Scene, first: float, second: float) -> None:
-    """Simulate one decision: `AbstractEnv._simulate`.
+def give_command(world: World, scene: Scene, first: float, second: float) -> None:
+    """Begin a decision: count it, and give the ego its command.
 
     Args:
         world: the environment's road and rules.
@@ -47,13 +51,6 @@ def simulate(world: World, scene: Scene, first: float, second: float) -> None:
         first: first number of the ego's command; see `step`.
         second: second number of the ego's command.
     """
-    give_command(world, scene, first, second)
-    run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames)
-
-
-@kernel_inline
-def give_command(world: World, scene: Scene, first: float, second: float) -> None:
-    """Begin a decision: count it, and give the ego its command. The arguments are those of `simulate`."""
     rules, episode = world.rules[0], scene.episode
     episode.time += rules.policy_period
     episode.frames += rules.n_frames
@@ -65,7 +62,7 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
 
 
 @kernel_inner
-def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> None:
+def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, frames: Records, things: Records) -> None:
     """Simulate some frames: `Road.act` and `Road.step`.
 
     Args:
@@ -73,9 +70,11 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> N
         rules: the record of `World.rules`.
         scene: the episode, changed in place.
         n_frames: number of frames.
+        frames: row of `FrameLog.frames`; frames beyond its length are not logged.
+        things: row of `FrameLog.things`.
     """
     episode = scene.episode
-    for _ in range(n_frames):
+    for k in range(n_frames):
         scene.scratch.n_on_lane[:] = UNKNOWN
         for i in range(episode.n_vehicles):
             kind, vehicle = scene.traits[i].kind, scene.vehicles[i]
@@ -94,6 +93,8 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int) -> N
             move(vehicle, traits, rules.dt)
             vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
         collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt, scene.scratch.xs)
+        if k < len(frames):
+            log_frame(network, scene, frames[k], things[k])
 
 
 @kernel_inner

@@ -3,19 +3,32 @@
 import math
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from behavexplor.envs.stock.lane_geometry import lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import Words, integer, normal, two_of, uniform
-from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
+from behavexplor.envs.stock.placing import (
+    AS_EGO,
+    AS_OTHER,
+    HIGH_DELTA,
+    LOW_DELTA,
+    draw_behavior,
+    place_vehicle,
+    plan_route,
+)
 from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
 from behavexplor.jit import kernel_inline, kernel_inner
 
+Floats = NDArray[np.float64]
+
 INITIAL_PROBABILITY: Final = 0.6  # probability of each vehicle at the start; `spawn_probability` is for later ones
 
 
 @kernel_inline
-def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> None:
+def enter_intersection(world: World, task: Task, scene: Scene, words: Words, given: Floats) -> None:
     """Place the ego and a vehicle that crosses its way: the last part of `IntersectionEnv._make_vehicles`.
 
     Args:
@@ -23,9 +36,10 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> 
         task: the environment's starts.
         scene: the episode, changed in place. The traffic has driven for three seconds.
         words: its random generator, changed in place.
+        given: as in `spawn_vehicle`.
     """
     rules, starts = task.rules[0], task.starts
-    spawn_vehicle(world, task, scene, words, 60.0, 1.0, True)
+    spawn_vehicle(world, task, scene, words, given, 60.0, 1.0, True)
     destination: int = rules.ego_destination
     if destination == DRAWN:
         destination = 1 + integer(words, 3)
@@ -38,7 +52,14 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> 
 
 @kernel_inner
 def spawn_vehicle(
-    world: World, task: Task, scene: Scene, words: Words, station: float, probability: float, is_challenger: bool
+    world: World,
+    task: Task,
+    scene: Scene,
+    words: Words,
+    given: Floats,
+    station: float,
+    probability: float,
+    is_challenger: bool,
 ) -> None:
     """Let a vehicle appear, or not: `IntersectionEnv._spawn_vehicle`.
 
@@ -47,17 +68,19 @@ def spawn_vehicle(
         task: the environment's starts.
         scene: the episode, changed in place.
         words: its random generator, changed in place.
+        given: numbers to be used instead of draws, or NaN, shape (6,): those of the reset option `spawn_draws`.
         station: station about which it appears [m].
         probability: probability that it appears, unless there is no room.
         is_challenger: whether it goes straight on, and starts at nearly the same place and speed every time.
     """
-    if uniform(words, 0.0, 1.0) > probability:
+    is_given = not math.isnan(given[0])
+    if (given[0] if is_given else uniform(words, 0.0, 1.0)) > probability:
         return
-    origin, destination = two_of(words, 4)
+    origin, destination = (int(given[1]), int(given[2])) if is_given else two_of(words, 4)
     if is_challenger:
         destination = (origin + 2) % 4
-    station = station + 5.0 + normal(words) * (0.1 if is_challenger else 1.0)
-    speed = 8.0 + normal(words) * (0.0 if is_challenger else 1.0)
+    station = station + 5.0 + (given[3] if is_given else normal(words)) * (0.1 if is_challenger else 1.0)
+    speed = 8.0 + (given[4] if is_given else normal(words)) * (0.0 if is_challenger else 1.0)
     lane = world.network.lanes[task.starts.lanes[origin]]
     x, y = lane_point(lane, station)
     for j in range(scene.episode.n_vehicles):
@@ -65,7 +88,10 @@ def spawn_vehicle(
             return
     i = place_vehicle(world, scene, AS_OTHER, x, y, lane_heading(lane, station), speed)
     plan_route(world, scene, i, task.starts.plans[destination])
-    draw_behavior(words, scene, i)
+    if is_given:
+        scene.traits[i].delta = LOW_DELTA + (HIGH_DELTA - LOW_DELTA) * given[5]
+    else:
+        draw_behavior(words, scene, i)
 
 
 @kernel_inner

@@ -9,6 +9,7 @@ from typing import Final
 from highway_env.road.lane import AbstractLane
 
 from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
+from behavexplor.envs.stock.state import Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
 from behavexplor.jit import kernel_inline, kernel_inner
 
@@ -74,6 +75,14 @@ def is_on_lane(lane: Lane, station: float, offset: float, margin: float) -> bool
     """Return whether a point with these coordinates [m] is on the lane: `on_lane`."""
     is_beside = abs(offset) <= lane.width / 2 + margin
     return bool(is_beside and station >= -VEHICLE_LENGTH and station < lane.length + VEHICLE_LENGTH)
+
+
+@kernel_inner
+def is_on_road(network: Network, vehicle: Vehicle) -> bool:
+    """Return whether a vehicle is on its lane: `RoadObject.on_road`."""
+    lane = network.lanes[vehicle.lane]
+    station, offset = lane_coordinates(lane, vehicle.x, vehicle.y)
+    return is_on_lane(lane, station, offset, 0.0)
 
 
 @kernel_inner

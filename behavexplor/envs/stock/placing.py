@@ -21,7 +21,7 @@ FIRST_LANE: Any = np.int64(0)
 AS_EGO: Any = np.int64(EGO)
 AS_OTHER: Any = np.int64(OTHER)
 
-_LOW_DELTA, _HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
+LOW_DELTA, HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
     tuple(map(float, gains)) for gains in (*LinearVehicle.ACCELERATION_RANGE, *LinearVehicle.STEERING_RANGE)
 )
@@ -44,6 +44,8 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     scene.episode.n_vehicles = i + 1
     scene.traits[i] = world.templates[template]
     vehicle, traits = scene.vehicles[i], scene.traits[i]
+    vehicle.number = scene.episode.n_numbered
+    scene.episode.n_numbered += 1
     vehicle.x, vehicle.y, vehicle.heading, vehicle.speed = x, y, heading, speed
     vehicle.cos, vehicle.sin = math.cos(heading), math.sin(heading)
     vehicle.steering = vehicle.acceleration = vehicle.impact_x = vehicle.impact_y = vehicle.timer = 0.0
@@ -104,4 +106,4 @@ def draw_behavior(words: Words, scene: Scene, i: int) -> None:
         traits.heading_gain = low_steering[0] + uniform(words, 0.0, 1.0) * (high_steering[0] - low_steering[0])
         traits.offset_gain = low_steering[1] + uniform(words, 0.0, 1.0) * (high_steering[1] - low_steering[1])
     if traits.kind in (IDM, LINEAR):
-        traits.delta = uniform(words, _LOW_DELTA, _HIGH_DELTA)
+        traits.delta = uniform(words, LOW_DELTA, HIGH_DELTA)

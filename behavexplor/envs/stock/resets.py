@@ -25,12 +25,22 @@ from behavexplor.envs.stock.task import (
 from behavexplor.jit import kernel_in_place, kernel_inline, kernel_inner
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
 START, ENTER, SPAWN = range(3)  # stages of `populate`
 
 
 @kernel_in_place
-def populate(world: World, task: Task, slots: Slots, scratch: Scratch, words: Words, chosen: Bools, stage: int) -> None:
+def populate(
+    world: World,
+    task: Task,
+    slots: Slots,
+    scratch: Scratch,
+    words: Words,
+    given: Floats,
+    chosen: Bools,
+    stage: int,
+) -> None:
     """Place the first vehicles of episodes, or new ones.
 
     Args:
@@ -39,6 +49,8 @@ def populate(world: World, task: Task, slots: Slots, scratch: Scratch, words: Wo
         slots: the episodes, changed in place.
         scratch: memory.
         words: their random generators, changed in place, shape (B, 6).
+        given: numbers to be used instead of draws after each decision, shape (B, decisions + 1, 6); see
+            `behavexplor.envs.stock.given_starts.with_draws`.
         chosen: which slots are changed, shape (B,).
         stage: START begins episodes; ENTER lets the ego enter the intersection after the traffic has driven for a
             while; SPAWN removes the vehicles that leave the intersection, and lets a new one appear.
@@ -47,20 +59,24 @@ def populate(world: World, task: Task, slots: Slots, scratch: Scratch, words: Wo
         if not chosen[b]:
             continue
         scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+        nothing = len(given[b]) - 1
         if stage == START:
-            _start(world, task, scene, words[b])
+            _start(world, task, scene, words[b], given[b, nothing])
         elif stage == ENTER:
-            enter_intersection(world, task, scene, words[b])
+            enter_intersection(world, task, scene, words[b], given[b, nothing])
         else:
             clear_vehicles(world.network, scene)
-            spawn_vehicle(world, task, scene, words[b], 0.0, task.rules[0].spawn_probability, False)
+            decision = min(scene.episode.frames // world.rules[0].n_frames - 1, nothing)
+            probability = task.rules[0].spawn_probability
+            spawn_vehicle(world, task, scene, words[b], given[b, decision], 0.0, probability, False)
 
 
 @kernel_inline
-def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
+def _start(world: World, task: Task, scene: Scene, words: Words, given: Floats) -> None:
     """Begin an episode: `AbstractEnv._reset`."""
     episode, kind = scene.episode, task.rules[0].kind
-    episode.n_vehicles = episode.n_obstacles = episode.ego = episode.frames = episode.road_frames = 0
+    episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
+    episode.ego = episode.frames = episode.road_frames = 0
     episode.time = 0.0
     if kind == HIGHWAY:
         _start_on_highway(world, task, scene, words)
@@ -76,10 +92,12 @@ def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
         _start_at_u_turn(world, task, scene, words)
     else:
         for gap in task.starts.gaps:
-            spawn_vehicle(world, task, scene, words, gap, INITIAL_PROBABILITY, False)
+            spawn_vehicle(world, task, scene, words, given, gap, INITIAL_PROBABILITY, False)
     for k in range(len(task.starts.obstacles)):
         scene.vehicles[episode.n_vehicles + k] = task.starts.obstacles[k]
         scene.traits[episode.n_vehicles + k] = world.templates[BARRIER]
+        scene.vehicles[episode.n_vehicles + k].number = episode.n_numbered
+        episode.n_numbered += 1
     episode.n_obstacles = len(task.starts.obstacles)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.lane_geometry import is_on_lane, lane_coordinates
+from behavexplor.envs.stock.lane_geometry import is_on_road, lane_coordinates
 from behavexplor.envs.stock.lane_keeping import clip
 from behavexplor.envs.stock.state import MDP, NO_LANE, PLAIN, Scene
 from behavexplor.envs.stock.stock_world import World
@@ -55,19 +55,20 @@ def put_terms(world: World, task: Task, scene: Scene, changes_lane: bool, terms:
         terms[1] = (n_lanes - 1 - target.number) / (n_lanes - 1) if n_lanes > 1 else 0.0  # highway-env divides by 0
         return
     terms[0] = 1.0 if ego.crashed else 0.0
+    on_road = 1.0 if is_on_road(network, ego) else 0.0
     if kind in (HIGHWAY, U_TURN):
         terms[1] = (target if kind == HIGHWAY else lane).number / max(n_lanes - 1, 1)
-        terms[2], terms[3] = share, is_on_road(world, scene)
+        terms[2], terms[3] = share, on_road
     elif kind == MERGE:
         terms[1], terms[2], terms[3] = lane.number / 1, share, 1.0 if changes_lane else 0.0
         terms[4] = _slowness_on_ramp(world, scene)
     elif kind == ROUNDABOUT:
         terms[1] = _speed_index(scene) / (len(_DEFAULT_SPEEDS) - 1)
-        terms[2], terms[3] = 1.0 if changes_lane else 0.0, is_on_road(world, scene)
+        terms[2], terms[3] = 1.0 if changes_lane else 0.0, on_road
     elif kind == EXIT:
         terms[1], terms[2], terms[3] = 1.0 if target.is_goal else 0.0, share, target.number
     elif kind == INTERSECTION:
-        terms[1], terms[2], terms[3] = share, 1.0 if has_arrived(world, scene) else 0.0, is_on_road(world, scene)
+        terms[1], terms[2], terms[3] = share, 1.0 if has_arrived(world, scene) else 0.0, on_road
 
 
 @kernel_inline
@@ -98,16 +99,7 @@ def is_terminated(world: World, task: Task, scene: Scene) -> bool:
         return bool(ego.x > MERGE_END)
     if rules.kind == INTERSECTION and has_arrived(world, scene):
         return True
-    return bool(rules.ends_off_road) and is_on_road(world, scene) == 0.0
-
-
-@kernel_inner
-def is_on_road(world: World, scene: Scene) -> float:
-    """Return 1 if the ego is on its lane, else 0: `RoadObject.on_road`."""
-    ego = scene.vehicles[scene.episode.ego]
-    lane = world.network.lanes[ego.lane]
-    station, offset = lane_coordinates(lane, ego.x, ego.y)
-    return 1.0 if is_on_lane(lane, station, offset, 0.0) else 0.0
+    return bool(rules.ends_off_road) and not is_on_road(world.network, ego)
 
 
 @kernel_inner

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,23 +15,22 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.stock.config_check import check_config
-from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_vehicles
+from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_at_start, most_new
 from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, advance
+from behavexplor.envs.stock.frame_log import make_log
+from behavexplor.envs.stock.given_starts import N_DRAWS, chosen_draws, chosen_starts, copy_start, with_draws
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
-from behavexplor.envs.stock.lane_network import make_network
 from behavexplor.envs.stock.pcg64 import generator_words, put_words
 from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
 from behavexplor.envs.stock.state import make_scratch, make_slots
-from behavexplor.envs.stock.stock_world import goal_lanes
 from behavexplor.envs.stock.task import (
     INTERSECTION,
     KINDS,
     MERGE,
     ROUNDABOUT,
 )
-from behavexplor.envs.values import COUNT, optional
+from behavexplor.envs.values import COUNT, FLAG, optional
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.errors import InputError
@@ -59,6 +59,11 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             is 0.
         render_mode: must be None, since the vector environment does not render.
         max_episode_steps: number of decisions after which an episode is truncated.
+        log_frames: whether the attribute `frame_log` has the frames of the latest step. Without this, it is empty.
+
+    Attributes:
+        frame_log: where every vehicle and obstacle was after each frame of the latest step; see
+            `behavexplor.envs.stock.frame_log.FrameLog`. The next step overwrites it.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only highway-env itself can do.
@@ -72,9 +77,12 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
+        *,
+        log_frames: bool = False,
     ) -> None:
         COUNT.check("num_envs", num_envs)
         optional(COUNT).check("max_episode_steps", max_episode_steps)
+        FLAG.check("log_frames", log_frames)
         if render_mode is not None:
             raise InputError("The vector environment cannot render; use gymnasium.make for highway-env's own")
         self._mode = chosen_mode(autoreset_mode)
@@ -91,16 +99,20 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self._places_own:
             n_steps = len(self._engine.world.network.roads) + 1
-        n_places = most_vehicles(self._single, self._kind, places_own=self._places_own)
+        self._most_at_start = most_at_start(self._single, self._kind, places_own=self._places_own)
+        n_places = self._most_at_start + most_new(self._single, self._kind)
         self._slots = make_slots(num_envs, n_places, n_steps)
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
-        self._outcome = make_outcome(self._single, self._engine, num_envs)
+        n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
+        self.frame_log = make_log(num_envs, n_logged, n_places)
+        self._outcome = make_outcome(self._single, self._engine, num_envs, self.frame_log)
         self.config: dict[str, Any] = self._single.config
         self.single_observation_space = self._single.observation_space
         self.single_action_space = self._single.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
+        self._given = np.full((num_envs, 1, N_DRAWS), np.nan)
         self._compile()
         self._commands = make_commands(self._single.action_type)
         self._no_lane_changes = np.zeros(num_envs, dtype=bool)
@@ -116,18 +128,22 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
         Args:
             seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
-            options: a `reset_mask` selects the sub-environments to reset, shape (num_envs,).
+            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,). `starts` and `spawn_draws`
+                give starts and draws from outside; see `behavexplor.envs.stock.given_starts`.
 
         Raises:
             InputError: if an option or a seed cannot be used.
         """
-        options = chosen_options(options, ("reset_mask",))
+        options = chosen_options(options, ("reset_mask", "starts", "spawn_draws"))
         mask = chosen_slots(options.get("reset_mask"), self.num_envs)
+        starts = chosen_starts(options.get("starts"), type(self._single), self.config, mask)
+        draws = chosen_draws(options.get("spawn_draws"), self._kind, self._engine, mask)
         for b, own_seed in enumerate(chosen_seeds(seed, self.num_envs)):
             if mask[b] and (own_seed is not None or not self._is_seeded[b]):
                 self._engine.words[b] = generator_words(seeding.np_random(own_seed)[0])
         self._is_seeded |= mask
-        actions = self._begin(mask)
+        actions = self._begin(mask, starts)
+        self._given = with_draws(self._given, mask, draws)
         self._has_begun |= mask
         return self._observations(), infos_of(self._kind, self._outcome, actions, mask, ~mask)
 
@@ -150,6 +166,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         check_actions(self.action_space, actions)
         actions, outcome = np.asarray(actions), self._outcome
         rest, active = self._ended, ~self._ended
+        self.frame_log.frames[rest] = 0
         self._advance(active, actions, DECISION)
         if self._kind == INTERSECTION:
             self._populate(active, SPAWN)
@@ -179,17 +196,32 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         infos = infos_of(self._kind, self._outcome, actions, everywhere, ~ended) | final
         return self._observations(), rewards, terminated, truncated, infos
 
-    def _begin(self, mask: Bools) -> NDArray[Any]:
-        """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...)."""
+    def _begin(self, mask: Bools, starts: Mapping[int, AbstractEnv] = MappingProxyType({})) -> NDArray[Any]:
+        """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...).
+
+        Args:
+            mask: the chosen slots, shape (num_envs,).
+            starts: the starts of some of them.
+        """
         actions: NDArray[Any] = self._sampled_space.sample()
+        self._given[mask] = np.nan
+        own, seen = mask.copy(), dict[int, NDArray[Any]]()
+        own[list(starts)] = False
+        for b, env in starts.items():
+            copy_start(env, self._engine, self._slots, b, self._most_at_start)
         if self._places_own:
-            self._copy_starts(mask)
-        else:
-            self._populate(mask, START)
-        if self._kind == INTERSECTION and not self._places_own:
-            self._advance(mask, actions, WARM_UP)
-            self._populate(mask, ENTER)
+            seen = self._copy_starts(own)
+        elif own.any():
+            self._populate(own, START)
+            if self._kind == INTERSECTION:
+                self._advance(own, actions, WARM_UP)
+                self._populate(own, ENTER)
+        words = self._engine.words.copy()
         self._advance(mask, actions, FIRST_LOOK)
+        for b in (*starts, *seen):  # highway-env has drawn the order of this observation already
+            self._engine.words[b] = words[b]
+        for b, observation in seen.items():
+            self._outcome.observations[b] = observation.reshape(self._outcome.observations[b].shape)
         self._steps[mask] = 0
         self._ended = self._ended & ~mask
         return actions
@@ -201,7 +233,9 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._advance_slots = compiled_for(
             advance, self._engine, self._slots, self._scratch, mask, commands, mask, self._outcome, DECISION
         )
-        self._populate_slots = compiled_for(populate, world, task, self._slots, self._scratch, words, mask, START)
+        self._populate_slots = compiled_for(
+            populate, world, task, self._slots, self._scratch, words, self._given, mask, START
+        )
 
     def _advance(self, mask: Bools, actions: NDArray[Any], stage: int) -> None:
         commands, lane_changes = self._commands(actions), self._lane_changes(actions)
@@ -219,21 +253,17 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _populate(self, mask: Bools, stage: int) -> None:
         world, task, _, words = self._engine
         mask = np.ascontiguousarray(mask, dtype=np.bool_)
-        self._populate_slots(world, task, self._slots, self._scratch, words, mask, stage)
+        self._populate_slots(world, task, self._slots, self._scratch, words, self._given, mask, stage)
 
-    def _copy_starts(self, mask: Bools) -> None:
-        """Let highway-env begin episodes, and copy them to the chosen slots."""
-        env, words, network = self._single, self._engine.words, self._engine.world.network
-        options = {"connected_lanes": self.config["neighbour_vehicles_connected_lanes"], "is_goal": goal_lanes(env)}
+    def _copy_starts(self, mask: Bools) -> dict[int, NDArray[Any]]:
+        """Let highway-env begin episodes, copy them to the chosen slots, and return its observations by their slot."""
+        env, seen = self._single, {}
         with kept_class(type(env), self.config):
             for b in np.flatnonzero(mask).tolist():
-                put_words(words[b], env.np_random)
-                env.reset()
-                road = make_network(env.road.network, **options)
-                if any((own != new).any() for own, new in zip(network, road, strict=True)):
-                    raise InputError(f"The road of {type(env).__name__} changes; the compiled engine needs one road")
-                load(env, self._engine.world, self._slots, b)
-                words[b] = generator_words(env.np_random)
+                put_words(self._engine.words[b], env.np_random)
+                seen[b], _ = env.reset()
+                copy_start(env, self._engine, self._slots, b, self._most_at_start)
+        return seen
 
     def _lane_changes(self, actions: NDArray[Any]) -> Bools:
         """Return which actions highway-env counts as changes of lane, by their number alone, shape (num_envs,)."""

@@ -18,6 +18,7 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
 from behavexplor.envs.stock.conversion import load
+from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.frames import clear_vehicles, step
 from behavexplor.envs.stock.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
@@ -32,7 +33,9 @@ IDS = (
 )
 N_PLACES, N_STEPS = 80, 40
 CONTINUOUS = [name for name in VEHICLE.names if VEHICLE[name].kind == "f" and not name.startswith("impact")]
+UNIQUE = ("number", "n_numbered")  # which highway-env does not have
 DISCRETE = [name for name in VEHICLE.names if VEHICLE[name].kind != "f" and not name.startswith("route")]
+DISCRETE = [name for name in DISCRETE if name not in UNIQUE]
 
 
 @dataclass
@@ -76,7 +79,7 @@ def drive(env, world, slots, scratch, result, decisions):
         except ZeroDivisionError:  # the reward of TwoWayEnv, when the ego is in the only lane of oncoming traffic
             terminated = True
         both = np.repeat(commands(np.array([action])), 2, axis=0)
-        step(world, slots, scratch, both, np.array([True, False]))
+        step(world, slots, scratch, both, np.array([True, False]), make_log(2, 0, 0))
         if clears:
             clear_first(world, slots, scratch)
         load(env, world, slots, 1)
@@ -105,7 +108,8 @@ def copy_spawned(slots):
 
 def note_differences(slots, result):
     ours, theirs = slots.episodes
-    result.different += [name for name in EPISODE.names if ours[name] != theirs[name] and name != "n_side_lanes"]
+    compared = [name for name in EPISODE.names if name not in ("n_side_lanes", *UNIQUE)]
+    result.different += [name for name in compared if ours[name] != theirs[name]]
     if result.different:
         return
     n = ours.n_vehicles + ours.n_obstacles

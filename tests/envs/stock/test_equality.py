@@ -6,6 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from behavexplor.envs.stock.conversion import load
+from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.frames import step
 from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
@@ -122,8 +123,8 @@ def test_a_slot_does_not_depend_on_the_others():
     load(env, world, alone, 0)
     maneuvers = np.array([[3.0, 0.0], [0.0, 0.0], [2.0, 0.0], [4.0, 0.0]])
     for _ in range(5):
-        step(world, alone, scratch, maneuvers[2:3], np.array([True]))
-        step(world, many, scratch, maneuvers, np.array([True, True, True, False]))
+        step(world, alone, scratch, maneuvers[2:3], np.array([True]), make_log(1, 0, 0))
+        step(world, many, scratch, maneuvers, np.array([True, True, True, False]), make_log(4, 0, 0))
     assert alone.vehicles[0].tolist() == many.vehicles[2].tolist()
     assert alone.episodes[0] == many.episodes[2]
     assert (many.episodes["frames"] == [25, 25, 25, 0]).all()

@@ -101,8 +101,11 @@ def test_the_ego_and_the_rest_keep_their_order_when_vehicles_leave():
     env._clear_vehicles()
     load(env, world, expected, 0)
     n = len(env.road.vehicles)
-    assert slots.episodes[0] == expected.episodes[0]
     assert n == slots.episodes[0].n_vehicles
+    assert slots.vehicles[0, :n]["number"].tolist() == [3, *range(4, n + 3)]
+    expected.vehicles[0, :n]["number"] += 3
+    expected.episodes[0].n_numbered += 3
+    assert slots.episodes[0] == expected.episodes[0]
     for ours, theirs in ((slots.vehicles, expected.vehicles), (slots.traits, expected.traits)):
         assert ours[0, :n].tolist() == theirs[0, :n].tolist()
     for i in range(n):

@@ -1,0 +1,66 @@
+"""A log of the frames of a decision: where every vehicle and obstacle was after each of them."""
+
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from behavexplor.envs.stock.lane_geometry import is_on_road
+from behavexplor.envs.stock.lane_network import Network
+from behavexplor.envs.stock.record_types import Records, record_type
+from behavexplor.envs.stock.state import Scene
+from behavexplor.jit import kernel_inner
+
+Frame: TypeAlias = np.record
+
+FRAME: Final = record_type(
+    n_things=np.int64,  # vehicles and obstacles; 0 if the slot took no action
+    ego=np.int64,  # the ego's place among them
+    lane=np.int64,  # the ego's, in the order of `RoadNetwork.lanes_dict`
+    is_on_road=np.bool_,  # highway-env's `on_road` of the ego
+)
+
+THING: Final = record_type(
+    number=np.int64,  # of the vehicle or obstacle in its episode, in the order in which they appeared
+    x=np.float64,  # [m]
+    y=np.float64,
+    heading=np.float64,  # [rad]
+    speed=np.float64,  # [m/s]
+    crashed=np.bool_,
+)
+
+
+class FrameLog(NamedTuple):
+    """The frames of the latest decision of B episodes, each with room for N vehicles and obstacles.
+
+    Attributes:
+        frames: shape (B, frames) of `FRAME`.
+        things: vehicles in highway-env's order, then obstacles, shape (B, frames, N) of `THING`. What lies beyond
+            `n_things` is undefined.
+    """
+
+    frames: Records
+    things: Records
+
+
+def make_log(n_slots: int, n_frames: int, n_places: int) -> FrameLog:
+    """Create a log without entries. If `n_frames` is 0, nothing is ever logged."""
+    return FrameLog(np.zeros((n_slots, n_frames), FRAME), np.zeros((n_slots, n_frames, n_places), THING))
+
+
+@kernel_inner
+def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> None:
+    """Log the present state.
+
+    Args:
+        network: the road network.
+        scene: the episode.
+        frame: changed in place.
+        things: changed in place, shape (N,).
+    """
+    episode, ego = scene.episode, scene.vehicles[scene.episode.ego]
+    frame.n_things = episode.n_vehicles + episode.n_obstacles
+    frame.ego, frame.lane, frame.is_on_road = episode.ego, ego.lane, is_on_road(network, ego)
+    for i in range(episode.n_vehicles + episode.n_obstacles):
+        thing, vehicle = things[i], scene.vehicles[i]
+        thing.number, thing.crashed = vehicle.number, vehicle.crashed
+        thing.x, thing.y, thing.heading, thing.speed = vehicle.x, vehicle.y, vehicle.heading, vehicle.speed
