@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import gymnasium
+from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
 from behavexplor.data.drawn import DEFAULT
@@ -70,10 +71,44 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
     return DrawnEnv(name, made, traffic)
 
 
+def make_vector_env(
+    env: gymnasium.Env[Any, Any], num_envs: int, changes: Mapping[str, Any]
+) -> VectorEnv[Any, Any, Any] | None:
+    """Make the vector form of an environment, with autoreset disabled.
+
+    Args:
+        env: an environment that `make_env` made. The vector form of a stock environment begins its episodes in it.
+        num_envs: number of sub-environments.
+        changes: keys of the configuration that replace those of the environment.
+
+    Returns:
+        The vector environment; None if the environment has none.
+
+    Raises:
+        InputError: if the vector form does not support the configuration.
+    """
+    if _is_stock(env):
+        from behavexplor.envs.drawn.vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
+
+        stock: Any = env
+        return None if changes else DrawnVectorEnv(stock, num_envs)
+    spec = env.spec
+    if spec is None or spec.vector_entry_point is None:
+        return None
+    return gymnasium.make_vec(
+        spec.id,
+        num_envs=num_envs,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=AutoresetMode.DISABLED,
+        config={**spec.kwargs["config"], **changes},
+    )
+
+
 def _is_stock(made: gymnasium.Env[Any, Any]) -> bool:
     from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415 - slow to import
 
-    return isinstance(made.unwrapped, AbstractEnv) and not hasattr(made.unwrapped, "logical")
+    inner = getattr(made.unwrapped, "inner", made.unwrapped)
+    return isinstance(inner, AbstractEnv) and not hasattr(inner, "logical")
 
 
 def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:

@@ -5,11 +5,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from behavexplor.ads.loading import is_shipped
+from behavexplor.data.drawn import DrawnScenario
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
+from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import ADSError, LockStep
@@ -111,6 +114,7 @@ class ScenarioBatch:
     def __init__(self, simulation: Simulation, episodes: LockStep) -> None:
         self._simulation = simulation
         self._episodes = episodes
+        self._scenarios: dict[int, Scenario] = {}
         self.capacity = episodes.free
 
     def begin(self, key: int, request: bytes) -> None:
@@ -122,13 +126,24 @@ class ScenarioBatch:
         scenario = _scenario(request)
         self._simulation.logical.check(scenario)
         self._episodes.begin(key, scenario)
+        self._scenarios[key] = scenario
 
-    def advance(self) -> list[tuple[int, bytes | None]]:
+    def advance(self) -> list[tuple[int, bytes | Exception | None]]:
         """Advance all episodes by one decision. If the ADS fails, all running scenarios must be executed alone."""
         try:
-            return [(key, trace.to_bytes()) for key, trace in self._episodes.step()]
+            return [(key, self._result(key, trace)) for key, trace in self._episodes.step()]
         except ADSError:
+            self._scenarios.clear()
             return [(key, None) for key in self._episodes.give_up()]
+
+    def _result(self, key: int, trace: Trace) -> bytes | Exception:
+        scenario = self._scenarios.pop(key)
+        if not isinstance(scenario, DrawnScenario):
+            return trace.to_bytes()
+        try:
+            return confirmed(self._simulation, scenario, trace).to_bytes()
+        except ADSError as error:
+            return error
 
 
 def simulation_of(target: Target) -> Simulation:

@@ -46,6 +46,8 @@ class InProcessExecutor(Executor):
             future, data = self._running.pop(key)
             if result is None:
                 self._settle(future, self._batched, data)
+            elif isinstance(result, Exception):
+                future.set_exception(result)
             else:
                 future.set_result(result)
 

@@ -49,8 +49,14 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
     seen = np.concatenate([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
-    findings = (_constant(witness.actions), _motionless(traces), _foreign(seen, trained_on))
+    findings = (_uncompiled(simulation), _constant(witness.actions), _motionless(traces), _foreign(seen, trained_on))
     return [finding for finding in findings if finding]
+
+
+def _uncompiled(simulation: Simulation) -> str | None:
+    if not simulation.plain or simulation.logical.roadmap is not None:
+        return None
+    return f"highway-env itself executes the scenarios, hundreds of times as slow as compiled: {simulation.plain}"
 
 
 def _constant(actions: list[NDArray[Any]]) -> str | None:

@@ -20,8 +20,9 @@ class ADSError(Exception):
 
     Attributes:
         kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
-            "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time), or
-            "crash" (its process died).
+            "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time),
+            "crash" (its process died), or "differs" (not the ADS but the compiled engine failed; see
+            `behavexplor.execution.confirmation`).
         message: details of the failure.
     """
 

@@ -19,12 +19,12 @@ class Batch(Protocol):
     def begin(self, key: int, request: bytes) -> None:
         """Take one more request."""
 
-    def advance(self) -> list[tuple[int, bytes | None]]:
+    def advance(self) -> list[tuple[int, bytes | Exception | None]]:
         """Advance all requests by one step.
 
         Returns:
-            The key and the result of each request that is done. A result of None means that the request must be
-            called again alone.
+            The key and the result of each request that is done, or the exception that it raised. None means that the
+            request must be called again alone.
         """
 
 

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import VectorEnv
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
@@ -16,7 +16,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.envs.making import environment_id, is_stock, make_env
+from behavexplor.envs.making import environment_id, is_stock, make_env, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
@@ -38,6 +38,12 @@ class Simulation:
         env_config: configuration of the environment, which replaces what the ADS declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
 
+    Attributes:
+        env: the environment.
+        ads: the driving system.
+        logical: the scenarios of the environment.
+        plain: why the environment cannot run in lock-step, once this is known; empty if it can.
+
     Raises:
         InputError: if there is no such environment or ADS, or if they do not fit together.
     """
@@ -57,6 +63,7 @@ class Simulation:
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
         self.env = make_env(env, {**declared, **trained, **(env_config or {})}, traffic)
         self.logical = logical_of(self.env, env)
+        self.plain = ""
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
@@ -107,18 +114,10 @@ class Simulation:
         Returns:
             The vector environment; None if the environment has none, or none that supports this configuration.
         """
-        spec = self.env.spec
-        if spec is None or spec.vector_entry_point is None:
-            return None
         try:
-            return gymnasium.make_vec(
-                spec.id,
-                num_envs=count,
-                vectorization_mode="vector_entry_point",
-                autoreset_mode=AutoresetMode.DISABLED,
-                config={**spec.kwargs["config"], **changes},
-            )
-        except InputError:
+            return make_vector_env(self.env, count, changes)
+        except InputError as error:
+            self.plain = str(error)
             return None
 
 

@@ -83,8 +83,14 @@ def _work(connection: Connection, requests: "queue.SimpleQueue[Request | None]",
             else:
                 working += 1
         for key, result in batch.advance() if batch else ():
-            _send(connection, key, SUSPECT if result is None else RESULT + result)
+            _send(connection, key, _answer(result))
             working -= 1
+
+
+def _answer(result: bytes | Exception | None) -> bytes:
+    if result is None:
+        return SUSPECT
+    return error_answer(result) if isinstance(result, Exception) else RESULT + result
 
 
 def _send(connection: Connection, key: int, answer: bytes) -> None:

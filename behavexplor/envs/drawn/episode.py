@@ -1,7 +1,6 @@
 """The record of one episode of a highway-env environment, and the trace that is made of it."""
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv

@@ -66,9 +66,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._ended = np.ones(num_envs, dtype=bool)
         self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
 
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin episodes.
 
         Args:
@@ -98,9 +96,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             raise InputError("reset_mask: no sub-environment is selected")
         return result
 
-    def step(
-        self, actions: NDArray[Any]
-    ) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
+    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment. A sub-environment whose episode has ended rests."""
         rest = self._ended
         for b in np.flatnonzero(~rest).tolist():
