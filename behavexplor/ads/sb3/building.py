@@ -13,9 +13,10 @@ import numpy as np
 import torch
 from stable_baselines3.common.policies import BasePolicy
 
-from behavexplor.ads.sb3.archive import Archive
-from behavexplor.ads.sb3.inert import Inert, as_array
-from behavexplor.errors import InputError
+from behavexplor.ads.sb3.archive import WEIGHTS, Archive
+from behavexplor.ads.sb3.arrays import as_array
+from behavexplor.ads.sb3.inert import Inert, Name
+from behavexplor.errors import InputError, brief
 
 # Modules whose classes a policy may be built from; any other class is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
@@ -86,11 +87,10 @@ def assemble(
         policy = policy_class(observation_space, action_space, **given)
         weights = torch.load(io.BytesIO(archive.weights), map_location="cpu", weights_only=True)
         policy.load_state_dict(weights)
-    except pickle.UnpicklingError as error:
-        first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(
-            f"{archive.path}: its weights contain objects other than tensors, which were not loaded: {first}"
-        ) from None
+    except pickle.UnpicklingError:
+        found = [phrase for phrase in archive.suspicions if phrase.startswith(WEIGHTS)]
+        message = f"{archive.path}: its weights contain objects other than tensors, which were not loaded"
+        raise InputError(": ".join([message, *found[:1]])) from None
     except Exception as error:  # torch and policy classes can raise anything for wrong values
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
@@ -126,7 +126,7 @@ def _class(reference: Any) -> type[BasePolicy]:
 def _known(reference: Any) -> Any:
     """Return the class that a name refers to, if policies are ordinarily built from it."""
     name = _name(reference)
-    if not (isinstance(reference, type) and name.startswith(_KNOWN)):
+    if not (isinstance(reference, Name) and name.startswith(_KNOWN)):
         raise UntrustedError(f"it needs {name}")
     module, _, attribute = name.rpartition(".")
     found = getattr(import_module(module), attribute)
@@ -136,11 +136,7 @@ def _known(reference: Any) -> Any:
 
 
 def _name(reference: Any) -> str:
-    return reference.name if isinstance(reference, Inert) or _is_name(reference) else repr(reference)[:80]
-
-
-def _is_name(value: Any) -> bool:
-    return isinstance(value, type) and issubclass(value, Inert)
+    return reference.name if isinstance(reference, (Inert, Name)) else brief(reference)
 
 
 def _value(value: Any) -> Any:
@@ -151,7 +147,7 @@ def _value(value: Any) -> Any:
         return type(value)(map(_value, value))
     if isinstance(value, Inert):
         raise UntrustedError(f"it needs an object made by {value.name}")
-    return _known(value) if _is_name(value) else value
+    return _known(value) if isinstance(value, Name) else value
 
 
 def _space(value: Any) -> gymnasium.Space[Any]:

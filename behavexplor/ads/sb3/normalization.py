@@ -7,8 +7,9 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.sb3.archive import suspicious_names
-from behavexplor.ads.sb3.inert import Inert, as_array, read_pickle
+from behavexplor.ads.sb3.archive import suspicions_about
+from behavexplor.ads.sb3.arrays import as_array
+from behavexplor.ads.sb3.inert import Inert, read_pickle
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 50_000_000
@@ -62,8 +63,8 @@ class Statistics:
                 f"{path} contains no usable statistics: mean and variance must be finite and have the same shape, and "
                 "the variance must not be negative"
             )
-        calls = tuple(f"{path.name} calls {name}" for name in suspicious_names(names))
-        return cls(mean.astype(np.float64), variance.astype(np.float64), clip, epsilon, calls)
+        calls = suspicions_about(path.name, names)
+        return cls(mean.astype(np.float64), variance.astype(np.float64), clip, epsilon, tuple(calls))
 
     def scale(self, observations: NDArray[Any]) -> NDArray[np.float32]:
         """Return observations as the policy saw them in training, shape (B, ...)."""

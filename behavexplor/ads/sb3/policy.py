@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
+from behavexplor.ads.sb3.arrays import as_array
 from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
-from behavexplor.ads.sb3.inert import as_array
 from behavexplor.ads.sb3.normalization import Statistics
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 
 Floats = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     description = describe(model)
     statistics = Statistics.read(description.statistics) if description.statistics else None
     for suspicion in (*archive.suspicions, *(statistics.suspicions if statistics else ())):
-        _LOG.warning("%s: %s, which was not run", model, suspicion)
+        _LOG.warning("%s", sentence(f"{model}: {suspicion}"))
     return SB3Policy(_network(archive, trust), description, statistics, _last_observations(archive.settings))
 
 

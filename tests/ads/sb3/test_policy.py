@@ -1,8 +1,10 @@
 """Models of Stable-Baselines3 as systems under test: they drive as there, and their files run nothing."""
 
 import base64
+import io
 import json
 import pickle
+import time
 import zipfile
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 import torch
 import yaml
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from behavexplor.ads.sb3.archive import read_archive
@@ -193,7 +196,7 @@ def test_a_payload_among_the_weights_does_nothing_and_is_named(tmp_path, ppo):
     poisoned = poison(ppo, tmp_path / "poisoned.zip", "policy.pth", tmp_path / "proof")
     with pytest.raises(InputError, match="weights contain objects other than tensors, which were not loaded"):
         load_policy(poisoned)
-    assert "policy.pth calls posix.mkdir" in read_archive(poisoned).suspicions
+    assert "policy.pth calls posix.mkdir, which was not run" in read_archive(poisoned).suspicions
     assert not (tmp_path / "proof").exists()
 
 
@@ -207,8 +210,33 @@ def test_a_payload_in_the_statistics_does_nothing_and_is_named(tmp_path, ppo, ca
     assert not (tmp_path / "proof").exists()
 
 
-def test_an_ordinary_file_is_not_suspected(ppo):
-    assert read_archive(ppo).suspicions == ()
+def linear(begin):
+    return lambda part: begin * part
+
+
+@pytest.mark.parametrize("rate", [1e-3, linear(1e-3), ConstantSchedule(1e-3)], ids=["number", "closure", "schedule"])
+@pytest.mark.parametrize("name", ["PPO", "A2C", "DQN", "SAC", "TD3"])
+def test_an_ordinary_file_is_not_suspected(name, rate, tmp_path):
+    make_model(name, learning_rate=rate).save(tmp_path / "model")
+    assert read_archive(tmp_path / "model.zip").suspicions == ()
+
+
+SCHEDULES = json.loads((Path(__file__).parent / "schedules.json").read_text())
+
+
+@pytest.mark.parametrize("which", SCHEDULES)
+def test_a_file_of_an_earlier_version_is_not_suspected(which, tmp_path, ppo):
+    key = which.partition(" ")[0]
+    assert read_archive(with_data(ppo, tmp_path / "model.zip", {key: SCHEDULES[which]})).suspicions == ()
+
+
+def test_a_schedule_that_is_an_object_of_the_files_own_class_is_named(tmp_path):
+    schedule = type("Schedule", (), {"__module__": "__main__", "__call__": lambda self, part: 1e-3 * part})
+    make_model("PPO", learning_rate=schedule()).save(tmp_path / "model")
+    assert (
+        "'lr_schedule' of its data calls code of its own, which was not run"
+        in read_archive(tmp_path / "model.zip").suspicions
+    )
 
 
 def test_code_of_the_users_own_needs_trust_in_that_very_file(tmp_path, observations):
@@ -222,6 +250,14 @@ def test_code_of_the_users_own_needs_trust_in_that_very_file(tmp_path, observati
     policy = load_policy(tmp_path / "model.zip", trust=[digest])
     expected = model.predict(observations, deterministic=True)[0]
     np.testing.assert_allclose(policy.predict(observations)[0], expected, rtol=0, atol=1e-6)
+
+
+def with_data(source: Path, target: Path, pickles) -> Path:
+    """A copy of a model's file with other pickles, in base64, among its settings."""
+    with zipfile.ZipFile(source) as file:
+        data = json.loads(file.read("data"))
+    data |= {key: {":serialized:": pickled} for key, pickled in pickles.items()}
+    return rewritten(source, target, data=json.dumps(data).encode())
 
 
 def rewritten(source: Path, target: Path, **members) -> Path:
@@ -251,6 +287,64 @@ def test_a_file_that_is_no_model_is_refused(members, message, tmp_path, ppo):
         load_policy(rewritten(ppo, tmp_path / "model.zip", **members))
 
 
+def tensors(pickled, content=b""):
+    """A file of tensors as torch writes it, but with compressed contents of the tensors."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as new:
+        new.writestr("archive/data.pkl", pickled)
+        new.writestr("archive/data/0", content, zipfile.ZIP_DEFLATED)
+    return file.getvalue()
+
+
+def legacy():
+    """A file of tensors as torch wrote it before 1.6."""
+    file = io.BytesIO()
+    torch.save({}, file, _use_new_zipfile_serialization=False)
+    return file.getvalue()
+
+
+LAUGHS = b"\x80\x04)" + b"2\x86" * 30 + b"."  # a tuple, 30 times paired with itself
+
+
+@pytest.mark.parametrize(
+    ("members", "message"),
+    [
+        (
+            {"policy_pth": tensors(b"N.", bytes(10**8))},
+            r"policy\.pth in .* would unpack to \d+ bytes, which torch never",
+        ),
+        ({"policy_pth": bytes(3 * 10**8)}, "would unpack to 3000.* bytes, which no model needs"),
+        ({"policy_pth": legacy()}, r"policy\.pth in .* has the format of torch before 1\.6, which is not read"),
+        ({"policy_pth": tensors(b"\x80\x04}" + LAUGHS[2:-1] + b"Ns.")}, "a tuple as a key"),
+        ({"policy_optimizer_pth": tensors(b"N0" * 200_000 + b"N.")}, "300000 instructions"),
+    ],
+    ids=["weights", "member", "legacy", "keys", "instructions"],
+)
+def test_a_file_made_to_take_long_is_refused_at_once(members, message, tmp_path, ppo):
+    path = rewritten(ppo, tmp_path / "model.zip", **members)
+    before = time.process_time()
+    with pytest.raises(InputError, match=message):
+        load_policy(path)
+    assert time.process_time() - before < 5
+
+
+@pytest.mark.parametrize("key", ["policy_class", "policy_kwargs", "observation_space", "_last_obs"])
+def test_settings_that_repeat_their_parts_are_refused_at_once(key, tmp_path, ppo):
+    path = with_data(ppo, tmp_path / "model.zip", {key: base64.b64encode(LAUGHS).decode()})
+    before = time.process_time()
+    with pytest.raises(InputError, match=f"cannot be read: {key}: its values have more than 100000 parts"):
+        load_policy(path)
+    assert time.process_time() - before < 5
+
+
+def test_a_warning_shows_no_control_characters(tmp_path, ppo, caplog):
+    pickled = base64.b64encode(pickle.dumps("x")[:-1] + b"0c\x1b[2J\nevil\n.").decode()
+    load_policy(with_data(ppo, tmp_path / "model.zip", {"lr_schedule": pickled}))
+    (record,) = caplog.records
+    assert record.getMessage().isprintable()
+    assert "calls \\x1b[2J.evil, which was not run" in record.getMessage()
+
+
 @pytest.mark.parametrize("keywords", [[8, 8], "net_arch", 3, True])
 def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path, ppo):
     with zipfile.ZipFile(ppo) as file:
@@ -264,7 +358,7 @@ def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path,
     [
         ({"net_arch": [30_000, 30_000]}, None),
         ({"net_arch": {"pi": [8], "vf": [10**12]}}, None),
-        ({"net_arch": [8] * 100_000}, None),
+        ({"net_arch": [8] * 50_000}, None),
         ({}, gymnasium.spaces.Discrete(10**9)),
         ({}, gymnasium.spaces.MultiDiscrete([2, 10**8])),
     ],
