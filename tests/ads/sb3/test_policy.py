@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.blocks import ask_in_blocks
+from behavexplor.ads.sb3.description import STATISTICS, describe
 from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError
@@ -153,6 +154,37 @@ def test_statistics_are_those_of_vecnormalize(tmp_path):
     raw = np.random.default_rng(3).uniform(-30, 30, (50, 7, 5)).astype(np.float32)
     np.testing.assert_array_equal(statistics.scale(raw), env.normalize_obs(raw))
     assert statistics.suspicions == ()
+
+
+@pytest.mark.parametrize("name", STATISTICS)
+@pytest.mark.parametrize("place", [".", "intersection-v1"])
+def test_statistics_are_found_by_both_names_beside_the_model_and_in_a_folder_of_rl_zoo(name, place, tmp_path, ppo):
+    folder = zoo(tmp_path / "run", ppo, settings={"normalize": True})
+    env, _ = normalized(1)
+    env.save(str(folder / place / name))
+    assert describe(folder / "best_model.zip").statistics == folder / place / name
+    assert np.abs(load_policy(folder).prepare(np.full((1, 7, 5), 9e9))).max() == env.clip_obs
+
+
+def test_the_files_of_rl_zoo_may_be_beside_the_model_as_on_the_hub(tmp_path, ppo):
+    folder = zoo(tmp_path / "run", ppo, settings={"normalize": True})
+    for file in (folder / "intersection-v1").iterdir():
+        file.rename(folder / file.name)
+    env, _ = normalized(1)
+    env.save(str(folder / "vec_normalize.pkl"))
+    found = describe(folder / "best_model.zip")
+    assert (found.statistics, found.simulation_frequency) == (folder / "vec_normalize.pkl", 15)
+
+
+def test_two_files_of_statistics_are_refused(tmp_path, ppo):
+    (tmp_path / "model.zip").write_bytes(ppo.read_bytes())
+    env, _ = normalized(1)
+    for name in STATISTICS:
+        env.save(str(tmp_path / name))
+    with pytest.raises(InputError, match=r"has vecnormalize.pkl and vec_normalize.pkl: name one .* in model\.yaml"):
+        load_policy(tmp_path / "model.zip")
+    (tmp_path / "model.yaml").write_text("statistics: vec_normalize.pkl\n")
+    assert describe(tmp_path / "model.zip").statistics == tmp_path / "vec_normalize.pkl"
 
 
 def test_statistics_that_leave_observations_alone_are_none(tmp_path):
