@@ -28,6 +28,23 @@ def as_array(value: Any) -> NDArray[Any]:
         raise ValueError(f"an array that cannot be read: {error}") from None
 
 
+def as_arrays(value: Any) -> NDArray[Any] | dict[str, NDArray[Any]]:
+    """Return an array, or a dictionary of arrays.
+
+    Raises:
+        ValueError: if the value is neither.
+    """
+    mapping = as_mapping(value)
+    return as_array(value) if mapping is None else {str(key): as_array(entry) for key, entry in mapping.items()}
+
+
+def as_mapping(value: Any) -> dict[Any, Any] | None:
+    """Return a dictionary or ordered dictionary; None if the value is neither."""
+    if isinstance(value, Inert) and value.name == "collections.OrderedDict":
+        return dict(value.items)
+    return value if isinstance(value, dict) else None
+
+
 def _decoded(value: Inert) -> NDArray[Any]:
     if value.name in _RECONSTRUCT:
         _, shape, dtype, in_columns, data = value.state

@@ -6,6 +6,7 @@ import json
 import pickle
 import time
 import zipfile
+from collections import OrderedDict
 from pathlib import Path
 
 import gymnasium
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
@@ -118,6 +120,103 @@ def test_a_recurrent_policy_carries_its_state_and_forgets_it_at_an_episode_start
     np.testing.assert_allclose([actions[1] for actions in got[5:]], alone, atol=1e-6)
     blank = [model.predict(drives[step, 0][None], deterministic=True)[0][0] for step in range(1, 8)]
     assert np.abs(np.array([actions[0] for actions in got[1:]]) - blank).max() > 1e-4
+
+
+GOALS = gymnasium.spaces.Dict(
+    OrderedDict(  # an order that is not the alphabet's
+        observation=gymnasium.spaces.Box(-3.0, 9.0, (6,), np.float64),
+        desired_goal=gymnasium.spaces.Box(-3.0, 9.0, (2, 3), np.float32),
+        achieved_goal=gymnasium.spaces.Discrete(4),
+    )
+)
+
+
+def goals(count):
+    GOALS.seed(4)
+    samples = [GOALS.sample() for _ in range(count)]
+    return {key: np.array([sample[key] for sample in samples]) for key in GOALS}
+
+
+@pytest.mark.parametrize("name", ["SAC", "PPO", "DQN", "RecurrentPPO"])
+def test_a_policy_on_dictionaries_answers_as_in_its_library(name, tmp_path):
+    model = make_model(name, GOALS)
+    model.save(tmp_path / "model")
+    policy = load_policy(tmp_path / "model.zip")
+    seen = goals(70)
+    expected = model.predict(dict(seen), deterministic=True)[0]
+    together = policy.predict(seen)[0]
+    np.testing.assert_allclose(together, expected, rtol=0, atol=1e-6)
+    part = {key: array[60:63] for key, array in seen.items()}
+    np.testing.assert_array_equal(policy.predict(part)[0], together[60:63])
+    assert policy.observation_space == GOALS
+    assert list(policy.observation_space) == list(GOALS)
+
+
+def test_a_policy_for_parking_is_read_with_its_buffer_of_hindsight(tmp_path):
+    env = gymnasium.make("parking-v0")
+    model = SAC("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, buffer_size=200, device="cpu")
+    model.learn(2)
+    model.save(tmp_path / "model")
+    assert read_archive(tmp_path / "model.zip").suspicions == ()
+    policy = load_policy(tmp_path / "model.zip")
+    observation, _ = env.reset(seed=3)
+    action = policy.predict({key: array[None] for key, array in observation.items()})[0]
+    np.testing.assert_allclose(action[0], model.predict(observation, deterministic=True)[0], atol=1e-6)
+    assert {key: array.shape for key, array in policy.last_trained_on.items()} == dict.fromkeys(
+        env.observation_space, (1, 6)
+    )
+
+
+@pytest.mark.parametrize("keys", [["observation"], ["observation", "desired_goal"]])
+def test_dictionaries_are_prepared_as_in_training(keys, tmp_path):
+    statistics = VecNormalize(DummyVecEnv([lambda: Still(GOALS)]), norm_obs_keys=keys, clip_obs=1.5)
+    statistics.reset()
+    for _ in range(20):
+        statistics.step(np.zeros((1, 2)))
+    statistics.training = False
+    statistics.save(str(tmp_path / "saved.pkl"))
+    scaled = Statistics.read(tmp_path / "saved.pkl").scale(seen := goals(50))
+    for key, expected in statistics.normalize_obs(seen).items():
+        np.testing.assert_array_equal(scaled[key], expected)
+
+
+def test_frames_of_dictionaries_are_stacked_as_in_training(tmp_path):
+    parts = {key: part for key, part in GOALS.items() if key != "achieved_goal"}
+    statistics = VecNormalize(DummyVecEnv([lambda: Still(gymnasium.spaces.Dict(parts))]), norm_obs_keys=["observation"])
+    env = VecFrameStack(statistics, 3)
+    prepared = env.reset()
+    model = make_model("PPO", env.observation_space)
+    model.save(tmp_path / "model")
+    statistics.training = False
+    statistics.save(str(tmp_path / "vecnormalize.pkl"))
+    (tmp_path / "model.yaml").write_text("frame_stack: 3\n")
+    policy = load_policy(tmp_path / "model.zip")
+    assert policy.observation_space == gymnasium.spaces.Dict(parts)
+    state, start = None, np.ones(1, dtype=bool)
+    for _ in range(5):
+        action, state = policy.predict(statistics.get_original_obs(), state, start)
+        np.testing.assert_allclose(action, model.predict(prepared, deterministic=True)[0], atol=1e-6)
+        prepared, *_ = env.step(action)
+        start = np.zeros(1, dtype=bool)
+
+
+@pytest.mark.parametrize(
+    "space",
+    [gymnasium.spaces.Tuple([BOX]), gymnasium.spaces.Dict(a=gymnasium.spaces.Dict(b=BOX)), gymnasium.spaces.Text(3)],
+    ids=["tuple", "dictionary in a dictionary", "text"],
+)
+def test_a_space_that_no_policy_has_is_refused_without_a_hint_to_trust(space, tmp_path, ppo):
+    pickled = base64.b64encode(pickle.dumps(space)).decode()
+    with pytest.raises(InputError, match=r"with a space of the kind (Tuple|Dict|Text) .* is not supported$"):
+        load_policy(with_data(ppo, tmp_path / "model.zip", {"observation_space": pickled}))
+
+
+def test_statistics_of_other_keys_are_refused(tmp_path):
+    make_model("PPO", GOALS).save(tmp_path / "model")
+    other = gymnasium.spaces.Dict(other=BOX)
+    VecNormalize(DummyVecEnv([lambda: Still(other)])).save(str(tmp_path / "vecnormalize.pkl"))
+    with pytest.raises(InputError, match=r"for observations of shape \{'other': \(7, 5\)\}, the policy's have"):
+        load_policy(tmp_path / "model.zip")
 
 
 def normalized(stack):
