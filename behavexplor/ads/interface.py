@@ -44,7 +44,7 @@ class ADS(Protocol):
 
     def predict(
         self,
-        observation: NDArray[Any],
+        observation: Any,
         state: Any = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
@@ -52,7 +52,8 @@ class ADS(Protocol):
         """Choose the actions of a batch of egos.
 
         Args:
-            observation: observations, shape (B, ...).
+            observation: observations, an array of shape (B, ...). If the environment's observation space is
+                gymnasium's `Dict`, a dictionary of such arrays.
             state: state returned by the last call; None in the first call.
             episode_start: True for each row in which an episode begins, shape (B,). The part of `state` that belongs to
                 such a row must be discarded.

@@ -1,11 +1,13 @@
 """Preflight: check a system under test before a campaign, so that mistakes in its setup show early."""
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
+from behavexplor.data.observation import Observation, joined, mapped
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import ADSError, rollout
 from behavexplor.execution.simulation import Simulation
@@ -20,12 +22,12 @@ class _Witness:
 
     def __init__(self, ads: Any) -> None:
         self.ads = ads
-        self.observations: list[NDArray[Any]] = []
+        self.observations: list[Observation] = []
         self.actions: list[NDArray[Any]] = []
 
-    def predict(self, observation: NDArray[Any], *arguments: Any, **keywords: Any) -> Any:
+    def predict(self, observation: Observation, *arguments: Any, **keywords: Any) -> Any:
         answer = self.ads.predict(observation, *arguments, **keywords)
-        self.observations.append(np.array(observation))
+        self.observations.append(mapped(np.array, observation))
         self.actions.append(np.array(answer[0]))
         return answer
 
@@ -47,7 +49,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
         except ADSError as error:
             return [f"In the first scenarios, {error}"]
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
-    seen = np.concatenate([prepare(observation) for observation in witness.observations])
+    seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
     findings = (_uncompiled(simulation), _constant(witness.actions), _motionless(traces), _foreign(seen, trained_on))
     return [finding for finding in findings if finding]
@@ -72,7 +74,7 @@ def _motionless(traces: list[Trace]) -> str | None:
     return f"The ego never moved in {SCENARIOS} scenarios"
 
 
-def _foreign(seen: NDArray[Any], trained_on: NDArray[Any] | None) -> str | None:
+def _foreign(seen: Observation, trained_on: Observation | None) -> str | None:
     """Return a warning if the policy's last training observations lie outside the range observed here.
 
     Args:
@@ -80,15 +82,26 @@ def _foreign(seen: NDArray[Any], trained_on: NDArray[Any] | None) -> str | None:
         trained_on: last training observations, shape (m, ...), with or without frames stacked along the last axis;
             None if unknown.
     """
-    if trained_on is None or trained_on.shape[1:-1] != seen.shape[1:-1]:
-        return None
-    last = trained_on[..., -seen.shape[-1] :]
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    margin = MARGIN * (high - low) + 1e-3
-    share = float(np.mean((last < low - margin) | (last > high + margin)))
+    values = _values_outside(seen, trained_on)
+    share = float(np.mean(np.concatenate(values))) if values else 0.0
     if share <= FOREIGN:
         return None
     return (
         f"{share:.0%} of the values that the policy was last trained on lie outside the range that it observes here: "
         f"are the statistics of VecNormalize missing, or was it trained on different observations?"
     )
+
+
+def _values_outside(seen: Observation, trained_on: Observation | None) -> list[NDArray[np.bool_]]:
+    """Return which values of the training lie outside the range observed here, where the observations are alike."""
+    if isinstance(seen, Mapping) and isinstance(trained_on, Mapping):
+        common = sorted(seen.keys() & trained_on.keys())
+        return [values for key in common for values in _values_outside(seen[key], trained_on[key])]
+    if trained_on is None or isinstance(seen, Mapping) or isinstance(trained_on, Mapping):
+        return []
+    if trained_on.shape[1:-1] != seen.shape[1:-1]:
+        return []
+    last = trained_on[..., -seen.shape[-1] :]
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    margin = MARGIN * (high - low) + 1e-3
+    return [((last < low - margin) | (last > high + margin)).ravel()]

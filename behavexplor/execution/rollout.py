@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from behavexplor.data.observation import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 
@@ -51,13 +52,17 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
     state, start, log = None, np.ones(1, dtype=bool), _Log(ads)
     done = False
     while not done:
-        actions, state = _ask(ads, np.asarray(observation)[None], state, start, env.action_space)
+        actions, state = _ask(ads, mapped(_batch_of_one, observation), state, start, env.action_space)
         observation, _, terminated, truncated, info = env.step(actions[0])
         log.add(state)
         start = np.zeros(1, dtype=bool)
         done = terminated or truncated
     trace: Trace = info["trace"]
     return log.completed(trace, 0)
+
+
+def _batch_of_one(array: Any) -> NDArray[Any]:
+    return np.asarray(array)[None]
 
 
 class LockStep:
@@ -79,7 +84,7 @@ class LockStep:
         self._keys: list[Any] = [None] * envs.num_envs
         self._running = np.zeros(envs.num_envs, dtype=bool)
         self._start = np.zeros(envs.num_envs, dtype=bool)
-        self._observation: NDArray[Any] | None = None
+        self._observation: Observation | None = None
         self._state: Any = None
         self._log = _Log(ads)
 
@@ -122,7 +127,8 @@ class LockStep:
                 episode is to blame, and none of them can go on.
         """
         observation = self._reset()
-        observation[~self._running] = 0
+        for array in arrays_of(observation):
+            array[~self._running] = 0
         actions, self._state = _ask(
             self._ads, observation, self._state, self._start, self._envs.single_action_space, self._running
         )
@@ -133,7 +139,7 @@ class LockStep:
         self._running[ended] = False
         return [(self._keys[slot], self._log.completed(infos["trace"][slot], slot)) for slot in ended]
 
-    def _reset(self) -> NDArray[Any]:
+    def _reset(self) -> Any:
         """Begin the new episodes and return the observations of all sub-environments."""
         if self._observation is None:  # the first reset needs a scenario even for a sub-environment without episode
             anything = self._scenarios[int(self._start.argmax())]
@@ -145,7 +151,7 @@ class LockStep:
         else:
             observation = self._observation
         self._log.begin(self._start, self._running)
-        return np.asarray(observation)
+        return mapped(np.asarray, observation)
 
 
 def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
@@ -225,7 +231,7 @@ def share_asking(flag: Any) -> None:
 
 def _ask(
     ads: Any,
-    observation: NDArray[Any],
+    observation: Observation,
     state: Any,
     start: NDArray[np.bool_],
     space: gymnasium.Space[Any],

@@ -159,10 +159,14 @@ def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
     """Return whether values of both spaces have the same form."""
     if isinstance(policy, gymnasium.spaces.Discrete) and isinstance(env, gymnasium.spaces.Discrete):
         return bool(policy.n == env.n)
+    if isinstance(policy, gymnasium.spaces.Dict) and isinstance(env, gymnasium.spaces.Dict):
+        return policy.keys() == env.keys() and all(_alike(policy[key], env[key]) for key in policy)
     return type(policy) is type(env) and policy.shape == env.shape
 
 
 def _brief(space: gymnasium.Space[Any]) -> str:
+    if isinstance(space, gymnasium.spaces.Dict):
+        return f"Dict({', '.join(f'{key}: {_brief(part)}' for key, part in sorted(space.items()))})"
     return f"Box{space.shape}" if isinstance(space, gymnasium.spaces.Box) else str(space)
 
 

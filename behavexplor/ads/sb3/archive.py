@@ -3,20 +3,23 @@
 import base64
 import binascii
 import hashlib
+import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 from zipfile import ZipFile
 
-from behavexplor.ads.sb3.inert import read_pickle
+from behavexplor.ads.sb3.inert import PickleReader, TooLongError, check_extent
 from behavexplor.errors import InputError
 
-MAX_BYTES: Final = 2_000_000_000  # greatest size of an unpacked file
-MAX_RATIO: Final = 200  # greatest ratio of unpacked to packed size
+MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
+MAX_DATA: Final = 50_000_000  # greatest size of its settings
+MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large file; Stable-Baselines3 does not compress
+LARGE: Final = 10_000_000
 
 DATA, WEIGHTS = "data", "policy.pth"
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs")
@@ -24,10 +27,15 @@ SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space"
 # Names that pickles in a saved model ordinarily contain.
 _ORDINARY: Final = re.compile(
     r"(stable_baselines3|sb3_contrib|gymnasium\.spaces|gym\.spaces|numpy\.(_?core|random|dtype|ndarray))\b"
-    r"|torch\.(_utils|nn\.modules|optim|device|Size|\w*Storage)\b|(abc|collections|copyreg|types|typing|__main__)\."
-    r"|cloudpickle\.cloudpickle\._|_codecs\.encode$"
-    r"|builtins\.(bytearray|bytes|dict|float|frozenset|int|list|object|property|range|set|slice|str|tuple|type)$"
+    r"|torch\.(_utils|nn\.modules|optim|device|Size|\w*Storage)\b"
+    r"|(abc|collections|copyreg|copy_reg|types|typing|__main__)\."
+    r"|cloudpickle\.cloudpickle(_fast)?\._|_codecs\.encode$"
+    r"|cloudpickle\.cloudpickle\.subimport($|\((math|numpy|torch)\)$)"
+    r"|(builtins|__builtin__)\."
+    r"(bool|bytearray|bytes|dict|float|frozenset|int|list|object|property|range|set|slice|str|tuple|type)$"
 )
+# How files begin that torch wrote before version 1.6: a pickle of this number, or the name of a tar archive's member.
+_OLD_TORCH: Final = (b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", b"sys_info", b"storages", b"tensors", b"pickle")
 
 
 @dataclass(frozen=True)
@@ -39,8 +47,8 @@ class Archive:
         digest: digest of the whole file, "sha256:...".
         settings: entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them.
         weights: contents of the member `policy.pth`.
-        suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, each as
-            a phrase that names the place.
+        suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, and
+            pickles that could not be examined, each as a phrase that names the place.
     """
 
     path: Path
@@ -54,30 +62,31 @@ def read_archive(path: Path) -> Archive:
     """Read a model's file.
 
     Raises:
-        InputError: if the file was not saved by Stable-Baselines3, is damaged, or unpacks to too many bytes.
+        InputError: if the file was not saved by Stable-Baselines3, is damaged, or unpacks to too many bytes or values.
     """
+    reader = PickleReader()
     try:
         packed = path.read_bytes()
-        with ZipFile(path) as file:
+        with ZipFile(io.BytesIO(packed)) as file:
             _check_members(path, file, len(packed))
-            data = json.loads(file.read(DATA))
-            suspicions = (*_of_data(data), *_of_tensors(file))
-            weights = file.read(WEIGHTS)
+            data = _settings(file)
+            tensors = {name: file.read(name) for name in file.namelist() if name.endswith(".pth")}
+        settings, of_data = _read_settings(path, data, reader)
+        of_tensors = [said for name, content in tensors.items() for said in _of_tensors(path, name, content, reader)]
     except InputError:
         raise
+    except TooLongError as error:
+        raise InputError(f"The pickles in {path} have {error}, which no model needs; it was not read") from None
     except Exception as error:  # zipfile, zlib and json raise many kinds of errors for damaged files
         raise InputError(f"{path} is not a zip file of Stable-Baselines3, or is damaged: {error}") from None
-    try:
-        settings = {key: _plain(data[key]) for key in SETTINGS if key in data}
-    except ValueError as error:
-        raise InputError(f"The data of {path} cannot be read: {error}") from None
     digest = f"sha256:{hashlib.sha256(packed).hexdigest()}"
-    return Archive(path, digest, MappingProxyType(settings), weights, suspicions)
+    return Archive(path, digest, MappingProxyType(settings), tensors[WEIGHTS], (*of_data, *of_tensors))
 
 
-def suspicious_names(names: frozenset[str]) -> list[str]:
-    """Return the sorted names of a pickle that saved models do not ordinarily contain."""
-    return sorted(name for name in names if not _ORDINARY.match(name))
+def suspicions_about(place: str, names: frozenset[str]) -> list[str]:
+    """Return a phrase for each name of a pickle that saved models do not ordinarily contain."""
+    unusual = sorted(name for name in names if not _ORDINARY.match(name))
+    return [f"{place} calls {name}, which was not run" for name in unusual]
 
 
 def _check_members(path: Path, file: ZipFile, packed: int) -> None:
@@ -85,48 +94,71 @@ def _check_members(path: Path, file: ZipFile, packed: int) -> None:
     if missing := {DATA, WEIGHTS} - set(file.namelist()):
         raise InputError(f"{path} is not a model of Stable-Baselines3: it has no {', '.join(sorted(missing))}")
     unpacked = sum(member.file_size for member in file.infolist())
-    if unpacked > min(MAX_BYTES, MAX_RATIO * packed):
+    if unpacked > min(MAX_BYTES, max(LARGE, MAX_RATIO * packed)) or file.getinfo(DATA).file_size > MAX_DATA:
         raise InputError(f"{path} would unpack to {unpacked} bytes, which no model needs; it was not read")
 
 
-def _plain(value: Any) -> Any:
-    """Return a setting as it stands in the JSON, or the contents of its pickle."""
-    if isinstance(value, dict) and ":serialized:" in value:
-        return read_pickle(_decoded(value))[0]
-    return value
-
-
-def _decoded(value: Mapping[str, Any]) -> bytes:
-    try:
-        return base64.b64decode(str(value[":serialized:"]), validate=True)
-    except binascii.Error as error:
-        raise ValueError(f"base64 is damaged: {error}") from None
-
-
-def _of_data(data: Any) -> Iterator[str]:
+def _settings(file: ZipFile) -> dict[str, Any]:
+    data = json.loads(file.read(DATA))
     if not isinstance(data, dict):
         raise ValueError("its data is not a JSON object")  # noqa: TRY004 - it comes from a file
+    return data
+
+
+def _read_settings(path: Path, data: Mapping[str, Any], reader: PickleReader) -> tuple[dict[str, Any], list[str]]:
+    """Read all pickles among a model's settings.
+
+    Returns:
+        The entries of `SETTINGS`, and the suspicions about all settings.
+
+    Raises:
+        InputError: if an entry of `SETTINGS` cannot be read, or is too large to be walked through.
+    """
+    settings, suspicions = {}, []
     for key, value in data.items():
-        if isinstance(value, dict) and ":serialized:" in value:
-            yield from _of_pickle(f"{key!r} of its data", _decoded(value))
+        place = f"{key!r} of its data"
+        try:
+            content, found = _content(place, value, reader)
+            if key in SETTINGS:
+                check_extent(content)
+                settings[key] = content
+            suspicions += found
+        except TooLongError:
+            raise
+        except ValueError as error:
+            if key in SETTINGS:
+                raise InputError(f"The data of {path} cannot be read: {key}: {error}") from None
+            suspicions.append(f"{place} was not examined, because it is {error}")
+    return settings, suspicions
 
 
-def _of_tensors(file: ZipFile) -> Iterator[str]:
-    """Yield the suspicions about the tensor files of an archive: zip files that contain a pickle."""
-    for name in file.namelist():
-        if not name.endswith(".pth"):
-            continue
-        with file.open(name) as member, ZipFile(member) as tensors:
-            for part in tensors.namelist():
-                if part.endswith(".pkl"):
-                    yield from _of_pickle(name, tensors.read(part))
-
-
-def _of_pickle(place: str, data: bytes) -> Iterator[str]:
+def _content(place: str, value: Any, reader: PickleReader) -> tuple[Any, list[str]]:
+    """Return a setting as it stands in the JSON, or the contents of its pickle, and the suspicions about it."""
+    if not (isinstance(value, dict) and ":serialized:" in value):
+        return value, []
     try:
-        _, names = read_pickle(data)
-    except ValueError:
-        yield f"{place} is not a readable pickle ({len(data)} bytes)"
-        return
-    for name in suspicious_names(names):
-        yield f"{place} calls {name}"
+        pickled = base64.b64decode(str(value[":serialized:"]), validate=True)
+    except binascii.Error as error:
+        raise ValueError(f"not readable as base64: {error}") from None
+    content, names = reader.read(pickled)
+    return content, suspicions_about(place, names)
+
+
+def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> list[str]:
+    """Return the suspicions about a file of tensors: a zip file that contains a pickle.
+
+    Raises:
+        InputError: if the file has a format of earlier versions of torch, or would unpack to more bytes than it has.
+        ValueError: if its pickle cannot be read.
+    """
+    if content.startswith(_OLD_TORCH):
+        raise InputError(
+            f"{name} in {path} has the format of torch before 1.6, which is not read: if you trust its origin, load "
+            "the model with Stable-Baselines3, and save it again"
+        )
+    with ZipFile(io.BytesIO(content)) as tensors:
+        unpacked = sum(member.file_size for member in tensors.infolist())
+        if unpacked > len(content):  # torch does not compress
+            raise InputError(f"{name} in {path} would unpack to {unpacked} bytes, which torch never writes")
+        pickled = [tensors.read(part) for part in tensors.namelist() if part.endswith(".pkl")]
+    return [said for data in pickled for said in suspicions_about(name, reader.read(data)[1])]

@@ -7,6 +7,7 @@ separately. A network with other layers receives one row at a time.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +17,8 @@ from stable_baselines3.common.policies import BasePolicy
 from torch.nn.functional import linear, pad
 from torch.overrides import TorchFunctionMode
 
+from behavexplor.data.observation import Observation, arrays_of, mapped
+
 ROWS: Final = 64  # rows in a block
 ALIGNMENT: Final = 16  # most numbers that a processor multiplies at a time; rows begin at multiples of it
 
@@ -24,7 +27,7 @@ Memory = tuple[NDArray[Any], ...]
 
 def ask_in_blocks(
     network: BasePolicy,
-    observation: NDArray[Any],
+    observation: Observation,
     memory: Memory | None,
     episode_start: NDArray[np.bool_] | None,
     deterministic: bool,
@@ -33,7 +36,7 @@ def ask_in_blocks(
 
     Args:
         network: policy network of Stable-Baselines3.
-        observation: observations, shape (B, ...).
+        observation: observations, arrays of shape (B, ...).
         memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
         episode_start: True for each row that begins an episode, shape (B,); None if no row does.
         deterministic: see `predict` of Stable-Baselines3.
@@ -41,7 +44,7 @@ def ask_in_blocks(
     Returns:
         The actions, shape (B, ...), and the memory. The memory is None if the network has none.
     """
-    count = len(observation)
+    count = len(arrays_of(observation)[0])
     rows = ROWS if _is_linear(network) else 1
     start = np.zeros(count, dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
     answers = []
@@ -49,7 +52,7 @@ def ask_in_blocks(
         for begin in range(0, count, rows):
             block = slice(begin, begin + rows)
             remembered = None if memory is None else tuple(_filled(array[:, block], rows, 1) for array in memory)
-            shown = _filled(observation[block], rows, 0)
+            shown = mapped(partial(_block_of, block=block, rows=rows), observation)
             answers.append(network.predict(shown, remembered, _filled(start[block], rows, 0), deterministic))
     actions = np.concatenate([action for action, _ in answers])[:count]
     memories: list[Memory | None] = [own for _, own in answers]
@@ -57,6 +60,10 @@ def ask_in_blocks(
         return actions, None
     together = zip(*(own for own in memories if own is not None), strict=True)
     return actions, tuple(np.concatenate(arrays, axis=1)[:, :count] for arrays in together)
+
+
+def _block_of(array: NDArray[Any], block: slice, rows: int) -> NDArray[Any]:
+    return _filled(array[block], rows, 0)
 
 
 def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:

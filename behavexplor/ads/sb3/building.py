@@ -3,6 +3,8 @@
 import inspect
 import io
 import pickle
+import re
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from itertools import pairwise
@@ -13,13 +15,14 @@ import numpy as np
 import torch
 from stable_baselines3.common.policies import BasePolicy
 
-from behavexplor.ads.sb3.archive import Archive
-from behavexplor.ads.sb3.inert import Inert, as_array
-from behavexplor.errors import InputError
+from behavexplor.ads.sb3.archive import WEIGHTS, Archive
+from behavexplor.ads.sb3.arrays import as_array, as_mapping
+from behavexplor.ads.sb3.inert import Inert, Name
+from behavexplor.errors import InputError, brief
 
 # Modules whose classes a policy may be built from; any other class is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
-_SPACES = {"Box", "Discrete", "MultiDiscrete", "MultiBinary"}
+_SPACES = re.compile(r"(gymnasium|gym)\.spaces\.(\w+\.)*(\w+)$")
 
 
 class UntrustedError(ValueError):
@@ -86,11 +89,10 @@ def assemble(
         policy = policy_class(observation_space, action_space, **given)
         weights = torch.load(io.BytesIO(archive.weights), map_location="cpu", weights_only=True)
         policy.load_state_dict(weights)
-    except pickle.UnpicklingError as error:
-        first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(
-            f"{archive.path}: its weights contain objects other than tensors, which were not loaded: {first}"
-        ) from None
+    except pickle.UnpicklingError:
+        found = [phrase for phrase in archive.suspicions if phrase.startswith(WEIGHTS)]
+        message = f"{archive.path}: its weights contain objects other than tensors, which were not loaded"
+        raise InputError(": ".join([message, *found[:1]])) from None
     except Exception as error:  # torch and policy classes can raise anything for wrong values
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
@@ -126,7 +128,7 @@ def _class(reference: Any) -> type[BasePolicy]:
 def _known(reference: Any) -> Any:
     """Return the class that a name refers to, if policies are ordinarily built from it."""
     name = _name(reference)
-    if not (isinstance(reference, type) and name.startswith(_KNOWN)):
+    if not (isinstance(reference, Name) and name.startswith(_KNOWN)):
         raise UntrustedError(f"it needs {name}")
     module, _, attribute = name.rpartition(".")
     found = getattr(import_module(module), attribute)
@@ -136,11 +138,7 @@ def _known(reference: Any) -> Any:
 
 
 def _name(reference: Any) -> str:
-    return reference.name if isinstance(reference, Inert) or _is_name(reference) else repr(reference)[:80]
-
-
-def _is_name(value: Any) -> bool:
-    return isinstance(value, type) and issubclass(value, Inert)
+    return reference.name if isinstance(reference, (Inert, Name)) else brief(reference)
 
 
 def _value(value: Any) -> Any:
@@ -151,14 +149,29 @@ def _value(value: Any) -> Any:
         return type(value)(map(_value, value))
     if isinstance(value, Inert):
         raise UntrustedError(f"it needs an object made by {value.name}")
-    return _known(value) if _is_name(value) else value
+    return _known(value) if isinstance(value, Name) else value
 
 
 def _space(value: Any) -> gymnasium.Space[Any]:
-    kind = value.name.rpartition(".")[2] if isinstance(value, Inert) else None
-    if kind not in _SPACES:
+    """Return the space that a pickle describes: one array or number, or a dictionary of such spaces."""
+    kind, state = _space_state(value)
+    if kind != "Dict":
+        return _plain_space(kind, state)
+    spaces = as_mapping(state["spaces"]) or {}
+    parts = [(str(key), _plain_space(*_space_state(part))) for key, part in spaces.items()]
+    return gymnasium.spaces.Dict(OrderedDict(parts))  # the order matters: networks concatenate the parts
+
+
+def _space_state(value: Any) -> tuple[str, Mapping[str, Any]]:
+    """Return the kind of a space, such as "Box", and its attributes."""
+    found = _SPACES.match(_name(value)) if isinstance(value, Inert) else None
+    if found is None:
         raise UntrustedError(f"its spaces contain {_name(value)}")
-    state = value.state if isinstance(value.state, dict) else dict(value.state[1] or {}) | dict(value.state[0] or {})
+    states = value.state if isinstance(value.state, tuple) else (value.state,)  # a state, or a pair with that of slots
+    return found[3], {key: entry for state in states if isinstance(state, dict) for key, entry in state.items()}
+
+
+def _plain_space(kind: str, state: Mapping[str, Any]) -> gymnasium.Space[Any]:
     if kind == "Box":
         low, high = as_array(state["low"]), as_array(state["high"])
         return gymnasium.spaces.Box(low, high, dtype=low.dtype.type)
@@ -166,4 +179,6 @@ def _space(value: Any) -> gymnasium.Space[Any]:
         return gymnasium.spaces.Discrete(int(as_array(state["n"])), start=int(as_array(state.get("start", 0))))
     if kind == "MultiDiscrete":
         return gymnasium.spaces.MultiDiscrete(as_array(state["nvec"]).astype(np.int64))
-    return gymnasium.spaces.MultiBinary(int(as_array(state["n"])))
+    if kind == "MultiBinary":
+        return gymnasium.spaces.MultiBinary(int(as_array(state["n"])))
+    raise ValueError(f"a policy with a space of the kind {kind} at this place is not supported")

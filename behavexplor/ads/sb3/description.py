@@ -14,7 +14,7 @@ from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
-STATISTICS = "vecnormalize.pkl"
+STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
 _ENVIRONMENT_KEYS = ("observation", "action", "policy_frequency", "simulation_frequency")
 
@@ -65,23 +65,39 @@ def find_model(path: Path) -> Path:
 
 
 def describe(model: Path) -> Description:
-    """Read the files beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and `vecnormalize.pkl`.
+    """Read the files beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and the statistics.
+
+    The files of rl-zoo3 are in a folder beside the model, or, as on the Hugging Face Hub, beside the model themselves.
 
     Raises:
         InputError: if a file cannot be read, or asks for something that is not supported.
     """
     own = model.with_suffix(".yaml")
     folders = [arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))]
+    if (model.parent / "args.yml").is_file():
+        folders = [model.parent]
     if own.is_file():
         description = _own(own)
     elif len(folders) == 1:
-        description = _of_zoo(folders[0])
+        description = _of_zoo(folders[0], model)
     else:
         description = Description()
-    beside = model.parent / STATISTICS
-    if description.statistics is None and beside.is_file():
-        return replace(description, statistics=beside)
+    if description.statistics is None:
+        return replace(description, statistics=_statistics_in(model.parent, model))
     return description
+
+
+def _statistics_in(folder: Path, model: Path) -> Path | None:
+    """Return the file of statistics in a folder; None if there is none.
+
+    Raises:
+        InputError: if there are two.
+    """
+    found = [folder / name for name in STATISTICS if (folder / name).is_file()]
+    if len(found) > 1:
+        names = " and ".join(STATISTICS)
+        raise InputError(f"{folder} has {names}: name one of them as `statistics` in {model.with_suffix('.yaml').name}")
+    return found[0] if found else None
 
 
 def _own(path: Path) -> Description:
@@ -98,7 +114,7 @@ def _own(path: Path) -> Description:
     return replace(description, statistics=statistics)
 
 
-def _of_zoo(folder: Path) -> Description:
+def _of_zoo(folder: Path, model: Path) -> Description:
     """Read the files that rl-zoo3 writes into a run's folder; it normalizes observations first, then stacks them."""
     arguments = _read(folder / "args.yml")
     settings = _read(folder / "config.yml") if (folder / "config.yml").is_file() else {}
@@ -107,15 +123,15 @@ def _of_zoo(folder: Path) -> Description:
             f"{folder / 'config.yml'}: the policy was trained in the wrapper {settings['env_wrapper']!r:.80}, which is "
             "not supported: write a driver that applies it, and name it as module:attribute"
         )
-    statistics = folder / STATISTICS
-    if settings.get("normalize") and not statistics.is_file():
+    statistics = _statistics_in(folder, model) or _statistics_in(model.parent, model)
+    if settings.get("normalize") and statistics is None:
         raise InputError(
-            f"{folder / 'config.yml'} says that observations were normalized, but {STATISTICS} is missing there"
+            f"{folder / 'config.yml'} says that observations were normalized, but {STATISTICS[0]} is missing there"
         )
     config = _environment(arguments)
     values = {key: config[key] for key in _ENVIRONMENT_KEYS if key in config}
     values["frame_stack"] = settings.get("frame_stack") or 1
-    values["statistics"] = statistics if statistics.is_file() else None
+    values["statistics"] = statistics
     return _checked(folder, values)
 
 

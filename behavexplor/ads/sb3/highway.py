@@ -34,9 +34,40 @@ HIGHWAY_ENVIRONMENTS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
             "policy_frequency": 1,
             "simulation_frequency": 15,
         },
+        "parking-v0": {
+            "observation": {
+                "type": "KinematicsGoal",
+                "features": ["x", "y", "vx", "vy", "cos_h", "sin_h"],
+                "scales": [100, 100, 5, 5, 1, 1],
+                "normalize": False,
+            },
+            "action": {"type": "ContinuousAction"},
+            "policy_frequency": 5,
+            "simulation_frequency": 15,
+        },
+        "lane-keeping-v0": {
+            "observation": {"type": "AttributesObservation", "attributes": ["state", "derivative", "reference_state"]},
+            "action": {
+                "type": "ContinuousAction",
+                "steering_range": [-_ANGLE, _ANGLE],
+                "longitudinal": False,
+                "lateral": True,
+                "dynamical": True,
+            },
+            "policy_frequency": 10,
+            "simulation_frequency": 10,
+        },
     }
 )
-_SPACES = {"highway-v0": ((5, 5), 5), "intersection-v0": ((15, 7), 3), "intersection-v1": ((5, 8), (2,))}
+_SPACES: dict[str, tuple[Any, Any]] = {
+    "highway-v0": ((5, 5), 5),
+    "intersection-v0": ((15, 7), 3),
+    "intersection-v1": ((5, 8), (2,)),
+}
+_SPACES |= {
+    "parking-v0": (dict.fromkeys(("achieved_goal", "desired_goal", "observation"), (6,)), (2,)),
+    "lane-keeping-v0": (dict.fromkeys(("derivative", "reference_state", "state"), (4, 1)), (1,)),
+}
 _KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}
 
 
@@ -63,10 +94,17 @@ def fitting_config(
     """
     commands = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else action_space.shape
     for name, spaces in _SPACES.items():
-        if spaces == (observation_space.shape, commands):
+        if spaces == (_form(observation_space), commands):
             return name, dict(HIGHWAY_ENVIRONMENTS[name])
     guesses = {"observation": _observation(observation_space.shape or ()), "action": _action(commands)}
     return "", {key: guess for key, guess in guesses.items() if guess}
+
+
+def _form(space: gymnasium.Space[Any]) -> Any:
+    """Return the shape of a space's values, or the shapes of their arrays by key."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return {key: part.shape for key, part in space.items()}
+    return space.shape
 
 
 def _observation(shape: tuple[int, ...]) -> dict[str, Any]:

@@ -1,138 +1,290 @@
-"""Read pickles without executing them: a call is kept as a name and its arguments."""
+"""Read pickles without executing them: a call is kept as a name and its arguments.
 
-import io
-import pickle
+A pickle is a program for a machine with a stack. The machine in this module has no instruction that imports or calls
+anything. It makes plain values only, and stands for everything else by `Name` and `Inert`.
+"""
+
 import pickletools
-from typing import Any, ClassVar
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
+MAX_STEPS: Final = 300_000  # greatest number of instructions that one reader follows
+MAX_PARTS: Final = 100_000  # parts of a value; a part counts as often as it is used
+MAX_DEPTH: Final = 40  # nesting depth of a value
+MAX_NAME: Final = 1000  # greatest length of a global name
+OWN_CODE: Final = "code of its own"  # stands among the names for the call of a class or function in the pickle itself
 
-_RECONSTRUCT = {"numpy._core.multiarray._reconstruct", "numpy.core.multiarray._reconstruct"}
-_FROM_BUFFER = {"numpy._core.numeric._frombuffer", "numpy.core.numeric._frombuffer"}
-_SCALAR = {"numpy._core.multiarray.scalar", "numpy.core.multiarray.scalar"}
+_PLAIN_KEYS: Final = (str, bytes, float, type(None))
+_MAX_INTEGER_KEY: Final = 2**60  # greater integers can have equal hashes
+_IMPORT: Final = "cloudpickle.cloudpickle.subimport"
+# Callables that call their first argument.
+_CALLING: Final = re.compile(r"(copyreg|copy_reg)\.|cloudpickle\.cloudpickle\._make_skeleton_(class|enum)$")
 
 
-class Inert:
-    """A placeholder: a subclass stands for a global name of a pickle, its instance for the result of calling that name.
+class TooLongError(ValueError):
+    """Pickles have more instructions than their reader follows."""
+
+
+@dataclass(frozen=True)
+class Name:
+    """A global name in a pickle, which stands for a class or function.
 
     Attributes:
-        name: global name, "module.attribute".
-        arguments: arguments of the call.
-        state: state that the object would have been given; None without a state.
-        items: items that would have been put into the object.
+        name: "module.attribute".
     """
 
-    name: ClassVar[str] = ""
-
-    def __new__(cls, *arguments: Any, **_: Any) -> "Inert":
-        """Keep the arguments of the call that would have been made."""
-        inert = super().__new__(cls)
-        inert.arguments, inert.state, inert.items = arguments, None, []
-        return inert
-
-    arguments: tuple[Any, ...]
-    state: Any
-    items: list[Any]
-
-    def __init__(self, *_: Any, **__: Any) -> None:
-        """Do nothing: `__new__` has kept the arguments."""
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state
-
-    def __setitem__(self, key: Any, value: Any) -> None:
-        self.items.append((key, value))
-
-    def append(self, value: Any) -> None:
-        """Keep a value that would have been appended."""
-        self.items.append(value)
-
-    def extend(self, values: Any) -> None:
-        """Keep values that would have been appended."""
-        self.items.extend(values)
+    name: str
 
 
-class _InertUnpickler(pickle.Unpickler):
-    """An unpickler that resolves every name to a placeholder, so that nothing can be called."""
+@dataclass(eq=False)
+class Inert:
+    """The object that a call would have returned.
 
-    def __init__(self, data: bytes) -> None:
-        super().__init__(io.BytesIO(data))
-        self.names: dict[str, type[Inert]] = {}
+    Attributes:
+        name: global name that would have been called, "module.attribute".
+        arguments: arguments of the call.
+        state: state that the object would have been given; None without a state.
+        items: items that would have been put into the object; pairs of key and value for a mapping.
+    """
 
-    def find_class(self, module_name: str, global_name: str, /) -> type[Inert]:
-        name = f"{module_name}.{global_name}"
-        if name not in self.names:
-            self.names[name] = type("Inert", (Inert,), {"name": name})
-        return self.names[name]
+    name: str
+    arguments: tuple[Any, ...] = ()
+    state: Any = None
+    items: list[Any] = field(default_factory=list)
 
-    def persistent_load(self, pid: Any) -> Any:
-        return pid
+
+class PickleReader:
+    """Reads pickles, at most `MAX_STEPS` instructions in all of them together."""
+
+    def __init__(self) -> None:
+        self._steps = MAX_STEPS
+
+    def read(self, data: bytes) -> tuple[Any, frozenset[str]]:
+        """Read a pickle: plain values, with `Name` and `Inert` in place of anything else.
+
+        Returns:
+            The value, and all global names ("module.attribute") that the pickle refers to. The module that cloudpickle
+            would import for a function follows in parentheses. `OWN_CODE` is among the names if the pickle calls a
+            class or function that it contains.
+
+        Raises:
+            TooLongError: if the pickles have too many instructions.
+            ValueError: if the data is not a pickle, is cut short, or has keys of mappings that are not plain.
+        """
+        machine = _Machine()
+        try:
+            for opcode, argument, _ in pickletools.genops(data):
+                self._steps -= 1
+                if self._steps < 0:
+                    raise TooLongError(f"more than {MAX_STEPS} instructions")  # noqa: TRY301
+                machine.step(opcode.name, argument)
+            return machine.stack.pop(), frozenset(machine.names)
+        except TooLongError:
+            raise
+        except Exception as error:  # a damaged pickle can make the machine raise anything
+            raise ValueError(f"not a readable pickle: {type(error).__name__}: {error!s:.200}") from None
 
 
 def read_pickle(data: bytes) -> tuple[Any, frozenset[str]]:
-    """Read a pickle: plain values, with `Inert` in place of anything else.
-
-    Returns:
-        The value, and all global names ("module.attribute") that the pickle refers to.
-
-    Raises:
-        ValueError: if the data is not a pickle, is cut short, or asks for more memory than it has bytes.
-    """
-    try:
-        _check_memory(data)
-        unpickler = _InertUnpickler(data)
-        value = unpickler.load()
-    except Exception as error:  # a damaged pickle can make the unpickler raise anything
-        raise ValueError(f"not a readable pickle: {type(error).__name__}: {error}") from None
-    return value, frozenset(unpickler.names)
+    """Read a single pickle; see `PickleReader.read`."""
+    return PickleReader().read(data)
 
 
-def _check_memory(data: bytes) -> None:
-    """Refuse a pickle that numbers more values than it has bytes: the unpickler makes a table of that length."""
-    for opcode, argument, _ in pickletools.genops(data):
-        if opcode.name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(data):
-            raise ValueError("it would fill the memory")
-
-
-def as_array(value: Any) -> NDArray[Any]:
-    """Return the array or scalar of numbers that numpy would make.
+def check_extent(value: Any) -> None:
+    """Check that the lists, tuples and dictionaries of a value can be walked through.
 
     Raises:
-        ValueError: if the value is not an array or scalar of numbers.
+        ValueError: if they are nested too deeply, or have too many parts. A part that is used many times counts many
+            times, because a few nested tuples with shared parts can have billions of them.
     """
-    if isinstance(value, (bool, int, float)):
-        return np.asarray(value)
-    if not isinstance(value, Inert):
-        raise ValueError(f"expected an array, got {type(value).__name__}")  # noqa: TRY004 - it comes from a file
     try:
-        return _decoded(value)
-    except (TypeError, KeyError, IndexError, AttributeError) as error:
-        raise ValueError(f"an array that cannot be read: {error}") from None
+        parts, _ = _extent(value, {})
+    except RecursionError:
+        raise ValueError("its values are nested too deeply") from None
+    if parts > MAX_PARTS:
+        raise ValueError(f"its values have more than {MAX_PARTS} parts")
 
 
-def _decoded(value: Inert) -> NDArray[Any]:
-    if value.name in _RECONSTRUCT:
-        _, shape, dtype, in_columns, data = value.state
-        order = "F" if in_columns else "C"
-    elif value.name in _FROM_BUFFER:
-        data, dtype, shape, order = value.arguments
-    elif value.name in _SCALAR:
-        (dtype, data), shape, order = value.arguments, (), "C"
-    else:
-        raise ValueError(f"expected an array, got {value.name}")
-    flat = np.frombuffer(_bytes(data), dtype=_dtype(dtype))
-    return flat.reshape(shape, order="F" if order == "F" else "C").copy()
+def _extent(value: Any, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
+    """Return the number of parts of a value, and their depth."""
+    if not isinstance(value, (list, tuple, dict)):
+        return 1, 0
+    if id(value) not in known:
+        known[id(value)] = (0, MAX_DEPTH)  # found if the value contains itself, and too deep then
+        extents = [_extent(part, known) for part in (value.values() if isinstance(value, dict) else value)]
+        depth = 1 + max((deep for _, deep in extents), default=0)
+        if depth > MAX_DEPTH:
+            raise ValueError("its values are nested too deeply")
+        known[id(value)] = (1 + sum(count for count, _ in extents), depth)
+    return known[id(value)]
 
 
-def _bytes(data: Any) -> bytes:
-    if isinstance(data, Inert):  # bytes in protocol 2: a call of an encoder, without arguments if empty
-        return str(data.arguments[0]).encode(data.arguments[1]) if data.arguments else b""
-    return bytes(data)
+class _Machine:
+    """The machine that follows a pickle's instructions.
+
+    Attributes:
+        stack: values since the last mark.
+        names: global names, and `OWN_CODE`.
+    """
+
+    def __init__(self) -> None:
+        self.stack: list[Any] = []
+        self.names: set[str] = set()
+        self._below: list[list[Any]] = []  # values before each mark
+        self._memo: dict[int, Any] = {}
+
+    def step(self, opcode: str, argument: Any) -> None:
+        """Follow one instruction; `argument` is what `pickletools` reads after its opcode."""
+        if opcode in _LITERALS:
+            self.stack.append(argument)
+        elif opcode in _CONSTANTS:
+            self.stack.append(_CONSTANTS[opcode])
+        elif opcode in _RECALLS:
+            self.stack.append(self._memo[argument])
+        elif opcode in _STORES:
+            self._memo[len(self._memo) if argument is None else argument] = self.stack[-1]
+        elif opcode not in _IGNORED:
+            _INSTRUCTIONS[opcode](self, argument)
+
+    def mark(self, _: Any) -> None:
+        self._below.append(self.stack)
+        self.stack = []
+
+    def since_mark(self) -> list[Any]:
+        values, self.stack = self.stack, self._below.pop()
+        return values
+
+    def pop(self, _: Any) -> None:
+        if self.stack:
+            self.stack.pop()
+        else:
+            self.since_mark()
+
+    def duplicate(self, _: Any) -> None:
+        self.stack.append(self.stack[-1])
+
+    def collect(self, make: Callable[[list[Any]], Any]) -> None:
+        values = self.since_mark()  # before `self.stack` is looked up, which this replaces
+        self.stack.append(make(values))
+
+    def tuple_of(self, count: int) -> None:
+        parts = tuple(self.stack[-count:])
+        if len(parts) < count:
+            raise ValueError("the stack is empty")
+        self.stack[-count:] = [parts]
+
+    def put(self, values: list[Any]) -> None:
+        """Append values to the list or object on the stack."""
+        target = self.stack[-1]
+        (target.items if isinstance(target, Inert) else target).extend(values)
+
+    def set_items(self, values: list[Any]) -> None:
+        """Set pairs of key and value, given one after the other, in the mapping or object on the stack."""
+        target = self.stack[-1]
+        pairs = list(zip(values[::2], values[1::2], strict=True))
+        if isinstance(target, Inert):
+            target.items.extend(pairs)
+        else:
+            target.update(_dictionary(pairs))
+
+    def name(self, argument: str | None) -> None:
+        """Push a global name: a module and an attribute, separated by a space, or as texts on the stack."""
+        if argument is None:
+            attribute, module = self.stack.pop(), self.stack.pop()
+        else:
+            module, _, attribute = argument.partition(" ")
+        if not (isinstance(module, str) and isinstance(attribute, str) and len(module) + len(attribute) < MAX_NAME):
+            raise ValueError("a name must be a short text")
+        name = f"{module}.{attribute}"
+        self.names.add(name)
+        self.stack.append(Name(name))
+
+    def call(self, callee: Any, given: Any) -> None:
+        """Push what a call would return."""
+        if not isinstance(given, tuple):
+            raise TypeError("the arguments of a call must be a tuple")
+        if isinstance(callee, Inert) and callee.name.endswith("._builtin_type"):  # cloudpickle's way to name a type
+            callee = Name(f"types.{callee.arguments[0]}")
+        if callee.name == _IMPORT:
+            self.names.add(f"{_IMPORT}({given[0]:.80})")
+        made = given[0] if given and _CALLING.match(callee.name) else callee
+        if isinstance(made, Inert):
+            self.names.add(OWN_CODE)
+        self.stack.append(Inert(callee.name, given))
+
+    def reduce(self, _: Any) -> None:
+        arguments, callee = self.stack.pop(), self.stack.pop()
+        self.call(callee, arguments)
+
+    def reduce_with_keywords(self, _: Any) -> None:
+        _keywords, arguments, callee = self.stack.pop(), self.stack.pop(), self.stack.pop()
+        self.call(callee, arguments)
+
+    def instantiate(self, argument: str | None) -> None:
+        """Call a class with the values since the mark; without an argument, the first of them is the class."""
+        values = self.since_mark()
+        if argument is not None:
+            self.name(argument)
+            values.insert(0, self.stack.pop())
+        self.call(values[0], tuple(values[1:]))
+
+    def build(self, _: Any) -> None:
+        state = self.stack.pop()
+        if not isinstance(self.stack[-1], Inert):
+            raise TypeError("it gives a state to something that has none")
+        self.stack[-1].state = state
 
 
-def _dtype(value: Any) -> np.dtype[Any]:
-    dtype: np.dtype[Any] = np.dtype(value.arguments[0])
-    if dtype.kind not in "fiub":
-        raise ValueError(f"an array of {dtype}")
-    return dtype.newbyteorder(value.state[1]) if value.state and value.state[1] in "<>" else dtype
+def _dictionary(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    """Return a dictionary with plain keys, whose hashes are fast to compute and differ."""
+    for key, _ in pairs:
+        is_integer = isinstance(key, int) and abs(key) <= _MAX_INTEGER_KEY
+        if not (is_integer or isinstance(key, (*_PLAIN_KEYS, Name))):
+            raise ValueError(f"a mapping has a {type(key).__name__} as a key")
+    return dict(pairs)
+
+
+_OF_LITERALS: Final = r"(BIN)?INT[12]?|LONG[14]?|(BIN)?FLOAT|((SHORT_)?BIN)?(STRING|UNICODE|BYTES)8?|BYTEARRAY8|PERSID"
+_LITERALS: Final = frozenset(code.name for code in pickletools.opcodes if re.fullmatch(_OF_LITERALS, code.name))
+_CONSTANTS: Final[Mapping[str, Any]] = MappingProxyType(
+    {"NONE": None, "NEWTRUE": True, "NEWFALSE": False, "EMPTY_TUPLE": ()}
+)
+_RECALLS: Final = frozenset({"GET", "BINGET", "LONG_BINGET"})
+_STORES: Final = frozenset({"PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"})
+_IGNORED: Final = frozenset({"PROTO", "FRAME", "STOP", "BINPERSID"})  # a persistent id stands for its object
+_INSTRUCTIONS: Final[Mapping[str, Callable[[_Machine, Any], None]]] = MappingProxyType(
+    {
+        "MARK": _Machine.mark,
+        "POP": _Machine.pop,
+        "POP_MARK": lambda machine, _: machine.since_mark().clear(),
+        "DUP": _Machine.duplicate,
+        "EMPTY_LIST": lambda machine, _: machine.stack.append([]),
+        "EMPTY_DICT": lambda machine, _: machine.stack.append({}),
+        "EMPTY_SET": lambda machine, _: machine.stack.append(Inert("builtins.set")),
+        "FROZENSET": lambda machine, _: machine.collect(lambda values: Inert("builtins.frozenset", items=values)),
+        "LIST": lambda machine, _: machine.collect(list),
+        "TUPLE": lambda machine, _: machine.collect(tuple),
+        "TUPLE1": lambda machine, _: machine.tuple_of(1),
+        "TUPLE2": lambda machine, _: machine.tuple_of(2),
+        "TUPLE3": lambda machine, _: machine.tuple_of(3),
+        "DICT": lambda machine, _: machine.collect(
+            lambda values: _dictionary(list(zip(values[::2], values[1::2], strict=True)))
+        ),
+        "APPEND": lambda machine, _: machine.put([machine.stack.pop()]),
+        "APPENDS": lambda machine, _: machine.put(machine.since_mark()),
+        "ADDITEMS": lambda machine, _: machine.put(machine.since_mark()),
+        "SETITEM": lambda machine, _: machine.set_items([machine.stack.pop(), machine.stack.pop()][::-1]),
+        "SETITEMS": lambda machine, _: machine.set_items(machine.since_mark()),
+        "GLOBAL": _Machine.name,
+        "STACK_GLOBAL": _Machine.name,
+        "REDUCE": _Machine.reduce,
+        "NEWOBJ": _Machine.reduce,
+        "NEWOBJ_EX": _Machine.reduce_with_keywords,
+        "OBJ": _Machine.instantiate,
+        "INST": _Machine.instantiate,
+        "BUILD": _Machine.build,
+    }
+)

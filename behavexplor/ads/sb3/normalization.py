@@ -1,5 +1,6 @@
 """Statistics by which `VecNormalize` scaled the observations of a policy in training."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -7,11 +8,26 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.sb3.archive import suspicious_names
-from behavexplor.ads.sb3.inert import Inert, as_array, read_pickle
+from behavexplor.ads.sb3.archive import suspicions_about
+from behavexplor.ads.sb3.arrays import as_array, as_mapping
+from behavexplor.ads.sb3.inert import Inert, check_extent, read_pickle
+from behavexplor.data.observation import Observation
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 50_000_000
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Mean and variance of an array of observations.
+
+    Attributes:
+        mean: mean, shape of one observation.
+        variance: variance, shape of one observation.
+    """
+
+    mean: NDArray[np.float64]
+    variance: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -19,15 +35,14 @@ class Statistics:
     """Statistics that scale observations as `VecNormalize` of Stable-Baselines3 does.
 
     Attributes:
-        mean: mean of the observations, shape of one observation.
-        variance: variance of the observations, shape of one observation.
+        moments: moments of the observations; for observations that are dictionaries, the moments of each array that is
+            scaled, by key.
         clip: greatest absolute value after scaling.
         epsilon: constant added to the variance.
         suspicions: unusual calls that loading the file with Stable-Baselines3 would make, each as a phrase.
     """
 
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    moments: Moments | Mapping[str, Moments]
     clip: float
     epsilon: float
     suspicions: tuple[str, ...] = ()
@@ -50,25 +65,50 @@ class Statistics:
             state = _state(saved, "VecNormalize")
             if not state.get("norm_obs", True):
                 return None
-            moments = _state(state["obs_rms"], "RunningMeanStd")
-            mean, variance = as_array(moments["mean"]), as_array(moments["var"])
+            moments = _read_moments(path, state)
             clip, epsilon = float(as_array(state["clip_obs"])), float(as_array(state["epsilon"]))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(f"{path} contains no statistics of VecNormalize for an array: {error}") from None
-        if mean.shape != variance.shape or not np.isfinite([mean, variance]).all() or (variance < 0).any():
-            raise InputError(
-                f"{path} contains no usable statistics: mean and variance must be finite and have the same shape, and "
-                "the variance must not be negative"
-            )
-        calls = tuple(f"{path.name} calls {name}" for name in suspicious_names(names))
-        return cls(mean.astype(np.float64), variance.astype(np.float64), clip, epsilon, calls)
+            raise InputError(f"{path} contains no statistics of VecNormalize: {error}") from None
+        return cls(moments, clip, epsilon, tuple(suspicions_about(path.name, names)))
 
-    def scale(self, observations: NDArray[Any]) -> NDArray[np.float32]:
-        """Return observations as the policy saw them in training, shape (B, ...)."""
-        scaled = (observations - self.mean) / np.sqrt(self.variance + self.epsilon)
+    def scale(self, observations: Observation) -> Observation:
+        """Return observations as the policy saw them in training, arrays of shape (B, ...)."""
+        if isinstance(self.moments, Moments):
+            return self._scaled(np.asarray(observations), self.moments)
+        arrays = dict(observations) if isinstance(observations, Mapping) else {}
+        return arrays | {key: self._scaled(arrays[key], moments) for key, moments in self.moments.items()}
+
+    def _scaled(self, array: NDArray[Any], moments: Moments) -> NDArray[np.float32]:
+        scaled = (array - moments.mean) / np.sqrt(moments.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+
+def _read_moments(path: Path, state: Mapping[str, Any]) -> Moments | dict[str, Moments]:
+    """Return the moments in the attributes of a `VecNormalize`."""
+    saved = as_mapping(state["obs_rms"])
+    if saved is None:
+        return _moments(path, state["obs_rms"])
+    keys = state.get("norm_obs_keys") or list(saved)
+    check_extent(keys)
+    return {str(key): _moments(path, saved[key]) for key in keys}
+
+
+def _moments(path: Path, saved: Any) -> Moments:
+    """Return the moments in a `RunningMeanStd`.
+
+    Raises:
+        InputError: if they cannot be used.
+    """
+    state = _state(saved, "RunningMeanStd")
+    mean, variance = as_array(state["mean"]), as_array(state["var"])
+    if mean.shape != variance.shape or not np.isfinite([mean, variance]).all() or (variance < 0).any():
+        raise InputError(
+            f"{path} contains no usable statistics: mean and variance must be finite and have the same shape, and "
+            "the variance must not be negative"
+        )
+    return Moments(mean.astype(np.float64), variance.astype(np.float64))
 
 
 def _state(value: Any, kind: str) -> dict[str, Any]:

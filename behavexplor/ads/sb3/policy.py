@@ -1,6 +1,7 @@
 """A policy trained with Stable-Baselines3 as a driving system under test."""
 
 import logging
+from collections import OrderedDict
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
+from behavexplor.ads.sb3.arrays import as_arrays
 from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
-from behavexplor.ads.sb3.inert import as_array
-from behavexplor.ads.sb3.normalization import Statistics
-from behavexplor.errors import InputError
+from behavexplor.ads.sb3.normalization import Moments, Statistics
+from behavexplor.data.observation import Observation, mapped
+from behavexplor.errors import InputError, sentence
 
 Floats = NDArray[np.float64]
 
@@ -29,14 +31,14 @@ class SB3Policy:
     Attributes:
         observation_space: space of one observation from the environment, before scaling and stacking.
         action_space: space of one action.
-        last_trained_on: observations at the end of training, shape (n, ...); None if the file has none.
+        last_trained_on: observations at the end of training, arrays of shape (n, ...); None if the file has none.
 
     The policy drives in lock-step: its answer to an observation does not depend on the rest of the batch. The
     observation and action configuration and the frequencies are attributes only where they are known.
     """
 
     def __init__(
-        self, network: BasePolicy, description: Description, statistics: Statistics | None, last: NDArray[Any] | None
+        self, network: BasePolicy, description: Description, statistics: Statistics | None, last: Observation | None
     ) -> None:
         self.vectorized = True
         self._network = network
@@ -49,19 +51,16 @@ class SB3Policy:
         for name in names:
             if (value := getattr(description, name)) is not None:
                 setattr(self, name, value)
-        if statistics is not None and statistics.mean.shape != self.observation_space.shape:
-            raise InputError(
-                f"{description.statistics} has statistics for observations of shape {statistics.mean.shape}, "
-                f"the policy's have {self.observation_space.shape}"
-            )
+        if statistics is not None:
+            _check_statistics(str(description.statistics), statistics, self.observation_space)
 
-    def prepare(self, observation: NDArray[Any]) -> NDArray[Any]:
-        """Return observations scaled as in training, shape (B, ...)."""
+    def prepare(self, observation: Observation) -> Observation:
+        """Return observations scaled as in training, arrays of shape (B, ...)."""
         return observation if self._statistics is None else self._statistics.scale(observation)
 
     def predict(
         self,
-        observation: NDArray[Any],
+        observation: Observation,
         state: Any = None,
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
@@ -71,7 +70,7 @@ class SB3Policy:
         The state is a pair: the observations stacked so far, and the state of a recurrent network.
         """
         frames, memory = (None, None) if state is None else state
-        prepared = self.prepare(np.asarray(observation))
+        prepared = self.prepare(mapped(np.asarray, observation))
         if self._stack > 1:
             prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
         actions, memory = ask_in_blocks(self._network, prepared, memory, episode_start, deterministic)
@@ -95,7 +94,7 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     description = describe(model)
     statistics = Statistics.read(description.statistics) if description.statistics else None
     for suspicion in (*archive.suspicions, *(statistics.suspicions if statistics else ())):
-        _LOG.warning("%s: %s, which was not run", model, suspicion)
+        _LOG.warning("%s", sentence(f"{model}: {suspicion}"))
     return SB3Policy(_network(archive, trust), description, statistics, _last_observations(archive.settings))
 
 
@@ -111,15 +110,33 @@ def _network(archive: Archive, trust: Collection[str]) -> BasePolicy:
         ) from None
 
 
-def _last_observations(settings: Mapping[str, Any]) -> NDArray[Any] | None:
+def _last_observations(settings: Mapping[str, Any]) -> Observation | None:
     try:
-        return as_array(settings["_last_obs"])
+        return as_arrays(settings["_last_obs"])
     except (KeyError, ValueError):  # a model without training, or with other observations
         return None
 
 
+def _check_statistics(name: str, statistics: Statistics, space: gymnasium.Space[Any]) -> None:
+    """Check that the statistics of a file belong to a policy's observations.
+
+    Raises:
+        InputError: if they do not.
+    """
+    moments = statistics.moments
+    shapes = moments.mean.shape if isinstance(moments, Moments) else {key: of.mean.shape for key, of in moments.items()}
+    expected: Any = space.shape
+    if isinstance(space, gymnasium.spaces.Dict) and isinstance(shapes, dict):
+        expected = {key: part.shape for key, part in space.spaces.items() if key in shapes}
+    if shapes != expected:
+        raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}")
+
+
 def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
     """Return the space of one of the frames that are stacked along the last axis."""
+    if stack > 1 and isinstance(space, gymnasium.spaces.Dict):
+        parts = [(key, _unstacked(part, stack)) for key, part in space.spaces.items()]
+        return gymnasium.spaces.Dict(OrderedDict(parts))
     if stack == 1 or not isinstance(space, gymnasium.spaces.Box):
         return space
     width = space.shape[-1]
@@ -130,10 +147,11 @@ def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
     )
 
 
-def _stacked(
-    newest: NDArray[Any], frames: NDArray[Any] | None, episode_start: NDArray[np.bool_] | None, stack: int
-) -> NDArray[Any]:
+def _stacked(newest: Any, frames: Any, episode_start: NDArray[np.bool_] | None, stack: int) -> Any:
     """Stack the last frames along the last axis, with the newest at its end and zeros before the episode."""
+    if isinstance(newest, Mapping):
+        before = frames or {}
+        return {key: _stacked(array, before.get(key), episode_start, stack) for key, array in newest.items()}
     width = newest.shape[-1]
     if frames is None:
         frames = np.zeros((*newest.shape[:-1], stack * width), dtype=newest.dtype)

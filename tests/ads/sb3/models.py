@@ -51,7 +51,8 @@ class Still(gymnasium.Env):
 def make_model(name, observation_space=BOX, action_space=None, **changed):
     """An untrained model of an algorithm."""
     library, commands, keywords = ALGORITHMS[name]
-    policy = "MlpLstmPolicy" if name == "RecurrentPPO" else "MlpPolicy"
+    kind = "MultiInput" if isinstance(observation_space, gymnasium.spaces.Dict) else "Mlp"
+    policy = f"{kind}LstmPolicy" if name == "RecurrentPPO" else f"{kind}Policy"
     env = Still(observation_space, action_space or commands)
     return getattr(library, name)(policy, env, device="cpu", seed=0, **{**keywords, **changed})
 

@@ -1,15 +1,18 @@
 """Pickles are read, and never run."""
 
 import pickle
+import subprocess
 from collections import OrderedDict
 
+import cloudpickle
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from behavexplor.ads.sb3.inert import Inert, as_array, read_pickle
+from behavexplor.ads.sb3.arrays import as_array
+from behavexplor.ads.sb3.inert import MAX_STEPS, OWN_CODE, Inert, PickleReader, TooLongError, check_extent, read_pickle
 from tests.ads.sb3.models import Payload
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
@@ -73,9 +76,76 @@ def test_rubbish_is_read_or_refused(data):
         assert "not a readable pickle" in str(error)
 
 
-def test_a_pickle_made_to_fill_the_memory_is_refused():
-    with pytest.raises(ValueError, match="fill the memory"):
-        read_pickle(b"\x80\x04N" + b"r" + (2**31).to_bytes(4, "little") + b".")
+@given(plain)
+def test_sets_are_kept_as_their_items(value):
+    read, _ = read_pickle(pickle.dumps([{1, "a"}, frozenset([2]), value]))
+    assert [set(read[0].items), read[1].items, read[2]] == [{1, "a"}, [2], value]
+
+
+def test_a_pickle_made_to_fill_the_memory_does_not():
+    value, _ = read_pickle(b"\x80\x04N" + b"r" + (2**31).to_bytes(4, "little") + b".")
+    assert value is None
+
+
+def test_a_function_is_read_and_its_making_is_ordinary():
+    factor = 2.0
+    read, names = read_pickle(cloudpickle.dumps(lambda part: factor * part))
+    assert isinstance(read, Inert)
+    assert OWN_CODE not in names
+
+
+def made_class():
+    """A class that cloudpickle puts into a pickle, because no module has it."""
+    return type("Made", (), {"__module__": "__main__", "__call__": lambda self, part: part})
+
+
+def test_what_a_pickle_brings_along_and_calls_is_named():
+    calling = b"\x80\x04" + cloudpickle.dumps(lambda: None)[2:-1] + b")R."
+    for data in (cloudpickle.dumps(made_class()()), calling, cloudpickle.dumps(made_class()(), protocol=1)):
+        assert OWN_CODE in read_pickle(data)[1]
+    assert OWN_CODE not in read_pickle(cloudpickle.dumps(made_class()))[1]
+
+
+def test_a_module_that_a_function_imports_is_named():
+    _, names = read_pickle(cloudpickle.dumps(lambda: subprocess.run([], check=True)))
+    assert "cloudpickle.cloudpickle.subimport(subprocess)" in names
+
+
+def shared(levels):
+    """A tuple of nothing, `levels` times paired with itself, as the instructions of a pickle without its end."""
+    return b"\x80\x04)" + b"2\x86" * levels
+
+
+def test_values_are_counted_as_often_as_they_are_used():
+    few, many, deep = (read_pickle(shared(levels) + b".")[0] for levels in (10, 30, 1000))
+    check_extent(few)
+    with pytest.raises(ValueError, match="more than 100000 parts"):
+        check_extent(many)
+    with pytest.raises(ValueError, match="nested too deeply"):
+        check_extent(deep)
+
+
+@pytest.mark.parametrize("key", [shared(60)[2:], pickle.dumps(2**61 - 1)[2:-1]], ids=["shared tuples", "large integer"])
+def test_keys_that_take_long_to_compare_are_refused(key):
+    with pytest.raises(ValueError, match="as a key"):
+        read_pickle(b"\x80\x04}" + key + b"Ns.")
+
+
+def test_a_value_that_contains_itself_is_read_and_not_walked_through():
+    value = [1]
+    value.append(value)
+    read, _ = read_pickle(pickle.dumps(value))
+    assert read[1] is read
+    with pytest.raises(ValueError, match="nested too deeply"):
+        check_extent(read)
+
+
+def test_all_pickles_of_a_reader_together_have_a_limit():
+    reader = PickleReader()
+    half = b"\x80\x04" + b"N0" * (MAX_STEPS // 4) + b"N."
+    assert reader.read(half)[0] is None
+    with pytest.raises(TooLongError, match="instructions"):
+        reader.read(half)
 
 
 @pytest.mark.parametrize("value", [np.array(["a"]), np.array([{}], dtype=object), OrderedDict(), "x", None, [1.0]])

@@ -1,0 +1,76 @@
+"""Observations that are dictionaries of arrays: single episodes, lock-step, workers, and policies that were saved."""
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import SAC
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from behavexplor.data.target import Target
+from behavexplor.errors import InputError
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.preflight import preflight_warnings
+from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.start import check_ads, start_executor
+from tests.goals import NAME
+
+
+@pytest.fixture(scope="module")
+def parked(tmp_path_factory):
+    """A policy on dictionaries, with statistics of a part of them."""
+    folder = tmp_path_factory.mktemp("policy")
+    env = VecNormalize(DummyVecEnv([lambda: gymnasium.make(NAME)]), norm_obs_keys=["observation"])
+    model = SAC("MultiInputPolicy", env, device="cpu", seed=1, buffer_size=100, learning_starts=10)
+    model.learn(10)
+    with torch.no_grad():
+        model.actor.mu.bias[0] = 0.6  # it sets out
+    model.save(folder / "model")
+    env.save(str(folder / "vec_normalize.pkl"))
+    return str(folder / "model.zip")
+
+
+def scenarios(simulation, count):
+    generator = np.random.default_rng(8)
+    return [simulation.logical.sample(generator) for _ in range(count)]
+
+
+def test_a_policy_drives_alike_alone_in_company_and_in_a_worker(parked):
+    simulation = Simulation(NAME, parked)
+    chosen = scenarios(simulation, 5)
+    alone = [simulation.run(scenario).to_bytes() for scenario in chosen]
+    assert len(set(alone)) == 5
+    assert simulation.lock_step(2) is not None
+    for number, trace in simulation.run_all(chosen, 3):
+        assert trace.to_bytes() == alone[number]
+    with start_executor(Target(NAME, parked), 1) as workers:
+        assert check_ads(workers) == []
+        futures = [workers.submit(EXECUTE, scenario.to_json().encode()) for scenario in chosen]
+        assert [future.result() for future in futures] == alone
+    simulation.close()
+
+
+def test_a_driver_may_spoil_the_dictionary_that_it_was_given():
+    simulation = Simulation(NAME, "tests.goals:Aimless")
+    chosen = scenarios(simulation, 4)
+    alone = [simulation.run(scenario).to_bytes() for scenario in chosen]
+    for number, trace in simulation.run_all(chosen, 4):
+        assert trace.to_bytes() == alone[number]
+    assert preflight_warnings(simulation) == []
+    simulation.close()
+
+
+def test_a_policy_trained_on_other_values_is_named(parked):
+    simulation = Simulation(NAME, parked)
+    simulation.ads.last_trained_on = {key: array + 9e3 for key, array in simulation.ads.last_trained_on.items()}
+    (warning,) = preflight_warnings(simulation)
+    assert "100% of the values" in warning
+    simulation.close()
+
+
+def test_an_environment_with_other_observations_is_told_in_a_sentence(parked):
+    with pytest.raises(InputError) as refused:
+        Simulation("lane-follow", parked)
+    message = str(refused.value)
+    assert "observes Dict(achieved_goal: Box(2,), desired_goal: Box(2,), observation: Box(7, 5))" in message
+    assert "--trust" not in message
