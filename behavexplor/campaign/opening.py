@@ -8,8 +8,11 @@ from pathlib import Path
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.store import Store
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
+from behavexplor.execution.evaluator import ROAD
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
@@ -71,6 +74,8 @@ def opened(
         search = search or search_method(config, logical)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
+        if isinstance(logical, DrawnLogicalScenario) and not resume:
+            (folder / ROAD_FILE).write_bytes(executor.submit(ROAD, b"").result())
         yield Ready(Campaign(config, search, logical, store, executor, specs), store, warnings)
 
 

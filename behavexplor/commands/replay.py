@@ -11,15 +11,15 @@ from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
-from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.simulation import Simulation, logical_scenario
+from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from behavexplor.report.drawing import decisive_frame, draw, save_animation
+from behavexplor.report.road_shapes import known_road
 from behavexplor.triage.findings import read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
 
@@ -57,43 +57,47 @@ def replay(
     execution = store.execution(number)
     store.close()
     config = stored_config(run)
-    logical = scripted(logical_scenario(config.env), "A replay")
     if avoided:
         return _avoid(execution, config, run, out or run / "replays")
     if (failure := execution.record.error) is not None:
         print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
     else:
-        _show(execution, logical.roadmap, out or run / "replays")
+        _show(execution, _road(config, run), out or run / "replays")
     return _compare(execution, config)
 
 
-def _show(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
+def _road(config: CampaignConfig, run: Path) -> RoadShape:
+    """Return the road of a run; without surfaces if it is not known."""
+    return known_road(config.env, run) or RoadShape(())
+
+
+def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Draw an execution.
 
     Raises:
         InputError: if the execution does not belong to this environment, or the pictures cannot be written.
     """
     foreign = f"Execution {execution.id} does not belong to the environment of this run"
-    if len(execution.load_trace().illegal_lines) != len(roadmap.line_kinds):
+    if len(execution.load_trace().illegal_lines) != len(shape.line_kinds):
         raise InputError(f"{foreign}: its trace has different illegal lines")
     try:
-        _draw(execution, roadmap, folder)
+        _draw(execution, shape, folder)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
 
 
-def _draw(execution: Execution, roadmap: RoadMap, folder: Path) -> None:
+def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
     trace, caption = execution.load_trace(), _verdict(execution)
     frame = decisive_frame(trace, execution.record.violated)
     degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record.degrees.items())
-    animation, picture = _save(trace, roadmap, frame, caption, folder / f"{execution.id:06d}")
+    animation, picture = _save(trace, shape, frame, caption, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
     print(f"Violation degrees (lower is nearer to a violation): {degrees}")
     print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
-def _save(trace: Trace, roadmap: RoadMap, frame: int, caption: str, path: Path) -> tuple[Path, Path]:
+def _save(trace: Trace, shape: RoadShape, frame: int, caption: str, path: Path) -> tuple[Path, Path]:
     """Write an animation of a trace and a picture of one frame, and return their paths.
 
     Raises:
@@ -105,8 +109,8 @@ def _save(trace: Trace, roadmap: RoadMap, frame: int, caption: str, path: Path) 
     except OSError as error:
         raise InputError(f"The folder {path.parent} cannot be created: {error.strerror}") from None
     try:
-        draw(trace, roadmap, frame, caption).save(picture)
-        save_animation(animation, trace, roadmap, caption)
+        draw(trace, shape, frame, caption).save(picture)
+        save_animation(animation, trace, shape, caption)
     except OSError as error:
         raise InputError(f"The pictures in {path.parent} cannot be written: {error.strerror}") from None
     return animation, picture
@@ -136,7 +140,7 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
     frame = min(len(recorded.time), len(trace.time)) - 1
     caption = f"{witness.name} from {witness.begin:.2f} s on"
     path = folder / f"{execution.id:06d}-avoided"
-    animation, picture = _save(trace, scripted(simulation.logical, "A replay").roadmap, frame, caption, path)
+    animation, picture = _save(trace, _road(config, run), frame, caption, path)
     print(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     print(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK

@@ -25,6 +25,7 @@ LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in on
 EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
 PREFLIGHT: Final = "preflight"
 LOGICAL: Final = "logical"
+ROAD: Final = "road"
 
 
 class Evaluator(Service):
@@ -45,6 +46,7 @@ class Evaluator(Service):
             EXECUTE: self.execute,
             PREFLIGHT: self.preflight,
             LOGICAL: self.logical,
+            ROAD: self.road,
             FINGERPRINT: fingerprint,
         }
         self.batch: ScenarioBatch | None = None
@@ -96,6 +98,11 @@ class Evaluator(Service):
         """
         logical = self.simulation.logical
         return logical.to_json().encode() if isinstance(logical, DrawnLogicalScenario) else b""
+
+    def road(self, _: bytes) -> bytes:
+        """Return the shape of a stock environment's road as JSON; nothing for an environment of another kind."""
+        road: Any = getattr(self.simulation.env, "road_shape", None)
+        return road().to_json().encode() if road is not None else b""
 
     def preflight(self, _: bytes) -> bytes:
         """Return warnings about the ADS as a JSON list of sentences; see `behavexplor.execution.preflight`."""

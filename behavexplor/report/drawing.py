@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance
-from behavexplor.data.roadmap import DOUBLE_YELLOW, Lane, RoadMap
-from behavexplor.data.trace import Trace
+from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
+from behavexplor.data.trace import ARRIVED, Trace
+from behavexplor.report.road_shapes import line_kinds
 
 Floats = NDArray[np.float64]
 Color = tuple[int, int, int]
@@ -48,11 +50,11 @@ def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
     return int(box_distance(boxes[:, :1], boxes[:, 1:]).min(1).argmin())
 
 
-def save_animation(path: Path, trace: Trace, roadmap: RoadMap, caption: str) -> None:
+def save_animation(path: Path, trace: Trace, shape: RoadShape, caption: str) -> None:
     """Write an animation of the whole trace as a GIF; its last frame is shown for two seconds."""
     count = min(MAX_FRAMES, max(2, round(trace.duration / FRAME_TIME) + 1))
     frames = np.unique(np.searchsorted(trace.time, np.linspace(0, trace.duration, count) - 1e-9))
-    pictures = [draw(trace, roadmap, int(frame), caption) for frame in frames]
+    pictures = [draw(trace, shape, int(frame), caption) for frame in frames]
     palette = _palette(pictures)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     times = [int(FRAME_TIME * 1000)] * (len(pictures) - 1) + [2000]
@@ -71,28 +73,35 @@ def _palette(pictures: list[Image.Image]) -> Image.Image:
     return sheet.quantize(colors=255)
 
 
-def draw(trace: Trace, roadmap: RoadMap, frame: int, caption: str) -> Image.Image:
+def draw(trace: Trace, shape: RoadShape, frame: int, caption: str) -> Image.Image:
     """Draw one frame: the road, the illegal lines, the vehicles' paths, and the vehicles.
 
     Args:
         trace: trace of an episode.
-        roadmap: road on which it was driven.
+        shape: road on which it was driven.
         frame: index of the frame.
         caption: line of text below the time and the speed.
     """
     canvas = _Canvas(trace.position[frame, 0])
-    for lane in roadmap.lanes:
-        canvas.lane(lane)
-    canvas.dividers(roadmap)
-    for line, kind in zip(trace.illegal_lines, roadmap.line_kinds, strict=True):
+    present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
+    for surface in shape.surfaces:
+        canvas.surface(surface)
+    for dash in shape.dashes(*canvas.corners):
+        canvas.path(dash, _DIVIDER, 0.15)
+    for border in shape.borders:
+        canvas.illegal_line(border, CURB)
+    for line, kind in zip(trace.illegal_lines, line_kinds(shape, trace), strict=True):
         canvas.illegal_line(line, kind)
-    canvas.path(roadmap.ego_route.polyline(roadmap.ego_start, roadmap.destination), _EGO, 0.25)
-    canvas.circle(trace.destination, 1.0, _EGO)
+    canvas.path(trace.route, _EGO, 0.25)
+    if not trace.signals or ARRIVED in trace.signals:
+        canvas.circle(trace.destination, 1.0, _EGO)
     boxes = box_corners(trace.position[frame], trace.heading[frame], trace.size)
-    hit = box_distance(boxes[:1], boxes[1:]) == 0
-    for npc in range(1, len(boxes)):
-        color = _HIT if hit[npc - 1] else _NPCS[(npc - 1) % len(_NPCS)]
-        canvas.path(trace.position[frame:, npc], color, 0.15)
+    hit = np.concatenate([[False], box_distance(boxes[:1], boxes[1:]) == 0])
+    if trace.partner > 0 and frame == len(trace.time) - 1:
+        hit[trace.partner] = True
+    for npc in np.flatnonzero(present[frame, 1:]) + 1:
+        color = _HIT if hit[npc] else _NPCS[(npc - 1) % len(_NPCS)]
+        canvas.path(trace.position[frame:, npc][present[frame:, npc]], color, 0.15)
         canvas.vehicle(boxes[npc], color)
     canvas.path(trace.position[: frame + 1, 0], _INK, 0.15)
     canvas.vehicle(boxes[0], _EGO)
@@ -115,20 +124,14 @@ class _Canvas:
     def _width(self, width: float) -> int:
         return max(1, round(width * self._scale))
 
-    def lane(self, lane: Lane) -> None:
-        """Draw the surface of a lane."""
-        count = 2 if lane.curvature == 0 else 16
-        left, right = (_offset(lane, np.linspace(0, lane.length, count), side * lane.width / 2) for side in (-1, 1))
-        self._draw.polygon(self._pixels(np.concatenate([left, right[::-1]])), fill=_ASPHALT)
+    @property
+    def corners(self) -> tuple[Floats, Floats]:
+        """The corners of the picture with the least and the greatest coordinates, each of shape (2,) [m]."""
+        return self._origin, self._origin + VIEW
 
-    def dividers(self, roadmap: RoadMap) -> None:
-        """Draw dashes between parallel lanes outside junctions."""
-        for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
-            if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):
-                continue
-            for start in np.arange(0.0, lane.length, 6.0):
-                ends = np.array([start, min(start + 3.0, lane.length)])
-                self.path(_offset(lane, ends, lane.width / 2), _DIVIDER, 0.15)
+    def surface(self, outline: Floats) -> None:
+        """Draw the surface of a lane, given its outline, shape (n, 2)."""
+        self._draw.polygon(self._pixels(outline), fill=_ASPHALT)
 
     def illegal_line(self, line: Floats, kind: str) -> None:
         """Draw a curb or a double yellow line."""
@@ -170,9 +173,3 @@ class _Canvas:
         pen.text((12, 5), title, fill=_INK, font=ImageFont.load_default(18))
         pen.text((12, 28), caption, fill=_INK, font=ImageFont.load_default(14))
         return picture
-
-
-def _offset(lane: Lane, stations: Floats, offset: float) -> Floats:
-    """Return points beside the center line of a lane, shape (n, 2) [m]; positive offsets are to its right."""
-    x, y, heading = lane.pose(stations).T
-    return np.stack([x - offset * np.sin(heading), y + offset * np.cos(heading)], axis=-1)

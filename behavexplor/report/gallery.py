@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.campaign.record import Record
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, R2, ViolationEvent, violation_event
 from behavexplor.report.behavior_map import Behaviors
 from behavexplor.report.packing import pack
@@ -114,6 +114,7 @@ def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, A
     mark = None if event is None else _mark(trace, event)
     return {
         **packed.values(),
+        **_own_way(trace),
         "size": [[round(float(value), 2) for value in size] for size in trace.size],
         "types": [npc.type for npc in npcs],
         "routes": [npc.route for npc in npcs],
@@ -124,6 +125,14 @@ def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, A
         "partner": event.partner if event and event.spec == R1 else 0,
         "states": found.stretches(record.id),
     }
+
+
+def _own_way(trace: Trace) -> dict[str, Any]:
+    """Return the route and the destination of an execution in a stock environment, where each has its own."""
+    if not trace.signals:
+        return {}
+    route = trace.route[:: max(1, len(trace.route) // 120)].round(2).tolist()
+    return {"route": route, "destination": route[-1] if ARRIVED in trace.signals else None}
 
 
 def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:

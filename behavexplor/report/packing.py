@@ -36,6 +36,7 @@ class Packed:
         middle: middle of all positions [m], the origin of x and y.
         unit: unit of x and y [m].
         data: base64 of the deflated matrix.
+        spans: first and last frame in which each vehicle is present.
     """
 
     frames: int
@@ -44,6 +45,7 @@ class Packed:
     middle: tuple[float, float]
     unit: float
     data: str
+    spans: list[tuple[int, int]]
 
     def values(self) -> dict[str, Any]:
         """Return the fields for the page's script, as JSON values."""
@@ -53,6 +55,7 @@ class Packed:
             "middle": list(self.middle),
             "unit": self.unit,
             "data": self.data,
+            "spans": self.spans,
         }
 
 
@@ -64,7 +67,7 @@ def pack(trace: Trace, frame: int) -> Packed:
         frame: index of a frame that must be kept.
     """
     kept = _kept(trace, frame)
-    position = trace.position[kept]
+    position = _held(trace)[kept]
     low, high = position.min((0, 1)), position.max((0, 1))
     middle = np.rint((low + high) / 2)
     unit = max(LENGTH_UNIT, float(np.ceil((high - low).max() / _SPAN * 1000) / 1000))
@@ -73,7 +76,32 @@ def pack(trace: Trace, frame: int) -> Packed:
     speed = np.rint(np.hypot(*trace.velocity[kept, 0].T) / SPEED_UNIT)
     motion = np.stack([places[..., 0], places[..., 1], headings], axis=-1)  # (frames, vehicles, 3)
     rows = [np.rint(trace.time[kept] / TIME_UNIT), speed, *motion.reshape(len(kept), -1).T]
-    return Packed(len(kept), kept, len(trace.size), (float(middle[0]), float(middle[1])), unit, _deflated(rows))
+    origin = (float(middle[0]), float(middle[1]))
+    return Packed(len(kept), kept, len(trace.size), origin, unit, _deflated(rows), _spans(trace, kept))
+
+
+def _spans(trace: Trace, kept: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Return the first and the last of the kept frames in which each vehicle is present; (1, 0) if it is in none."""
+    if not trace.present.size:
+        return [(0, len(kept) - 1)] * len(trace.size)
+    spans = []
+    for seen in trace.present[kept].T:
+        frames = np.flatnonzero(seen)
+        spans.append((int(frames[0]), int(frames[-1])) if len(frames) else (1, 0))
+    return spans
+
+
+def _held(trace: Trace) -> Floats:
+    """Return the positions, where a vehicle that is absent stays at the nearest place of its presence."""
+    if not trace.present.size:
+        return trace.position
+    position = trace.position.copy()
+    every = np.arange(len(trace.time))
+    for vehicle, seen in enumerate(trace.present.T):
+        frames = np.flatnonzero(seen)
+        nearest = frames[np.clip(np.searchsorted(frames, every), 0, len(frames) - 1)]
+        position[:, vehicle] = trace.position[nearest, vehicle]
+    return position
 
 
 def _kept(trace: Trace, frame: int) -> NDArray[np.int64]:

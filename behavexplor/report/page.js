@@ -270,13 +270,15 @@
         const points = Object.hasOwn(road.routes, name) ? road.routes[name] : null;
         if (points) this.line(pen, points, this.color(i + 1), 0.12, [1, 1.6]);
       });
-      this.line(pen, road.ego, colors.accent, 0.3, [1.6, 1]);
+      const route = this.replay.route || road.ego, destination = this.replay.route ? this.replay.destination : road.destination;
+      this.line(pen, route, colors.accent, 0.3, [1.6, 1]);
       pen.globalAlpha = 1;
       const car = this.motion.cars[0], driven = [], last = this.frame(this.now);
       for (let i = 0; i <= last; i++) driven.push([car.x[i], car.y[i]]);
       this.line(pen, driven, colors.ego, 0.2);
+      if (!destination) return;
       pen.beginPath();
-      pen.arc(road.destination[0], road.destination[1], 1, 0, 2 * Math.PI);
+      pen.arc(destination[0], destination[1], 1, 0, 2 * Math.PI);
       pen.strokeStyle = colors.accent;
       pen.lineWidth = Math.max(0.3, this.pixel);
       pen.stroke();
@@ -289,6 +291,8 @@
     }
 
     drawCar(pen, index) {
+      const [first, last] = this.replay.spans[index], now = this.frame(this.now);
+      if (now < first || now > last) return; // it has not appeared yet, or has left
       const { x, y, heading } = this.pose(index), [length, width] = this.replay.size[index];
       pen.save();
       pen.translate(x, y);

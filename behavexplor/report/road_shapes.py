@@ -1,5 +1,6 @@
-"""The road under the replays, as polygons and lines."""
+"""The road under the replays and in pictures."""
 
+from pathlib import Path
 from typing import Any, Final
 
 import gymnasium
@@ -7,50 +8,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor import FUNCTIONAL_SCENARIOS, NAMESPACE
+from behavexplor.data.road_shape import ROAD_FILE, RoadShape
 from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
 from behavexplor.data.trace import Trace
 
 Floats = NDArray[np.float64]
 
-_DASH, _GAP = 3.0, 6.0  # length of a dash between lanes, and distance between two [m]
 _CURVE_POINTS: Final = 13  # points along a curved lane
+_MARGIN: Final = 60.0  # distance from the vehicles within which the lines between lanes are shown [m]
 
 
-def known_road(env: str) -> RoadMap | None:
-    """Return the road of an environment of this package.
+def known_road(env: str, run: Path) -> RoadShape | None:
+    """Return the road of a run.
 
-    No other environment is made, since a report must not import third-party code that a run folder names.
+    No environment of another package is made, since a report must not import third-party code that a run folder names.
 
     Args:
         env: name of the environment in the run's configuration.
+        run: the run folder, which holds the road of a stock environment.
 
     Returns:
-        The road, or None for an environment of another package.
+        The road, or None if it is not known.
+
+    Raises:
+        InputError: if the file of the road is damaged.
     """
+    stored = run / ROAD_FILE
+    if stored.is_file():
+        return RoadShape.from_json(stored.read_text(errors="replace"))
     name = env.removeprefix(f"{NAMESPACE}/").removesuffix("-v0") if env.startswith(f"{NAMESPACE}/") else env
     if name not in FUNCTIONAL_SCENARIOS:
         return None
     env_made = gymnasium.make(f"{NAMESPACE}/{name}-v0", disable_env_checker=True)
     roadmap: RoadMap = env_made.unwrapped.logical.roadmap  # type: ignore[attr-defined]
     env_made.close()
-    return roadmap
+    return shape_of(roadmap)
 
 
-def road_values(roadmap: RoadMap | None, trace: Trace) -> dict[str, Any]:
+def shape_of(roadmap: RoadMap) -> RoadShape:
+    """Return the shape of a road of this package."""
+    return RoadShape(
+        surfaces=tuple(_surface(lane) for lane in roadmap.lanes),
+        striped=_dividers(roadmap),
+        line_kinds=tuple(roadmap.line_kinds),
+        routes={route.name: _center(route) for route in roadmap.npc_routes},
+    )
+
+
+def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
+    """Return the kinds of a trace's illegal lines; they count as curbs if the road does not tell."""
+    known = shape is not None and len(shape.line_kinds) == len(trace.illegal_lines)
+    return shape.line_kinds if shape is not None and known else (CURB,) * len(trace.illegal_lines)
+
+
+def road_values(shape: RoadShape | None, trace: Trace) -> dict[str, Any]:
     """Return the road as JSON values, with lengths in meters.
 
     Args:
-        roadmap: the road; None if only the lines and the route in the trace are known.
-        trace: trace of any execution. All executions have the same illegal lines and route.
+        shape: the road; None if only the lines and the route in the trace are known.
+        trace: trace of any execution. All executions have the same illegal lines.
     """
-    kinds: tuple[str, ...] = (CURB,) * len(trace.illegal_lines)
-    if roadmap is not None and np.array_equal(roadmap.illegal_lines, trace.illegal_lines):
-        kinds = roadmap.line_kinds
+    low, high = trace.position[:, 0].min(0) - _MARGIN, trace.position[:, 0].max(0) + _MARGIN
+    kinds = line_kinds(shape, trace)
+    lines = [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)]
+    if shape is not None:
+        lines += [{"kind": CURB, "ends": _points(line)} for line in shape.borders]
     return {
-        "lanes": [] if roadmap is None else [_points(_surface(lane)) for lane in roadmap.lanes],
-        "dashes": [] if roadmap is None else [_points(ends) for ends in _dashes(roadmap)],
-        "lines": [{"kind": kind, "ends": _points(line)} for kind, line in zip(kinds, trace.illegal_lines, strict=True)],
-        "routes": {} if roadmap is None else {route.name: _points(_center(route)) for route in roadmap.npc_routes},
+        "lanes": [] if shape is None else [_points(surface) for surface in shape.surfaces],
+        "dashes": [] if shape is None else [_points(dash) for dash in shape.dashes(low, high)],
+        "lines": lines,
+        "routes": {} if shape is None else {name: _points(route) for name, route in shape.routes.items()},
         "ego": _points(trace.route[:: max(1, len(trace.route) // 120)]),
         "destination": [round(float(value), 2) for value in trace.destination],
     }
@@ -79,13 +106,11 @@ def _center(route: Route) -> Floats:
     return np.concatenate([_beside(lane, _stations(lane), 0.0) for lane in route.lanes])
 
 
-def _dashes(roadmap: RoadMap) -> list[Floats]:
-    """Return the dashes between parallel lanes outside junctions."""
-    dashes = []
-    for lane, beside in zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True):
-        if lane.junction or (lane.origin, lane.target) != (beside.origin, beside.target):
-            continue
-        starts = np.arange(0.0, lane.length, _GAP)
-        ends = np.stack([starts, np.minimum(starts + _DASH, lane.length)], axis=1)
-        dashes += [_beside(lane, stations, lane.width / 2) for stations in ends]
-    return dashes
+def _dividers(roadmap: RoadMap) -> tuple[Floats, ...]:
+    """Return the lines between parallel lanes outside junctions."""
+    pairs = zip(roadmap.lanes[:-1], roadmap.lanes[1:], strict=True)
+    return tuple(
+        _beside(lane, _stations(lane), lane.width / 2)
+        for lane, beside in pairs
+        if not lane.junction and (lane.origin, lane.target) == (beside.origin, beside.target)
+    )

@@ -146,7 +146,7 @@ def section(number: int, run: Run, limit: int) -> Section:
     compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
     traces, records = _looked_at(run, replayed.union(compared, (name for name, _ in strips)), replayed)
     found = behaviors(traces)
-    roadmap = known_road(run.config.env)
+    shape = known_road(run.config.env, run.folder)
     longest = max((len(found.labels[name]) for name, _ in strips), default=0) or 1
     return Section(
         number=number,
@@ -158,9 +158,9 @@ def section(number: int, run: Run, limit: int) -> Section:
         ribbons=tuple(_ribbon(found, name, class_id, longest, name in replayed) for name, class_id in strips),
         longest=longest * TIME_STEP,
         places=_places(run, found, replayed),
-        has_road=roadmap is not None,
+        has_road=shape is not None,
         values={
-            "road": road_values(roadmap, next(iter(traces.values()))),
+            "road": road_values(shape, next(iter(traces.values()))),
             "replays": _replays(run, traces, records, found),
         },
     )

@@ -10,10 +10,12 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn import DEFAULT, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
+from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import Trace
 from behavexplor.envs.drawn.episode import EpisodeRecord, Watch
 from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.layout import Layout
+from behavexplor.envs.drawn.road import road_shape
 from behavexplor.envs.stock.engine_making import kept_class
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
@@ -154,6 +156,10 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def _n_vehicles(self) -> int:
         road = self._inner.road
         return 0 if road is None else len(road.vehicles)
+
+    def road_shape(self) -> RoadShape:
+        """Return the shape of the road for pictures."""
+        return road_shape(self._inner.road.network)
 
     def render(self) -> Any:
         """Render the environment."""

@@ -1,0 +1,86 @@
+"""The shape of a road for pictures: surfaces, borders and lines between lanes."""
+
+import json
+from dataclasses import dataclass, field
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.untrusted import object_fields, parse_json
+from behavexplor.errors import InputError
+
+Floats = NDArray[np.float64]
+
+ROAD_FILE: Final = "road.json"  # file in the run folder of a stock environment
+DASH, PERIOD = 3.0, 6.0  # length of a dash between lanes, and distance of the starts of two of them [m]
+_FIELDS: Final = ("surfaces", "striped", "borders")
+
+
+@dataclass(frozen=True, eq=False)
+class RoadShape:
+    """The shape of a road, with lengths in meters.
+
+    Attributes:
+        surfaces: polygons, each of shape (n, 2).
+        striped: lines between lanes, each of shape (n, 2).
+        borders: lines at the sides of roads, each of shape (n, 2).
+        line_kinds: kinds of the illegal lines in a trace.
+        routes: center lines of the routes of NPCs by name, each of shape (n, 2).
+    """
+
+    surfaces: tuple[Floats, ...]
+    striped: tuple[Floats, ...] = ()
+    borders: tuple[Floats, ...] = ()
+    line_kinds: tuple[str, ...] = ()
+    routes: dict[str, Floats] = field(default_factory=dict)
+
+    def dashes(self, low: Floats, high: Floats) -> list[Floats]:
+        """Return the dashes of the striped lines within a rectangle, each of shape (2, 2).
+
+        Args:
+            low: corner of the rectangle with the least coordinates, shape (2,) [m].
+            high: corner with the greatest coordinates, shape (2,) [m].
+        """
+        found = []
+        for line in self.striped:
+            ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+            starts = np.arange(0.0, ends[-1], PERIOD)
+            stations = np.stack([starts, np.minimum(starts + DASH, ends[-1])], axis=1)
+            points = np.stack([np.interp(stations, ends, line[:, axis]) for axis in (0, 1)], axis=-1)
+            inside = ((points >= low) & (points <= high)).all((1, 2))
+            found += list(points[inside])
+        return found
+
+    def to_json(self) -> str:
+        """Return surfaces, striped lines and borders as JSON, from which `from_json` restores them."""
+        return json.dumps({name: [np.round(line, 2).tolist() for line in getattr(self, name)] for name in _FIELDS})
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Read the shape that `to_json` wrote.
+
+        Raises:
+            InputError: if it is not one.
+        """
+        values = object_fields("the shape of a road", parse_json(text, "the shape of a road"), _FIELDS)
+        surfaces, striped, borders = (
+            tuple(_line(name, points) for points in _listed(name, values[name])) for name in _FIELDS
+        )
+        return cls(surfaces, striped, borders)
+
+
+def _listed(name: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise InputError(f"{name} of the shape of a road must be a list of lines")
+    return value
+
+
+def _line(name: str, points: Any) -> Floats:
+    try:
+        line = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        line = np.zeros(0)
+    if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not np.isfinite(line).all():
+        raise InputError(f"{name} of the shape of a road must be lines of at least two points")
+    return line
