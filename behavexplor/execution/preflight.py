@@ -51,8 +51,23 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
     seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
-    findings = (_uncompiled(simulation), _constant(witness.actions), _motionless(traces), _foreign(seen, trained_on))
+    findings = (
+        _unconfigured(simulation),
+        _uncompiled(simulation),
+        _constant(witness.actions),
+        _motionless(traces),
+        _foreign(seen, trained_on),
+    )
     return [finding for finding in findings if finding]
+
+
+def _unconfigured(simulation: Simulation) -> str | None:
+    if simulation.is_configured:
+        return None
+    return (
+        "The configuration in which the policy was trained is not known, so highway-env's own is used, and rates "
+        "depend on it: give it by --env-config FILE, or in a YAML file beside the model (config: ...)"
+    )
 
 
 def _uncompiled(simulation: Simulation) -> str | None:

@@ -42,6 +42,7 @@ class Simulation:
         env: the environment.
         ads: the driving system.
         logical: the scenarios of the environment.
+        is_configured: whether a configuration for the policy was found, where one is needed.
         plain: why the environment cannot run in lock-step, once this is known; empty if it can.
 
     Raises:
@@ -64,6 +65,7 @@ class Simulation:
         self.env = make_env(env, {**declared, **trained, **(env_config or {})}, traffic)
         self.logical = logical_of(self.env, env)
         self.plain = ""
+        self.is_configured = not stock or bool(trained or env_config or not hasattr(self.ads, "observation_space"))
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:

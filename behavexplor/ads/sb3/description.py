@@ -28,6 +28,8 @@ class Description:
         action: highway-env's action configuration; None for the environment's own.
         policy_frequency: decisions per second [Hz]; None for the environment's own.
         simulation_frequency: simulation steps per second [Hz]; None for the environment's own.
+        env: gymnasium id of the stock environment in which the policy was trained; None if unknown.
+        config: highway-env's configuration in training; None if unknown.
         frame_stack: number of observations stacked along the last axis.
         statistics: file of `VecNormalize`; None if observations were not normalized.
         about: free notes of the author; ignored.
@@ -39,6 +41,8 @@ class Description:
     action: Mapping[str, Any] | None = None
     policy_frequency: int | None = None
     simulation_frequency: int | None = None
+    env: str | None = None
+    config: Mapping[str, Any] | None = None
     frame_stack: int = 1
     statistics: Path | None = None
     about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
@@ -105,7 +109,9 @@ def _own(path: Path) -> Description:
     for key in values:
         if key not in Description.__dataclass_fields__:
             raise unknown_name(f"key of {path}", str(key), Description.__dataclass_fields__)
-    description = _checked(path, values)
+    given = values.get("config")
+    trained = {key: given[key] for key in _ENVIRONMENT_KEYS if key in given} if isinstance(given, dict) else {}
+    description = _checked(path, {**trained, **values})
     if description.statistics is None:
         return description
     statistics = path.parent / description.statistics
@@ -130,6 +136,7 @@ def _of_zoo(folder: Path, model: Path) -> Description:
         )
     config = _environment(arguments)
     values = {key: config[key] for key in _ENVIRONMENT_KEYS if key in config}
+    values |= {"env": arguments.get("env"), "config": config}
     values["frame_stack"] = settings.get("frame_stack") or 1
     values["statistics"] = statistics
     return _checked(folder, values)

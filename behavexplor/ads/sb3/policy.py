@@ -34,7 +34,8 @@ class SB3Policy:
         last_trained_on: observations at the end of training, arrays of shape (n, ...); None if the file has none.
 
     The policy drives in lock-step: its answer to an observation does not depend on the rest of the batch. The
-    observation and action configuration and the frequencies are attributes only where they are known.
+    observation and action configuration and the frequencies are attributes only where they are known, and so is
+    `env_config`, highway-env's configuration in training.
     """
 
     def __init__(
@@ -51,6 +52,8 @@ class SB3Policy:
         for name in names:
             if (value := getattr(description, name)) is not None:
                 setattr(self, name, value)
+        if description.config is not None:
+            self.env_config = dict(description.config)
         if statistics is not None:
             _check_statistics(str(description.statistics), statistics, self.observation_space)
 

@@ -1,21 +1,21 @@
 """A highway-env environment whose episodes are given by its own random draws."""
 
-from collections.abc import Mapping
 from typing import Any, Final
 
 import gymnasium
 import highway_env
 import numpy as np
+from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn import DEFAULT, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
 from behavexplor.data.road_shape import RoadShape
-from behavexplor.data.trace import Trace
 from behavexplor.envs.drawn.episode import EpisodeRecord, Watch
 from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.layout import Layout
 from behavexplor.envs.drawn.road import road_shape
+from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.stock.engine_making import kept_class
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
@@ -36,6 +36,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
 
     Attributes:
         logical: all scenarios of the environment in this configuration.
+        record: the record of the present episode; None before the first one.
     """
 
     def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: str = DEFAULT) -> None:
@@ -46,7 +47,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
         self.metadata = self._env.metadata
-        self._watch = Watch()
+        self.record: EpisodeRecord | None = None
         self._generator: np.random.Generator | None = None
         self._setup = setup
         self._seed = 0
@@ -69,10 +70,6 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         """Number of decisions after which gymnasium truncates an episode; None if it does not."""
         return None if self._env.spec is None else self._env.spec.max_episode_steps
 
-    def take_record(self) -> EpisodeRecord:
-        """Return the record of the present episode, which goes on elsewhere."""
-        return self._watch.record
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode.
 
@@ -92,7 +89,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             generator = DrawnGenerator(dict(scenario.draws), scenario.seed, __file__)
         self._seed = 0 if scenario is None else scenario.seed
         observation, info = self._begin(generator)
-        self._watch.begin(self._inner)
+        self.record = Watch(self._inner).record
         return observation, info
 
     def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
@@ -106,12 +103,15 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take an action; see the environment."""
-        record = self._watch.record
+        record = self.record
+        if record is None:
+            raise ResetNeeded("The environment has not begun an episode: call reset before step")
         record.decide(action)
         observation, reward, terminated, truncated, info = self._decide(action)
         record.judge(has_arrived(info))
         if terminated or truncated:
-            info = {**info, "trace": self._trace(bool(terminated)), "scenario": self._played()}
+            trace = record.trace(self._inner.road.network, terminated=bool(terminated))
+            info = {**info, "trace": trace, "scenario": self._played()}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def _decide(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -126,10 +126,6 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         """Return the scenario of the present episode with all draws that were made."""
         drawn = self._generator.drawn if isinstance(self._generator, DrawnGenerator) else {}
         return DrawnScenario(self._setup, self._seed, sorted_draws(drawn))
-
-    def _trace(self, terminated: bool) -> Trace:
-        network = self._inner.road.network
-        return self._watch.record.trace(network, terminated=terminated, leaving_matters=leaving_matters(self._inner))
 
     def _layout(self) -> tuple[Draw, ...]:
         """Read the environment's draws from a few episodes."""
@@ -168,20 +164,3 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         """Release the environment's resources."""
         self._env.close()
-
-
-def has_arrived(info: Mapping[str, Any]) -> bool | None:
-    """Return whether the ego has arrived, as highway-env says; None if the environment has no destination."""
-    if "is_success" in info:
-        return bool(info["is_success"])
-    rewards = info.get("rewards", {})
-    return bool(rewards["arrived_reward"]) if "arrived_reward" in rewards else None
-
-
-def leaving_matters(env: AbstractEnv) -> bool:
-    """Return whether it means something that the ego leaves the road.
-
-    It does where each lane line is a border of the road or of a lane that may be used. In junctions, a vehicle that
-    drives well leaves its lane for some frames.
-    """
-    return type(env).__module__.rpartition(".")[2] in ("highway_env", "merge_env", "racetrack_env", "exit_env")

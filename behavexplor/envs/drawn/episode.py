@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.trace import ABSENT, ARRIVED, CRASHED, OFF_ROAD, Trace
-from behavexplor.envs.drawn.course import LaneIndex, driven_route
+from behavexplor.envs.drawn.course import LaneIndex, ego_route
+from behavexplor.envs.drawn.terms import leaving_matters, must_move_on
 from behavexplor.envs.stock.frame_log import THING
 from behavexplor.envs.stock.record_types import Records
 
@@ -37,17 +38,21 @@ class EpisodeRecord:
     """The frames and decisions of an episode.
 
     Args:
-        period: time between two frames [s].
+        env: the environment, which has just been reset.
 
     Attributes:
         frames: the frames.
         sizes: length and width of each vehicle and obstacle by its number [m].
+        planned: lanes of the ego's route at the start; empty if the environment plans none.
     """
 
-    def __init__(self, period: float) -> None:
+    def __init__(self, env: AbstractEnv) -> None:
+        self.planned: tuple[LaneIndex, ...] = tuple(getattr(env.vehicle, "route", None) or ())
+        self._leaving_matters = leaving_matters(env)
+        self._must_move_on = must_move_on(env)
         self.frames: list[Frame] = []
         self.sizes: dict[int, tuple[float, float]] = {}
-        self._period = period
+        self._period = 1 / env.config["simulation_frequency"]
         self._actions: list[Floats] = []
         self._action_frames: list[int] = []
         self._arrivals: list[bool] = []
@@ -62,13 +67,12 @@ class EpisodeRecord:
         if arrived is not None:
             self._arrivals.append(arrived)
 
-    def trace(self, network: RoadNetwork, *, terminated: bool, leaving_matters: bool) -> Trace:
-        """Return the trace of the episode.
+    def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
+        """Return the trace of the episode. It ends with the frame in which the ego crashes, if it does.
 
         Args:
             network: the road network.
             terminated: whether the environment terminated the episode, rather than that its time ran out.
-            leaving_matters: whether it means something in this environment that the ego leaves the road.
         """
         things = [frame.things for frame in self.frames]
         ego = int(things[0]["number"][self.frames[0].ego])
@@ -86,8 +90,8 @@ class EpisodeRecord:
         present[at], crashed[at] = True, every["crashed"]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         size = np.array([self.sizes[number] for number in numbers.tolist()])
-        route = driven_route(network, [seen.lane for seen in self.frames], position[0, 0], position[-1, 0])
-        return Trace(
+        route = ego_route(network, self.planned, [seen.lane for seen in self.frames], position[:, 0])
+        trace = Trace(
             time=np.arange(len(things), dtype=np.float64) * self._period,
             position=position,
             heading=heading,
@@ -98,26 +102,28 @@ class EpisodeRecord:
             route=route,
             destination=route[-1],
             illegal_lines=np.zeros((0, 2, 2)),
-            end=self._end(bool(crashed[-1, 0]), terminated=terminated),
-            signals=self._signals(crashed[:, 0], leaving_matters=leaving_matters),
+            end=self._end(terminated=terminated),
+            signals=self._signals(crashed[:, 0]),
             present=present,
             partner=_partner(position, heading, size, crashed),
         )
+        return trace.until(int(crashed[:, 0].argmax()) + 1, "collision") if crashed[:, 0].any() else trace
 
-    def _signals(self, crashed: NDArray[np.bool_], *, leaving_matters: bool) -> dict[str, Floats]:
+    def _signals(self, crashed: NDArray[np.bool_]) -> dict[str, Floats]:
         signals = {CRASHED: crashed.astype(np.float64)}
-        if leaving_matters:
+        if self._leaving_matters:
             signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
         if self._arrivals:
             ends = [*self._action_frames[1:], len(self.frames) - 1]
             signals[ARRIVED] = np.zeros(len(self.frames))
             signals[ARRIVED][ends] = self._arrivals
+        elif self._must_move_on:
+            road = self.frames[0].lane[:2]
+            signals[ARRIVED] = np.array([frame.lane[:2] != road for frame in self.frames], dtype=np.float64)
         return signals
 
-    def _end(self, crashed: bool, *, terminated: bool) -> str:
-        """Return the kind of end, one of `behavexplor.data.trace.ENDS`."""
-        if crashed:
-            return "collision"
+    def _end(self, *, terminated: bool) -> str:
+        """Return the kind of end of an episode without a crash, one of `behavexplor.data.trace.ENDS`."""
         if self._arrivals and self._arrivals[-1]:
             return "arrived"
         if not terminated:
@@ -126,16 +132,18 @@ class EpisodeRecord:
 
 
 class Watch:
-    """Watches a highway-env environment, and records every frame of its episodes."""
+    """Watches a highway-env environment, and records every frame of an episode.
 
-    def __init__(self) -> None:
+    Args:
+        env: the environment, which has just been reset.
+
+    Attributes:
+        record: the record of the episode.
+    """
+
+    def __init__(self, env: AbstractEnv) -> None:
         self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
-        self.record = EpisodeRecord(1.0)
-
-    def begin(self, env: AbstractEnv) -> None:
-        """Begin the record of an episode, after a reset of the environment."""
-        self._things = {}
-        self.record = EpisodeRecord(1 / env.config["simulation_frequency"])
+        self.record = EpisodeRecord(env)
         self._look(env)
         road: Any = env.road
         step = road.step

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from behavexplor.data.drawn import DrawnScenario
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
 from behavexplor.envs.drawn.course import LaneIndex
-from behavexplor.envs.drawn.env import DrawnEnv, has_arrived, leaving_matters
-from behavexplor.envs.drawn.episode import EpisodeRecord, Frame
+from behavexplor.envs.drawn.env import DrawnEnv
+from behavexplor.envs.drawn.episode import Frame
 from behavexplor.envs.drawn.generator import DrawnGenerator
+from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.stock.lane_network import lane_indexes
 from behavexplor.envs.stock.source_gate import changed_sources
 from behavexplor.envs.stock.stock_env import StockVectorEnv
@@ -61,7 +62,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.observation_space = self._engine.observation_space
         self.action_space = self._engine.action_space
         self.logical: DrawnLogicalScenario = env.logical
-        self._records = [EpisodeRecord(1.0)] * num_envs
+        self._records: list[Any] = [None] * num_envs
         self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
         self._ended = np.ones(num_envs, dtype=bool)
         self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
@@ -84,8 +85,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         for b in np.flatnonzero(mask).tolist():
             scenario = options["scenarios"][b]
             self._env.reset(options={"scenario": scenario})
-            first = self._env.take_record()
-            self._records[b], self._networks[b] = first, self._env.inner.road.network
+            self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
             chosen = np.arange(self.num_envs) == b
             given: dict[str, Any] = {"reset_mask": chosen, "starts": {b: self._env.inner}}
             if isinstance(self._env.inner, IntersectionEnv):
@@ -109,11 +109,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             self._log(b)
             self._records[b].judge(has_arrived(_own(infos, b)))
         for b in np.flatnonzero(ended).tolist():
-            traces[b] = self._records[b].trace(
-                self._networks[b],
-                terminated=bool(terminated[b]),
-                leaving_matters=leaving_matters(self._env.inner),
-            )
+            traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
         return observations, rewards, terminated, truncated, {**infos, "trace": traces, "_trace": ended}
 
     def _log(self, b: int) -> None:
