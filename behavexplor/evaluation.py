@@ -1,19 +1,24 @@
 """Evaluation of an ADS: rates of arrival and violations over uniformly drawn scenarios."""
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Final, Self
 
 import numpy as np
 from scipy.stats import binomtest
 
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import Executor
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
+AHEAD: Final = 1024  # scenarios under way, enough for many processes in lock-step
 
 
 @dataclass(frozen=True)
@@ -49,24 +54,38 @@ class Evaluation:
 
 
 def estimate_rates(
-    simulation: Simulation, n: int, seed: int, observe: Callable[[int], None] | None = None
+    executor: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
 ) -> Evaluation:
-    """Evaluate an ADS in uniformly drawn scenarios.
+    """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the executor.
 
     Args:
-        simulation: simulation with the ADS and its environment.
+        executor: executor of the ADS, see `behavexplor.execution.start.start_executor`.
+        logical: logical scenario of its environment.
         n: number of scenarios.
         seed: seed of the random scenarios.
         observe: callback that gets the number of finished scenarios.
+
+    Raises:
+        ADSError: if the ADS fails in a scenario.
+        RuntimeError: if a scenario could not be executed.
     """
     generator = np.random.default_rng([STREAM, seed])
-    scenarios = [simulation.logical.sample(generator) for _ in range(n)]
-    traces: list[Trace] = []
-    for _, trace in simulation.run_all(scenarios):
-        traces.append(trace)
+    return Evaluation.of(_traces(executor, (logical.sample(generator) for _ in range(n)), observe))
+
+
+def _traces(
+    executor: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None
+) -> Iterator[Trace]:
+    """Execute scenarios and yield their traces in order. At most `AHEAD` of them are under way."""
+    requests = (scenario.to_json().encode() for scenario in scenarios)
+    waiting = deque(executor.submit(EXECUTE, request) for request in islice(requests, AHEAD))
+    done = 0
+    while waiting:
+        yield Trace.from_bytes(waiting.popleft().result())
+        waiting.extend(executor.submit(EXECUTE, request) for request in islice(requests, 1))
+        done += 1
         if observe is not None:
-            observe(len(traces))
-    return Evaluation.of(traces)
+            observe(done)
 
 
 def _outcomes(trace: Trace) -> list[str]:

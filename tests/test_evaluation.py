@@ -1,14 +1,22 @@
 """Rates over scenarios drawn uniformly, and the lock-step in which they are driven."""
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from behavexplor import evaluation
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
-from behavexplor.evaluation import Evaluation, estimate_rates
+from behavexplor.data.target import Target
+from behavexplor.evaluation import STREAM, Evaluation, estimate_rates
 from behavexplor.execution.rollout import ADSError, rollout_all
 from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.start import start_executor
+from tests.confining import confines
 from tests.drivers import Cruiser
 
 
@@ -79,15 +87,85 @@ def test_intervals_are_wilsons(count, n, low, high):
     assert Evaluation(n, {"x": count}).rate("x") == count / n
 
 
-def test_the_same_seed_gives_the_same_scenarios(cruising):
-    first, again, other = (estimate_rates(cruising[0], 12, seed).counts for seed in (0, 0, 1))
-    assert first == again
+@pytest.mark.parametrize("ahead", [1, 5, 1024])
+def test_the_same_seed_gives_the_same_rates_however_many_are_under_way(ahead, cruising, monkeypatch):
+    monkeypatch.setattr(evaluation, "AHEAD", ahead)
+    logical, done = cruising[0].logical, []
+    with start_executor(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
+        first = estimate_rates(executor, logical, 12, 0, done.append)
+        other = estimate_rates(executor, logical, 12, 1)
+    generator = np.random.default_rng([STREAM, 0])
+    assert first == Evaluation.of(cruising[0].run(logical.sample(generator)) for _ in range(12))
     assert first != other
+    assert done == list(range(1, 13))
+
+
+def evaluated(tmp_path, ads, *flags):
+    """The exit code of an evaluation in few scenarios, and its figures."""
+    file = tmp_path / "rates.json"
+    code = main(["evaluate", "--env", "lane-follow", "--ads", ads, "--scenarios", "9", "--json", str(file), *flags])
+    return code, json.loads(file.read_text()) if file.exists() else None
+
+
+def test_rates_do_not_depend_on_the_workers(tmp_path):
+    found = [evaluated(tmp_path, "tests.drivers:Cruiser", "--workers", count) for count in ("1", "2")]
+    assert found[0] == found[1] == evaluated(tmp_path, "tests.drivers:Cruiser", "--workers", "0", "--unconfined")
+    assert found[0][0] == OK
+
+
+def test_a_driver_is_examined_before_its_evaluation(tmp_path, capsys):
+    assert evaluated(tmp_path, "tests.execution.test_preflight:Parked", "--workers", "1")[0] == OK
+    assert "Warning: The ego never moved in 4 scenarios" in capsys.readouterr().err
+    assert evaluated(tmp_path, "tests.execution.test_preflight:Parked", "--workers", "1", "--quiet")[0] == OK
+    assert capsys.readouterr().err == ""
+
+
+class Diarist(Cruiser):
+    """Keeps a diary where it should not."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        Path(os.environ["DIARY"]).open("a").write("x")
+        return super().predict(observation, state)
+
+
+@pytest.mark.skipif(not confines(), reason="this system cannot confine a process")
+def test_a_driver_that_is_evaluated_is_confined(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("DIARY", str(tmp_path / "diary"))
+    command = [sys.executable, "-m", "behavexplor", "evaluate", "--env", "lane-follow", "--scenarios", "1"]
+    command += ["--ads", "tests.test_evaluation:Diarist", "--workers", "1"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == EXECUTION_FAILED
+    assert "without --unconfined, an ADS may neither write files nor use the network" in result.stderr
+    assert not (tmp_path / "diary").exists()
+    assert subprocess.run([*command, "--unconfined"], capture_output=True, check=False).returncode == OK
+    assert (tmp_path / "diary").exists()
+    assert main(["evaluate", "--ads", "tests.test_evaluation:Diarist", "--workers", "0"]) == BAD_INPUT
+    assert "cannot be confined" in capsys.readouterr().err
+
+
+class Painter(Cruiser):
+    """Fails with words that would clear a terminal."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        raise ValueError("\x1b[2Jall well\r")
+
+
+@pytest.mark.parametrize("command", [["evaluate", "--scenarios", "1"], ["fuzz", "--budget", "1"]])
+def test_the_words_of_a_driver_do_not_reach_the_terminal_as_they_are(command, tmp_path, capsys):
+    out = ["--out", str(tmp_path / "run")] if command[0] == "fuzz" else []
+    main([*command, "--ads", "tests.test_evaluation:Painter", "--workers", "1", *out])
+    printed = capsys.readouterr()
+    assert "\\x1b[2Jall well" in printed.err
+    if out:
+        assert main(["replay", str(tmp_path / "run"), "0"]) == OK
+        printed = capsys.readouterr()
+        assert "\\x1b[2Jall well" in printed.out
+    assert all(line.isprintable() for line in (printed.out + printed.err).splitlines())
 
 
 def test_the_command_prints_rates_and_writes_them(tmp_path, capsys):
     file = tmp_path / "rates.json"
-    flags = ["--ads", "tests.drivers:Cruiser", "--scenarios", "20", "--json", str(file), "--quiet"]
+    flags = ["--ads", "tests.drivers:Cruiser", "--workers", "1", "--scenarios", "20", "--json", str(file), "--quiet"]
     assert main(["evaluate", *flags]) == OK
     out = capsys.readouterr().out
     counts = json.loads(file.read_text())
@@ -103,12 +181,12 @@ def test_wrong_flags_are_refused(flag, value, capsys):
 
 
 def test_a_driver_that_fails_ends_the_evaluation_with_its_words(capsys):
-    flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--scenarios", "3", "--quiet"]
+    flags = ["--env", "lane-follow", "--ads", "tests.drivers:Lost", "--workers", "1", "--scenarios", "3", "--quiet"]
     assert main(["evaluate", *flags]) == EXECUTION_FAILED
     assert "In one of the scenarios the ADS failed (invalid): predict must return finite" in capsys.readouterr().err
 
 
 def test_figures_that_cannot_be_written_are_named(tmp_path, capsys):
-    flags = ["--ads", "tests.drivers:Cruiser", "--scenarios", "2", "--json", str(tmp_path), "--quiet"]
+    flags = ["--ads", "tests.drivers:Cruiser", "--workers", "1", "--scenarios", "2", "--json", str(tmp_path), "--quiet"]
     assert main(["evaluate", *flags]) == BAD_INPUT
     assert "cannot be written" in capsys.readouterr().err

@@ -55,17 +55,53 @@ def of_run(rng, tmp_path, capfd):
 
 def of_network(rng, tmp_path, capfd):
     path = malformed.write(tmp_path / "policy.npz", malformed.network(rng))
-    return refuse(capfd, "fuzz", "--workers", "0", "--ads", path, "--env", "lane-follow", "--out", tmp_path / "run")
+    return refuse(
+        capfd,
+        "fuzz",
+        "--workers",
+        "0",
+        "--unconfined",
+        "--ads",
+        path,
+        "--env",
+        "lane-follow",
+        "--out",
+        tmp_path / "run",
+    )
 
 
 def of_model(rng, tmp_path, capfd):
     path = malformed.write(tmp_path / "policy.zip", malformed.model(rng))
-    return refuse(capfd, "fuzz", "--workers", "0", "--ads", path, "--env", "lane-follow", "--out", tmp_path / "run")
+    return refuse(
+        capfd,
+        "fuzz",
+        "--workers",
+        "0",
+        "--unconfined",
+        "--ads",
+        path,
+        "--env",
+        "lane-follow",
+        "--out",
+        tmp_path / "run",
+    )
 
 
 def of_zoo(rng, tmp_path, capfd):
     folder = malformed.zoo(tmp_path / "zoo", rng)
-    return refuse(capfd, "fuzz", "--workers", "0", "--ads", folder, "--env", "lane-follow", "--out", tmp_path / "run")
+    return refuse(
+        capfd,
+        "fuzz",
+        "--workers",
+        "0",
+        "--unconfined",
+        "--ads",
+        folder,
+        "--env",
+        "lane-follow",
+        "--out",
+        tmp_path / "run",
+    )
 
 
 def of_flags(rng, tmp_path, capfd):

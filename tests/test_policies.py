@@ -13,7 +13,7 @@ from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.simulation import Simulation
-from tests.ads.sb3.models import make_model
+from tests.ads.sb3.models import make_model, poison
 
 ENV = "behavexplor/lane-follow-v0"
 
@@ -72,10 +72,22 @@ def test_missing_statistics_are_named_by_the_health_check(trained, tmp_path):
 def test_a_policys_file_is_fuzzed_from_the_command_line(trained, tmp_path, capsys):
     run = tmp_path / "run"
     policy = str(trained / "model.zip")
-    flags = ["--env", "lane-follow", "--ads", policy, "--budget", "2", "--workers", "0", "--out", str(run)]
+    flags = ["--env", "lane-follow", "--ads", policy, "--budget", "2", "--workers", "1", "--out", str(run)]
     assert main(["fuzz", *flags]) == OK
     assert main(["replay", str(run), "0"]) == OK
     assert "running it again gave the same trace" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [["fuzz", "--budget", "1"], ["evaluate", "--scenarios", "1"]])
+def test_what_is_suspicious_in_a_policys_file_is_printed_before_anything_else(command, trained, tmp_path, capfd):
+    poisoned = poison(trained / "model.zip", tmp_path / "model.zip", "new_key", tmp_path / "proof")
+    out = ["--out", str(tmp_path / "run")] if command[0] == "fuzz" else []
+    assert main([*command, "--env", "lane-follow", "--ads", str(poisoned), "--workers", "1", *out]) == OK
+    printed = capfd.readouterr().err.splitlines()
+    warning = f"Warning: {poisoned}: 'new_key' of its data calls posix.mkdir, which was not run"
+    assert printed.count(warning) == 1
+    assert any("statistics of VecNormalize missing" in line for line in printed)
+    assert not (tmp_path / "proof").exists()
 
 
 @pytest.mark.parametrize(
@@ -96,7 +108,10 @@ def test_a_policy_of_other_spaces_is_refused_with_what_would_fit(observations, c
     space = gymnasium.spaces.Box(-np.inf, np.inf, observations, np.float32)
     algorithm = "DQN" if isinstance(commands, gymnasium.spaces.Discrete) else "PPO"
     make_model(algorithm, space, commands).save(tmp_path / "model")
-    assert main(["fuzz", "--env", "lane-follow", "--ads", str(tmp_path / "model.zip"), "--workers", "0"]) == BAD_INPUT
+    assert (
+        main(["fuzz", "--env", "lane-follow", "--ads", str(tmp_path / "model.zip"), "--workers", "0", "--unconfined"])
+        == BAD_INPUT
+    )
     message = capsys.readouterr().err
     assert "but the environment 'behavexplor/lane-follow-v0' has Box(7, 5) and Box(2,)" in message
     assert hint in message
@@ -108,10 +123,10 @@ def test_what_is_said_to_fit_does_fit(name, tmp_path, capsys):
         spaces = env.observation_space, env.action_space
     algorithm = "DQN" if isinstance(spaces[1], gymnasium.spaces.Discrete) else "PPO"
     make_model(algorithm, *spaces).save(tmp_path / "model")
-    assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), "--workers", "0"]) == BAD_INPUT
+    assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), "--workers", "0", "--unconfined"]) == BAD_INPUT
     advice = capsys.readouterr().err.strip().partition(" your driver: ")[2]
     (tmp_path / "model.yaml").write_text(advice)
-    flags = ["--budget", "1", "--workers", "0", "--out", str(tmp_path / "run")]
+    flags = ["--budget", "1", "--workers", "0", "--unconfined", "--out", str(tmp_path / "run")]
     assert main(["fuzz", "--ads", str(tmp_path / "model.zip"), *flags]) == OK
 
 

@@ -19,6 +19,7 @@ from behavexplor.campaign.opening import opened
 from behavexplor.errors import InputError
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.service import Recipe, Service
+from behavexplor.execution.start import fewest_workers
 
 RUN: Final = "run"  # name of the service's function
 _PRELOAD: Final = ("behavexplor.bench.campaign_service", "behavexplor.envs.driving", "sklearn.cluster")
@@ -93,6 +94,7 @@ class CampaignService(Service):
         return Outcome(finished, warnings=tuple(warnings))
 
     def _run(self, config: CampaignConfig, folder: Path, workers: int, warnings: list[str]) -> bool:
+        workers = max(workers, fewest_workers(config.target))
         with opened(config, folder, workers, resume=(folder / DATABASE).is_file()) as ready:
             self._campaign = ready.campaign
             if self._stopping:

@@ -59,8 +59,10 @@ class Experiment:
             the machine.
         batch: number of candidates in flight, as in a campaign's `batch`.
         workers: number of processes that execute the scenarios of one campaign. 0 is the campaign's own process,
-            without limits of time and memory.
+            without limits of time and memory; a third-party ADS then gets one process, in which it is confined.
         trust: digests of trusted policy files, as in a campaign's `trust`.
+        unconfined: whether third-party driving systems may write files and use the network, as in a campaign's
+            `unconfined`.
         specs: user-defined requirements, as in a campaign's `specs`.
         reference: method that is compared with each other method; by default the first one.
         baseline: method that each other method is compared with; empty for none.
@@ -83,6 +85,7 @@ class Experiment:
     batch: int = 8
     workers: int = 0
     trust: tuple[str, ...] = ()
+    unconfined: bool = False
     specs: tuple[str, ...] = ()
     reference: str = ""
     baseline: str = ""
@@ -136,9 +139,8 @@ class Experiment:
     def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
         """Return the configuration of a method's campaigns in one environment with one ADS, with the default seed."""
         values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
-        return campaign_config(
-            {**values, "budget": self.budget, "batch": self.batch, "trust": self.trust, "specs": self.specs}
-        )
+        of_all = ("budget", "batch", "trust", "unconfined", "specs")
+        return campaign_config({**values, **{key: getattr(self, key) for key in of_all}})
 
     def to_yaml(self) -> str:
         """Return the whole experiment as YAML, with the options of its methods."""

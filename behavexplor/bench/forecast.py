@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +11,12 @@ import numpy as np
 from behavexplor.bench.experiment import Experiment, PlannedRun
 from behavexplor.bench.runs import run_state
 from behavexplor.bench.timing import read_timing
-from behavexplor.execution.simulation import Simulation
+from behavexplor.data.target import Target
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.simulation import logical_scenario
+from behavexplor.execution.start import fewest_workers, start_executor
 
 TRIAL: Final = 10  # number of timed executions
 _WARMING: Final = 2  # number of executions before them, which compile kernels
@@ -39,7 +45,7 @@ def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
             continue
         place = (run.env, run.ads)
         if (*place, run.method) not in measured and place not in measured:
-            measured[place] = trial(*place, experiment.batch, experiment.trust)
+            measured[place] = trial(run.config.target, experiment.batch)
         seconds += (experiment.budget - found.executions) * measured.get((*place, run.method), measured.get(place, 0))
     return seconds / jobs
 
@@ -55,26 +61,29 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
     return {key: float(np.mean(values)) for key, values in found.items()}
 
 
-def trial(env: str, ads: str, batch: int, trust: Sequence[str]) -> float:
+def trial(target: Target, batch: int) -> float:
     """Return the mean time of a few executions [s].
 
     Args:
-        env: environment.
-        ads: driving system under test.
+        target: the driving system and its environment.
         batch: number of scenarios that run at a time, as a campaign's `batch`.
-        trust: digests of trusted policy files.
 
     Raises:
         InputError: if the ADS or the environment cannot be used.
     """
-    simulation = Simulation(env, ads, trust)
-    generator = np.random.default_rng(0)
-    scenarios = [simulation.logical.sample(generator) for _ in range(_WARMING + TRIAL)]
-    for _ in simulation.run_all(scenarios[:_WARMING], batch):
-        pass
-    start = time.monotonic()
-    for _ in simulation.run_all(scenarios[_WARMING:], batch):
-        pass
-    seconds = (time.monotonic() - start) / TRIAL
-    simulation.close()
-    return seconds
+    generator, logical = np.random.default_rng(0), logical_scenario(target.env)
+    requests = [logical.sample(generator).to_json().encode() for _ in range(_WARMING + TRIAL)]
+    with start_executor(target, fewest_workers(target)) as executor:
+        _execute(executor, requests[:_WARMING], batch)
+        start = time.monotonic()
+        _execute(executor, requests[_WARMING:], batch)
+        return (time.monotonic() - start) / TRIAL
+
+
+def _execute(executor: Executor, requests: Sequence[bytes], batch: int) -> None:
+    """Execute scenarios, as many at a time as a campaign does."""
+    for begin in range(0, len(requests), batch):
+        futures = [executor.submit(EXECUTE, request) for request in requests[begin : begin + batch]]
+        for future in futures:
+            with suppress(ADSError):  # a campaign records it, and goes on
+                future.result()

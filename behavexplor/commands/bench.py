@@ -23,10 +23,11 @@ from behavexplor.commands.interrupts import stopped_by_signals
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.report import PAGE
 from behavexplor.commands.terminal_tables import text
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import parse_cluster
 from behavexplor.execution.executor import available_cores
-from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.simulation import logical_scenario
+from behavexplor.execution.start import check_loading, fewest_workers, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.report.experiment_page import experiment_page
 
@@ -126,11 +127,13 @@ def _prepare(experiment: Experiment, root: Path) -> None:
     for run in experiment.runs():
         if run.seed == experiment.first_seed:
             unlike.setdefault((run.env, run.ads), []).append(run)
-    for (env, ads), runs in unlike.items():
-        simulation = Simulation(env, ads, experiment.trust)
+    for (env, _), runs in unlike.items():
+        logical = logical_scenario(env)
         for run in runs:
-            search_method(run.config, simulation.logical)
-        simulation.close()
+            search_method(run.config, logical)
+        target = runs[0].config.target
+        with start_executor(target, fewest_workers(target)) as executor:
+            check_loading(executor)
     try:
         root.mkdir(parents=True, exist_ok=True)
         (root / EXPERIMENT).write_text(experiment.to_yaml())
@@ -145,9 +148,9 @@ def _run(experiment: Experiment, root: Path, jobs: int, cluster: str, *, quiet: 
     with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
         ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
     for warning in ended.warnings:
-        print(f"Warning: {warning}", file=sys.stderr)
+        print(f"Warning: {sentence(warning)}", file=sys.stderr)
     for run, failure in ended.failed.items():
-        print(f"{program()}: {run}: {failure}", file=sys.stderr)
+        print(f"{program()}: {sentence(f'{run}: {failure}')}", file=sys.stderr)
     if running.stopping:
         print("Interrupted; the same command continues the experiment", file=sys.stderr)
         return INTERRUPTED

@@ -3,9 +3,7 @@
 import shlex
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from threading import Timer
+from collections.abc import Sequence
 from types import TracebackType
 from typing import NamedTuple, Self, TextIO
 
@@ -44,16 +42,6 @@ class Display:
     def say(self, sentence: str) -> None:
         """Print a line."""
         self._console.print(sentence, soft_wrap=True)
-
-    @contextmanager
-    def patience(self, sentence: str, after: float = 5.0) -> Iterator[None]:
-        """Print a line if the code in this context takes longer than `after` seconds."""
-        timer = Timer(after, self.say, [sentence])
-        timer.start()
-        try:
-            yield
-        finally:
-            timer.cancel()
 
     def __enter__(self) -> Self:
         """Open the live screen, if there is one."""

@@ -3,6 +3,8 @@
 import json
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,22 +14,27 @@ from rich.table import Table
 
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
-from behavexplor.errors import InputError
+from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.data.target import Target
+from behavexplor.errors import InputError, sentence
 from behavexplor.evaluation import Evaluation, estimate_rates
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.simulation import logical_scenario
+from behavexplor.execution.start import check_ads, start_executor
 
 MOST_SCENARIOS = 1_000_000
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913 - one argument for each flag
     *,
     env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
     ads: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rule",
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
+    unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
@@ -37,27 +44,46 @@ def evaluate(
         ads: Driving system under test, as for fuzz.
         scenarios: Number of scenarios.
         seed: Seed of the sampled scenarios.
+        workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         json_file: Also write the counts to this JSON file.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
     """
     if not 1 <= scenarios <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
     if seed < 0:
         raise InputError(f"--seed {seed} must not be negative")
-    simulation = Simulation(env, ads, [trust] if trust else [])
-    try:
-        with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
-            found = estimate_rates(simulation, scenarios, seed, meter.show)
-    except ADSError as error:
-        print(f"{program()}: In one of the scenarios {error}; fuzz records such failures and goes on", file=sys.stderr)
-        return EXECUTION_FAILED
-    finally:
-        simulation.close()
+    count = chosen_workers(workers)
+    say = partial(_say, quiet=quiet)
+    target = Target(env, ads, (trust,) if trust else (), unconfined)
+    with ExitStack() as stack:
+        logical = logical_scenario(env)
+        with patience(say):
+            executor = start_executor(target, count)
+            stack.callback(executor.shutdown, wait=False)
+            warnings = check_ads(executor)
+        for warning in warnings:
+            say(f"Warning: {warning}")
+        try:
+            with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
+                found = estimate_rates(executor, logical, scenarios, seed, meter.show)
+        except ADSError as error:
+            failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
+            print(f"{program()}: {sentence(failure)}", file=sys.stderr)
+            return EXECUTION_FAILED
+        except RuntimeError as error:
+            print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
+            return EXECUTION_FAILED
     if json_file is not None:
         _write(json_file, {"env": env, "ads": ads, "seed": seed, "n": found.n, **found.counts})
     print(table({f"{ads} in {env}": found}))
     return OK
+
+
+def _say(line: str, *, quiet: bool) -> None:
+    if not quiet:
+        print(line, file=sys.stderr)
 
 
 def _write(path: Path, values: Mapping[str, object]) -> None:

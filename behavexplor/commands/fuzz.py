@@ -21,13 +21,12 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
 from behavexplor.commands.interrupts import stopped_by_signals
-from behavexplor.errors import InputError
+from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
-from behavexplor.execution.executor import available_cores
 from behavexplor.fuzz.methods import METHODS, describe_method
 
 _DEFAULTS = CampaignConfig()
-_MAX_WORKERS = 64
 _ENVS = (
     f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}, or the gymnasium id of an environment that runs concrete "
     "scenarios."
@@ -36,7 +35,6 @@ _SYSTEMS = (
     f"Driving system under test (ADS): {', '.join(SYSTEMS)} (docs/policies.md), a policy file, or "
     "package.module:attribute of an object or class with a predict method."
 )
-_WAITING = "Loading the driver; first-time compilation can take a minute ..."
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
 
 
@@ -115,7 +113,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         workers,
         resume=resume is not None,
         cluster=cluster or "",
-        patience=display.patience(_WAITING_FOR_NODE, 0.5) if cluster else display.patience(_WAITING),
+        patience=patience(display.say, _WAITING_FOR_NODE, 0.5) if cluster else patience(display.say),
     )
     with making as ready, _stoppable(ready.campaign, display):
         if ready.store.repaired:
@@ -142,7 +140,7 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
     if campaign.progress.executions:
         print(summary(campaign.progress, store, program()))
     if failure:
-        print(f"{program()}: {failure}", file=sys.stderr)
+        print(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
         print(f"Interrupted; resume with: {program()} fuzz --resume {shlex.quote(str(store.folder))}", file=sys.stderr)
         return INTERRUPTED
@@ -158,14 +156,11 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
         InputError: if the number is out of range.
     """
     if cluster is None:
-        least, most, default = 0, _MAX_WORKERS, min(available_cores(), _MAX_WORKERS)
-    else:
-        parse_cluster(cluster)
-        least, most, default = 1, MAX_NODES, 0
-    if workers is not None and not least <= workers <= most:
-        where = " on a cluster" if cluster else ""
-        raise InputError(f"--workers {workers} must lie between {least} and {most}{where}")
-    return default if workers is None else workers
+        return chosen_workers(workers)
+    parse_cluster(cluster)
+    if workers is not None and not 1 <= workers <= MAX_NODES:
+        raise InputError(f"--workers {workers} must lie between 1 and {MAX_NODES} on a cluster")
+    return workers or 0
 
 
 def _new_config(given: dict[str, Any], specs: Sequence[str], file: str | None) -> CampaignConfig:

@@ -13,7 +13,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import Trace
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
@@ -60,7 +60,7 @@ def replay(
     if avoided:
         return _avoid(execution, config, run, out or run / "replays")
     if (failure := execution.record.error) is not None:
-        print(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}")
+        print(sentence(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}"))
     else:
         _show(execution, _road(config, run), out or run / "replays")
     return _compare(execution, config)
@@ -155,7 +155,7 @@ def _compare(execution: Execution, config: CampaignConfig) -> int:
             if execution.record.error == ads_failure(error):
                 print("The failure was reproduced: running it again, the ADS failed in the same way.")
                 return OK
-            print(f"The execution was NOT reproduced: running it again, {error}", file=sys.stderr)
+            print(sentence(f"The execution was NOT reproduced: running it again, {error}"), file=sys.stderr)
             return CHECK_FAILED
     if again != execution.trace:
         print("The execution was NOT reproduced: running it again gave a different trace.", file=sys.stderr)

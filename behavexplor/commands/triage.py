@@ -20,10 +20,11 @@ from behavexplor.campaign.store import Execution, Store, write_durably
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.workers import chosen_workers
 from behavexplor.data.decision_log import UNKNOWN
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
-from behavexplor.execution.executor import Executor, available_cores
+from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import start_executor
 from behavexplor.triage.agreement import agreement
@@ -43,7 +44,6 @@ from behavexplor.triage.findings import (
 
 WRITTEN_AFTER = 10  # findings after which the file is written, the most that an interruption can lose
 AHEAD = 4  # failures read ahead for each worker
-MOST_WORKERS = 64
 TIME_LIMIT = 10.0  # time limit of one failure, in units of the time limit of an execution
 
 
@@ -65,9 +65,7 @@ def triage(
         afresh: Examine all failures again.
         quiet: Print only the tables.
     """
-    count = min(available_cores(), MOST_WORKERS) if workers is None else workers
-    if not 0 <= count <= MOST_WORKERS:
-        raise InputError(f"--workers {workers} must lie between 0 and {MOST_WORKERS}")
+    count = chosen_workers(workers)
     config = stored_config(run)
     store = Store.read(run)
     known = {} if afresh else _known(run)
@@ -90,7 +88,7 @@ def triage(
     except OSError as error:
         raise InputError(f"The run folder {run} cannot be written: {error.strerror}") from None
     except RuntimeError as error:
-        print(f"{program()}: A failure could not be examined: {error}", file=sys.stderr)
+        print(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     finally:
         store.close()

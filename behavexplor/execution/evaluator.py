@@ -14,6 +14,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
+from behavexplor.execution.notices import collected_notices
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import ADSError, LockStep
 from behavexplor.execution.service import Recipe, Service
@@ -51,6 +52,7 @@ class Evaluator(Service):
         }
         self.batch: ScenarioBatch | None = None
         self._unprevented: tuple[str, ...] = ()
+        self._notices: list[str] = []
 
     def prepare(self) -> None:
         """Compile the kernels that confined workers need, because those workers cannot write the compilation cache."""
@@ -70,7 +72,8 @@ class Evaluator(Service):
             InputError: see `behavexplor.execution.simulation.Simulation`.
         """
         try:
-            self.simulation = simulation_of(self.target)
+            with collected_notices() as self._notices:
+                self.simulation = simulation_of(self.target)
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
@@ -105,9 +108,14 @@ class Evaluator(Service):
         return road().to_json().encode() if road is not None else b""
 
     def preflight(self, _: bytes) -> bytes:
-        """Return warnings about the ADS as a JSON list of sentences; see `behavexplor.execution.preflight`."""
+        """Return warnings about the ADS as a JSON list of sentences.
+
+        They are those of `behavexplor.execution.preflight`, those that were logged while the ADS was loaded, and what
+        this system cannot prevent the ADS from doing.
+        """
         unprevented = [f"This system cannot confine the ADS: it can {right}" for right in self._unprevented]
-        return json.dumps([*map(_explained, preflight_warnings(self.simulation)), *unprevented]).encode()
+        found = [*self._notices, *map(_explained, preflight_warnings(self.simulation)), *unprevented]
+        return json.dumps(list(dict.fromkeys(found))).encode()
 
 
 class ScenarioBatch:

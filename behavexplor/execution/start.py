@@ -7,11 +7,12 @@ from behavexplor.ads.loading import check_name
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import open_cluster
 from behavexplor.execution.cluster.supervisor import ClusterExecutor
-from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe
+from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe, needs_confinement
 from behavexplor.execution.executor import Executor
+from behavexplor.execution.fingerprint import FINGERPRINT
 from behavexplor.execution.in_process import InProcessExecutor
 from behavexplor.execution.pool import WorkerPool
 from behavexplor.execution.service import Recipe
@@ -23,23 +24,34 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
 
     Args:
         target: the driving system and its environment.
-        workers: number of worker processes, or of nodes of a cluster. 0 means this process, without limits and
-            confinement, or on a cluster one node for each core.
+        workers: number of worker processes, or of nodes of a cluster. 0 means this process, without limits of time
+            and memory, or on a cluster one node for each core.
         cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
         recipe: recipe of the service for the target; by default that of an `Evaluator`.
 
     Raises:
-        InputError: if the environment, the ADS or the cluster cannot be used.
+        InputError: if the environment, the ADS or the cluster cannot be used, or if an ADS that must be confined
+            would run in this process.
     """
     check_name(target.ads)
     recipe = recipe or evaluator_recipe(target)
     if cluster:
         return start_on_cluster(cluster, workers, recipe, target.time_limit, target.memory_limit, (target.ads,))
+    if workers < fewest_workers(target):
+        raise InputError(
+            f"--workers 0 would run {target.ads!r} in this process, which cannot be confined: use --workers 1, or let "
+            "the driver write files and use the network with --unconfined"
+        )
     if workers == 0:
         service = recipe.make()
         service.begin()
         return InProcessExecutor(service, recipe.batched)
     return WorkerPool(workers, recipe, target.time_limit, target.memory_limit)
+
+
+def fewest_workers(target: Target) -> int:
+    """Return the least number of workers: 1 if the ADS must be confined, which only a process of its own can be."""
+    return int(needs_confinement(target))
 
 
 def start_on_cluster(
@@ -82,17 +94,26 @@ def logical_of_target(executor: Executor, env: str) -> LogicalScenario:
     return DrawnLogicalScenario.from_json(described.decode()) if described else logical_scenario(env)
 
 
+def check_loading(executor: Executor) -> None:
+    """Load the ADS in the place where it will run.
+
+    Raises:
+        InputError: if it cannot be loaded.
+    """
+    executor.submit(FINGERPRINT, b"[]").result()
+
+
 def check_ads(executor: Executor) -> list[str]:
     """Check the ADS in the place where it will run. This also compiles the kernels for all workers.
 
     Returns:
-        Warnings, each of them a sentence.
+        Warnings, each of them a printable sentence.
 
     Raises:
         InputError: if the ADS cannot be loaded.
     """
     try:
-        return list(json.loads(executor.submit(PREFLIGHT, b"").result()))
+        return [sentence(str(warning)) for warning in json.loads(executor.submit(PREFLIGHT, b"").result())]
     except InputError:
         raise
     except Exception:  # an ADS that ends its process will do so again in the campaign, where it is recorded

@@ -42,7 +42,7 @@ def serve(connection: Connection, asking: Any, recipe: Recipe, memory_limit: flo
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ["TMPDIR"] = tempfile.tempdir = folder
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    logging.getLogger("behavexplor").setLevel(logging.ERROR)  # the supervisor's process has warned already
+    logging.getLogger("behavexplor.jit").setLevel(logging.ERROR)  # the command says what it waits for
     share_asking(asking)
     _limit_memory(memory_limit)
     service = recipe.make()

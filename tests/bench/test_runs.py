@@ -37,6 +37,7 @@ methods:
 seeds: 2
 budget: BUDGET
 baseline: Uniform
+unconfined: true
 """
 TIMES = ("executing_s", "analysing_s")
 

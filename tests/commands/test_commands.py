@@ -21,7 +21,7 @@ from behavexplor.commands import main
 from behavexplor.errors import InputError
 
 ROOT = Path(__file__).parents[2]
-FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0"]
+FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0", "--unconfined"]
 
 
 def run(*arguments, cwd=ROOT):

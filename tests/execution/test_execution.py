@@ -68,13 +68,20 @@ def test_recorded_actions_give_the_same_trace():
 
 
 def test_all_executors_give_the_same_traces():
-    target = Target("intersection-straight", "tests.drivers:cruiser")
+    target = Target("intersection-straight", "tests.drivers:cruiser", unconfined=True)
     simulation = Simulation(target.env, target.ads)
     expected = [simulation.run(scenario).to_bytes() for scenario in SCENARIOS]
     for workers in (0, 1, 2):
         with start_executor(target, workers) as executor:
             futures = [executor.submit(EXECUTE, scenario.to_json().encode()) for scenario in SCENARIOS]
             assert [future.result() for future in futures] == expected
+
+
+def test_a_third_partys_driver_is_not_run_in_this_process_unless_it_may_do_anything():
+    with pytest.raises(
+        InputError, match=r"--workers 0 would run .* cannot be confined: use --workers 1, or .* --unconf"
+    ):
+        start_executor(Target("intersection-straight", "tests.drivers:cruiser"), 0)
 
 
 def test_errors_come_back_from_the_executor():
@@ -87,7 +94,7 @@ def test_errors_come_back_from_the_executor():
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(workers):
-    target = Target("intersection-straight", "tests.drivers:Timid")
+    target = Target("intersection-straight", "tests.drivers:Timid", unconfined=True)
     simulation = Simulation(target.env, target.ads)
     scenarios = [LOGICAL.sample(np.random.default_rng(seed)) for seed in range(12)]
     expected = []
@@ -109,13 +116,13 @@ def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(w
 
 def test_what_is_not_vectorized_runs_alone():
     assert begun("tests.drivers:Hermit").batch is None
-    with start_executor(Target("intersection-straight", "tests.drivers:Hermit"), 0) as executor:
+    with start_executor(Target("intersection-straight", "tests.drivers:Hermit", unconfined=True), 0) as executor:
         futures = [executor.submit(EXECUTE, scenario.to_json().encode()) for scenario in SCENARIOS]
         assert all(Trace.from_bytes(future.result()).end for future in futures)
 
 
 def test_waiting_evaluations_can_be_cancelled_or_finished():
-    target = Target("intersection-straight", "tests.drivers:cruiser")
+    target = Target("intersection-straight", "tests.drivers:cruiser", unconfined=True)
     request = SCENARIOS[0].to_json().encode()
     executor = start_executor(target, 0)
     futures = [executor.submit(EXECUTE, request) for _ in range(3)]

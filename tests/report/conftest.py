@@ -18,7 +18,7 @@ def run(tmp_path_factory):
     """A run of a driver that sees nothing, with failures; nobody has triaged it."""
     folder = tmp_path_factory.mktemp("report") / "cruiser-run"
     arguments = ["--ads", "tests.drivers:cruiser", "--method", "behavexplor", "--budget", "24", "--seed", "5"]
-    assert main(["fuzz", *arguments, "--workers", "0", "--quiet", "--out", str(folder)]) == OK
+    assert main(["fuzz", *arguments, "--workers", "0", "--unconfined", "--quiet", "--out", str(folder)]) == OK
     return folder
 
 

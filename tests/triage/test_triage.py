@@ -41,7 +41,7 @@ class Wavering(Cruiser):
 
 def fuzz(folder, ads, budget, *more):
     arguments = ["fuzz", "--ads", ads, "--method", "uniform", "--budget", str(budget), "--workers", "0", "--quiet"]
-    assert main([*arguments, "--out", str(folder), *more]) == OK
+    assert main([*arguments, "--unconfined", "--out", str(folder), *more]) == OK
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,11 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
 from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.evaluation import estimate_rates
-from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.simulation import Simulation, logical_scenario
+from behavexplor.execution.start import start_executor
 from tests.ads.learned.scenes import LOGICALS
 
 EVERYWHERE = pytest.mark.parametrize("name", sorted(FUNCTIONAL_SCENARIOS))
@@ -37,6 +39,11 @@ def test_each_has_a_card_that_says_how_it_was_made_and_how_it_drives(name):
     assert (FOLDER / f"{name}.npz").stat().st_size < 300_000
 
 
+def rates(env, ads, n, seed):
+    with start_executor(Target(env, ads), 0) as executor:
+        return estimate_rates(executor, logical_scenario(env), n, seed)
+
+
 @EVERYWHERE
 def test_without_traffic_the_good_one_arrives(name):
     simulation = Simulation(name, f"learned:{name}")
@@ -46,7 +53,7 @@ def test_without_traffic_the_good_one_arrives(name):
 
 @EVERYWHERE
 def test_the_good_one_is_told_from_the_undertrained_one(name):
-    good, poor = (estimate_rates(Simulation(name, f"learned:{name}{grade}"), 60, 7) for grade in ("", "-undertrained"))
+    good, poor = (rates(name, f"learned:{name}{grade}", 60, 7) for grade in ("", "-undertrained"))
     assert good.rate("arrived") > 0.7
     assert good.rate("arrived") > poor.rate("arrived")
     assert good.interval("arrived")[0] > card(name)["evaluation"]["rates"]["arrived"] - 0.2
@@ -56,7 +63,7 @@ def test_the_good_one_is_told_from_the_undertrained_one(name):
 @pytest.mark.parametrize("name", POLICIES)
 def test_the_cards_figures_are_seen_again(name):
     told = card(name)
-    found = estimate_rates(Simulation(told["training"]["env"], f"learned:{name}"), 1000, 0)
+    found = rates(told["training"]["env"], f"learned:{name}", 1000, 0)
     for outcome, rate in told["evaluation"]["rates"].items():
         assert found.rate(outcome) == pytest.approx(rate, abs=0.005)  # another processor may turn a decision or two
 
