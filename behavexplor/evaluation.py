@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import ARRIVED, OFF_ROAD, Trace
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
 from behavexplor.judge.fault import contact_fault
@@ -19,6 +19,8 @@ from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 AHEAD: Final = 1024  # scenarios under way, enough for many processes in lock-step
+
+_SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
 
 
 @dataclass(frozen=True)
@@ -36,12 +38,17 @@ class Evaluation:
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
-        """Judge traces and count their outcomes."""
-        judged = [_outcomes(trace) for trace in traces]
+        """Judge traces and count their outcomes. In a stock environment, only those that mean something there."""
+        judged: list[list[str]] = []
+        signals: set[str] = set()
+        for trace in traces:
+            judged.append(_outcomes(trace))
+            signals.update(trace.signals)
         found = Counter(outcome for outcomes in judged for outcome in outcomes)
         faults = sorted(outcome for outcome in found if ": " in outcome)
-        names = ["arrived", SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
-        return cls(len(judged), {name: found[name] for name in names})
+        names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
+        foreign = {name for name, signal in _SIGNALS.items() if signals and signal not in signals}
+        return cls(len(judged), {name: found[name] for name in names if name not in foreign})
 
     def rate(self, outcome: str) -> float:
         """Return the share of scenarios with an outcome."""
@@ -90,7 +97,8 @@ def _traces(
 
 def _outcomes(trace: Trace) -> list[str]:
     verdict = judge(trace, SPECS)
-    outcomes = ["arrived"] if trace.end == "arrived" else []
+    arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
+    outcomes = [ARRIVED] if arrived else []
     outcomes += verdict.violated
     fault = contact_fault(trace)
     return [*outcomes, f"{SPECS[0].name}: {fault}"] if fault else outcomes

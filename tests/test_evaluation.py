@@ -124,7 +124,8 @@ class Diarist(Cruiser):
     """Keeps a diary where it should not."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        Path(os.environ["DIARY"]).open("a").write("x")
+        with Path(os.environ["DIARY"]).open("a") as diary:
+            diary.write("x")
         return super().predict(observation, state)
 
 

@@ -4,25 +4,32 @@ import json
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final, Literal, NamedTuple
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
+from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.data.drawn import DEFAULT
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.evaluation import Evaluation, estimate_rates
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import check_ads, start_executor
+from behavexplor.execution.start import check_ads, logical_of_target, start_executor
 
 MOST_SCENARIOS = 1_000_000
+_CONSTANT: Final = "constant:"
+_CONTROLS: Final = ("SLOWER", "IDLE", "FASTER")
+_META: Final = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
 
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
@@ -34,19 +41,25 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
+    env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    traffic: Literal["default", "wide"] = "default",
+    controls: bool = True,
     unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
 
     Args:
-        env: Functional scenario, or gymnasium id of an environment that runs concrete scenarios.
+        env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id".
         ads: Driving system under test, as for fuzz.
         scenarios: Number of scenarios.
         seed: Seed of the sampled scenarios.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         json_file: Also write the counts to this JSON file.
+        env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        controls: In highway-env's own environments, also evaluate drivers that always do the same.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
     """
@@ -54,31 +67,69 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
     if seed < 0:
         raise InputError(f"--seed {seed} must not be negative")
-    count = chosen_workers(workers)
-    say = partial(_say, quiet=quiet)
-    target = Target(env, ads, (trust,) if trust else (), unconfined)
+    run = _Run(scenarios, seed, chosen_workers(workers), quiet)
+    settings = read_yaml(env_config) if env_config else {}
+    target = Target(env, ads, (trust,) if trust else (), unconfined, env_config=settings, traffic=traffic)
+    found: dict[str, Evaluation] = {}
+    try:
+        logical, found[f"{ads} in {env}"] = _evaluated(target, run)
+        if isinstance(logical, DrawnLogicalScenario):
+            for name, beside in _beside(target, logical, controls=controls).items():
+                _, found[name] = _evaluated(beside, run)
+    except ADSError as error:
+        failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
+        print(f"{program()}: {sentence(failure)}", file=sys.stderr)
+        return EXECUTION_FAILED
+    except RuntimeError as error:
+        print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
+        return EXECUTION_FAILED
+    if json_file is not None:
+        first, *others = found.items()
+        values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
+        _write(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
+    print(table(found))
+    return OK
+
+
+class _Run(NamedTuple):
+    """What all evaluations of one command have in common."""
+
+    scenarios: int
+    seed: int
+    workers: int
+    quiet: bool
+
+
+def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation]:
+    """Evaluate a target, after a check of its driver."""
+    say = partial(_say, quiet=run.quiet)
     with ExitStack() as stack:
-        logical = logical_scenario(env)
         with patience(say):
-            executor = start_executor(target, count)
+            executor = start_executor(target, run.workers)
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
-        for warning in warnings:
+            logical = logical_of_target(executor, target.env)
+        for warning in warnings if not target.ads.startswith(_CONSTANT) else ():
             say(f"Warning: {warning}")
-        try:
-            with Meter(sys.stderr, scenarios, "scenarios", quiet=quiet) as meter:
-                found = estimate_rates(executor, logical, scenarios, seed, meter.show)
-        except ADSError as error:
-            failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
-            print(f"{program()}: {sentence(failure)}", file=sys.stderr)
-            return EXECUTION_FAILED
-        except RuntimeError as error:
-            print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
-            return EXECUTION_FAILED
-    if json_file is not None:
-        _write(json_file, {"env": env, "ads": ads, "seed": seed, "n": found.n, **found.counts})
-    print(table({f"{ads} in {env}": found}))
-    return OK
+        with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
+            return logical, estimate_rates(executor, logical, run.scenarios, run.seed, meter.show)
+
+
+def _beside(target: Target, logical: DrawnLogicalScenario, *, controls: bool) -> dict[str, Target]:
+    """Return what a rate in a stock environment is compared with, by the heading of its column.
+
+    These are the environment's own traffic, if the rate is one in wide traffic, and drivers that always do the same, in
+    the configuration of the policy.
+    """
+    columns = {}
+    if target.traffic != DEFAULT:
+        columns["the same in default traffic"] = replace(target, traffic=DEFAULT)
+    config = json.loads(logical.setup.config)
+    own = config["action"] if config["action"].get("type") == _META["type"] else {}
+    config["action"] = {**own, **_META}
+    for maneuver in _CONTROLS if controls else ():
+        columns[f"always {maneuver}"] = replace(target, ads=f"{_CONSTANT}{maneuver}", trust=(), env_config=config)
+    return columns
 
 
 def _say(line: str, *, quiet: bool) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 
-from behavexplor.data.drawn import DEFAULT, DrawnScenario, Setup, config_text, sorted_draws
+from behavexplor.data.drawn import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.envs.drawn.episode import EpisodeRecord, Watch
@@ -16,6 +16,7 @@ from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.layout import Layout
 from behavexplor.envs.drawn.road import road_shape
 from behavexplor.envs.drawn.terms import has_arrived
+from behavexplor.envs.drawn.wide_traffic import widen
 from behavexplor.envs.stock.engine_making import kept_class
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
@@ -43,6 +44,8 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self._env = env
         inner: Any = env.unwrapped
         self._inner: AbstractEnv = inner
+        if traffic == WIDE:
+            widen(inner)
         setup = Setup(name, config_text(self._inner.config), traffic, highway_env.__version__)
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
