@@ -124,7 +124,7 @@ class Diarist(Cruiser):
     """Keeps a diary where it should not."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        Path(os.environ["DIARY"]).open("a").write("x")
+        Path(os.environ["DIARY"]).write_text("x")
         return super().predict(observation, state)
 
 

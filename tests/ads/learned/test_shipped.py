@@ -8,8 +8,8 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
 from behavexplor.data.scenario import Scenario
-from behavexplor.errors import InputError
 from behavexplor.data.target import Target
+from behavexplor.errors import InputError
 from behavexplor.evaluation import estimate_rates
 from behavexplor.execution.simulation import Simulation, logical_scenario
 from behavexplor.execution.start import start_executor
