@@ -124,8 +124,7 @@ class Diarist(Cruiser):
     """Keeps a diary where it should not."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        with Path(os.environ["DIARY"]).open("a") as diary:
-            diary.write("x")
+        Path(os.environ["DIARY"]).write_text("x")
         return super().predict(observation, state)
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import signal
 import subprocess
@@ -15,17 +16,20 @@ import pytest
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.bench.campaign_service import CampaignService, Outcome, campaign_request, take_outcome
-from behavexplor.bench.experiment import read_experiment
-from behavexplor.bench.forecast import forecast
+from behavexplor.bench.experiment import experiment_config, read_experiment
+from behavexplor.bench.forecast import forecast, trial
 from behavexplor.bench.runs import ExperimentRunner, RunState, run_state
 from behavexplor.bench.summaries import summarize
 from behavexplor.bench.timing import Stopwatch, Timing, read_timing
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 from behavexplor.commands import main
 from behavexplor.errors import InputError
 from behavexplor.judge.fault import NPC_CAUSED, contact_fault
 from behavexplor.triage.signatures import signature
+from tests.confining import confines
+from tests.drivers import Cruiser
 
 ROOT = Path(__file__).parents[2]
 TEXT = """
@@ -206,6 +210,30 @@ def test_after_sigkill_no_campaign_is_left_running(tmp_path):
         time.sleep(2)
         counts.append(stored(tmp_path / "out"))
     assert counts[-1] == counts[-2] < 8000
+
+
+class Diarist(Cruiser):
+    """Keeps a diary where it should not."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        Path(os.environ["DIARY"]).write_text("x")
+        return super().predict(observation, state)
+
+
+@pytest.mark.skipif(not confines(), reason="this system cannot confine a process")
+@pytest.mark.parametrize("unconfined", [False, True])
+def test_a_third_partys_driver_is_confined_even_where_a_campaign_has_no_workers(unconfined, tmp_path, monkeypatch):
+    monkeypatch.setenv("DIARY", str(tmp_path / "diary"))
+    config = CampaignConfig(
+        env="lane-follow", ads=f"{__name__}:Diarist", method="uniform", budget="2", unconfined=unconfined
+    )
+    outcome = CampaignService().run_in(config, tmp_path / "run", 0)
+    assert outcome.finished
+    assert any("--unconfined" in warning for warning in outcome.warnings) != unconfined
+    assert (tmp_path / "diary").exists() == unconfined
+    assert math.isfinite(trial(config.target, 8))
+    experiment = experiment_config({"name": "x", "methods": {"a": {"method": "uniform"}}, "unconfined": unconfined})
+    assert {run.config.unconfined for run in experiment.runs()} == {unconfined}
 
 
 def test_a_campaign_that_fails_is_named_and_the_others_go_on(tmp_path):

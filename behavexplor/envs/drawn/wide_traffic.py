@@ -111,7 +111,7 @@ def _try_place(env: AbstractEnv, vehicle: Vehicle, speed: float, reach: float) -
 def _share_of(speed: float, env: AbstractEnv) -> float:
     """Draw a speed around another one, and no less than the least speed that the ego can choose [m/s]."""
     least = min(getattr(env.vehicle, "target_speeds", [0.0]))
-    return max(speed * env.np_random.uniform(*SPEED_SHARES), float(least))
+    return float(max(speed * env.np_random.uniform(*SPEED_SHARES), least))
 
 
 def _lanes_near(env: AbstractEnv, reach: float) -> list[tuple[AbstractLane, float, float]]:
