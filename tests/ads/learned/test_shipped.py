@@ -7,11 +7,7 @@ import yaml
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
-<<<<<<< HEAD
 from behavexplor.data.scripted import ScriptedScenario
-=======
-from behavexplor.data.scenario import Scenario
->>>>>>> load17
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.evaluation import estimate_rates
