@@ -179,6 +179,9 @@ def compile_kernels(env: str) -> None:
         env: name of the environment, see `behavexplor.envs.making`. Nothing is done for an environment of another
             package.
     """
+    if is_stock(env):
+        _compile_engine(env)
+        return
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
         return
     simulation = Simulation(env, "constant")
@@ -193,6 +196,19 @@ def compile_kernels(env: str) -> None:
             envs.step(envs.action_space.sample())
             envs.close()
     simulation.close()
+
+
+def _compile_engine(env: str) -> None:
+    """Compile the engine of stock environments, which is the same for all of them."""
+    made = make_env(env, {})
+    try:
+        envs = make_vector_env(made, 1, {})
+    except InputError:  # highway-env itself will execute the scenarios
+        return
+    finally:
+        made.close()
+    if envs is not None:
+        envs.close()
 
 
 def logical_scenario(env: str) -> LogicalScenario:

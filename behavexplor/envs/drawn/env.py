@@ -114,7 +114,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         record.judge(has_arrived(info))
         if terminated or truncated:
             trace = record.trace(self._inner.road.network, terminated=bool(terminated))
-            info = {**info, "trace": trace, "scenario": self._played()}
+            info = {**info, "trace": trace, "scenario": self.played()}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def _decide(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -125,8 +125,8 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             self._generator.forget_calls()
         return observation, reward, terminated, truncated or self._decisions >= MOST_DECISIONS, info
 
-    def _played(self) -> DrawnScenario:
-        """Return the scenario of the present episode with all draws that were made."""
+    def played(self) -> DrawnScenario:
+        """Return the scenario of the present episode with all draws that were made so far."""
         drawn = self._generator.drawn if isinstance(self._generator, DrawnGenerator) else {}
         return DrawnScenario(self._setup, self._seed, sorted_draws(drawn))
 

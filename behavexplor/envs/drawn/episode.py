@@ -118,8 +118,8 @@ class EpisodeRecord:
             signals[ARRIVED] = np.zeros(len(self.frames))
             signals[ARRIVED][ends] = self._arrivals
         elif self._must_move_on:
-            road = self.frames[0].lane[:2]
-            signals[ARRIVED] = np.array([frame.lane[:2] != road for frame in self.frames], dtype=np.float64)
+            entry = {self.frames[0].lane[:2], *(lane[:2] for lane in self.planned[:2])}
+            signals[ARRIVED] = np.array([frame.lane[:2] not in entry for frame in self.frames], dtype=np.float64)
         return signals
 
     def _end(self, *, terminated: bool) -> str:

@@ -87,7 +87,8 @@ class DrawnGenerator(np.random.Generator):
         """See `numpy.random.Generator.uniform`."""
         size = _broadcast(size, low, high)
         shares = self._draw(UNIFORM, _count(size), lambda source, n: source.random(n))
-        return low + (np.subtract(high, low) * _shaped(shares, size))
+        values = low + np.subtract(high, low) * _shaped(shares, size)
+        return float(values) if size is None else values
 
     def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = None) -> Any:
         """See `numpy.random.Generator.normal`."""
@@ -112,7 +113,7 @@ class DrawnGenerator(np.random.Generator):
         n = int(last) - int(first) + bool(endpoint)
         chosen = self._choices(n, _count(size), lambda source, k: source.integers(n, size=k))
         values = (int(first) + chosen).astype(dtype)
-        return _shaped(values, size)
+        return values[0] if size is None else values.reshape(size)
 
     def choice(
         self, a: Any, size: Any = None, replace: bool = True, p: Any = None, axis: int = 0, shuffle: bool = True

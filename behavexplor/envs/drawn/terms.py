@@ -31,7 +31,7 @@ def leaving_matters(env: AbstractEnv) -> bool:
 
 
 def must_move_on(env: AbstractEnv) -> bool:
-    """Return whether an ego must leave the road on which it starts, in an environment that names no arrival."""
+    """Return whether an ego must drive beyond the first two roads of its route, where no arrival is named."""
     return isinstance(env, RoundaboutEnv)
 
 
