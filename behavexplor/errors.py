@@ -20,8 +20,13 @@ class InputError(ValueError):
 def sentence(text: str) -> str:
     """Return a text as one line of at most `LONGEST` printable characters."""
     line = " ".join(text.split())[: LONGEST + 1]
-    shown = "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line)
+    shown = printable(line)
     return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4].rstrip()} ..."
+
+
+def printable(text: str) -> str:
+    """Return a text with escapes in place of all characters that are not printable."""
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
 
 
 def brief(value: object) -> str:

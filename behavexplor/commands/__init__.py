@@ -14,7 +14,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
@@ -68,7 +68,8 @@ def _failed(error: Exception) -> int:
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
-    traceback.print_exception(error)
+    for line in "".join(traceback.format_exception(error)).splitlines():
+        print(printable(line), file=sys.stderr)  # an exception may quote what a file or a driver contains
     print(f"{program()}: This is a bug in behavexplor or in one of its extensions; please report it.", file=sys.stderr)
     return INTERNAL_ERROR
 

@@ -54,7 +54,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         ads: Driving system under test, as for fuzz.
         scenarios: Number of scenarios.
         seed: Seed of the sampled scenarios.
-        workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver.
+        workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
+            a driver that is not shipped with behavexplor then needs --unconfined.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         json_file: Also write the counts to this JSON file.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.

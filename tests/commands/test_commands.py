@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from behavexplor import commands
 from behavexplor.campaign.campaign import run_folder
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
-from behavexplor.commands import main
+from behavexplor.commands import INTERNAL_ERROR, main
 from behavexplor.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -404,3 +405,14 @@ def test_every_campaign_has_a_folder_of_its_own(tmp_path):
         folders.add(folder)
     assert len(folders) == 4
     assert all(folder.name.startswith("lane-follow-v0-best-one.zip-behavexplor-0-") for folder in folders)
+
+
+def test_the_words_of_a_bug_do_not_reach_the_terminal_as_they_are(monkeypatch, capsys):
+    def broken() -> int:
+        raise RuntimeError("clears \x1b[2J")
+
+    monkeypatch.setattr(commands, "_command", lambda _: broken)
+    assert main(["records"]) == INTERNAL_ERROR
+    printed = capsys.readouterr().err
+    assert "RuntimeError: clears \\x1b[2J" in printed
+    assert all(line.isprintable() for line in printed.splitlines())
