@@ -8,10 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import caching, event
+from numba.core import caching, codegen, event
+from numba.core.compiler import Compiler
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -21,12 +23,78 @@ _njit = cast("Any", numba.njit)  # its stubs leave some options out
 _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls no kernels
 
 
+_Code: Any = codegen.JITCodeLibrary  # numba's stubs leave its methods out
+_Compiler: Any = Compiler
+
+
+class _Part(_Code):  # type: ignore[misc]
+    """The code of a function that only other kernels call: it is optimized with each of them, not on its own."""
+
+    @property
+    def codegen(self) -> Any:
+        """Where numba says at which address a function's constants are. A part has no address."""
+        return SimpleNamespace(set_env=lambda *_: None)
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout  # noqa: SLF001 - all that is left of numba's own
+
+    def finalize(self) -> None:
+        """Leave the code as it is."""
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, _: str) -> int:
+        """Return 0: there is no machine code."""
+        self._ensure_finalized()
+        return 0
+
+    def parts(self) -> list[Any]:
+        """Return what the code itself calls."""
+        return list(self._linking_libraries)
+
+
+class _Whole(_Code):  # type: ignore[misc]
+    """The code of a kernel with all its parts, each of them once."""
+
+    _linking_libraries: list[Any]
+
+    def finalize(self) -> None:
+        """Collect the parts, optimize the code and make machine code of it."""
+        waiting = self._linking_libraries
+        self._linking_libraries = []
+        while waiting:
+            library = waiting.pop()
+            if library not in self._linking_libraries:
+                self._linking_libraries.append(library)
+                waiting += library.parts() if isinstance(library, _Part) else []
+        super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        """Optimize. No other kernel uses these parts, so they can be changed, or left out where they are called."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name == "linkonce_odr":
+                function.linkage = "internal"
+        super()._optimize_final_module()
+
+
+class _PartCompiler(_Compiler):  # type: ignore[misc]
+    def __init__(self, typing_context: Any, target_context: Any, _: Any, *arguments: Any) -> None:
+        super().__init__(typing_context, target_context, _Part(target_context.codegen(), "part"), *arguments)
+
+
+class _WholeCompiler(_Compiler):  # type: ignore[misc]
+    def __init__(self, typing_context: Any, target_context: Any, _: Any, *arguments: Any) -> None:
+        library = _Whole(target_context.codegen(), "kernel")
+        library.enable_object_caching()
+        super().__init__(typing_context, target_context, library, *arguments)
+
+
 def kernel(function: Function) -> Function:
     """Compile a function on plain arrays. The machine code is cached beside its source file.
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return cast("Function", _njit(cache=True, **_OPTIONS)(function))
+    return cast("Function", _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -36,24 +104,24 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    return cast("Function", _njit(cache=True, _nrt=False, **_OPTIONS)(function))
+    return cast("Function", _njit(cache=True, _nrt=False, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
 
 
 def kernel_inner(function: Function) -> Function:
-    """Compile a function that only other kernels call; otherwise as `kernel_in_place`.
+    """Compile a function as a part of the kernels that call it, directly or not; otherwise as `kernel_in_place`.
 
-    Python cannot call it. To leave that out takes a fifth off the time of compilation, where functions take tuples of
-    many arrays.
+    Python cannot call it. Numba would optimize each function once more with every function that calls it, and make
+    machine code of it every time. A kernel with its parts is compiled in three quarters of the time, and runs up to a
+    fifth faster, because the compiler sees that nothing else calls them.
     """
-    return cast("Function", _njit(cache=True, _nrt=False, no_cpython_wrapper=True, **_OPTIONS)(function))
+    options = {"_nrt": False, "no_cpython_wrapper": True, **_OPTIONS}
+    return cast("Function", _njit(pipeline_class=_PartCompiler, **options)(function))
 
 
 def kernel_inline(function: Function) -> Function:
     """Compile a function as a part of every kernel that calls it, not on its own.
 
-    For functions that are called in one place and take tuples of many arrays. Passing these took longer than the
-    functions themselves. The compilation takes less time, too: a function of its own is optimized once more with every
-    function that calls it, directly or not.
+    Numba copies its statements, and compiles each copy. `kernel_inner` takes less time and is as fast.
     """
     return cast("Function", _njit(_nrt=False, inline="always", **_OPTIONS)(function))
 

@@ -10,7 +10,7 @@ from behavexplor.envs.stock.lane_geometry import lane_coordinates
 from behavexplor.envs.stock.lane_keeping import not_zero
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.state import Scene
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -39,7 +39,7 @@ def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:
     return GridMemory(np.zeros((n_speeds, n_lanes, n_times), dtype=np.float32), stack)
 
 
-@kernel_inline
+@kernel_inner
 def observe_times(
     network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory, observation: Singles
 ) -> None:
@@ -67,7 +67,7 @@ def observe_times(
                 observation[a * N_SHOWN + b, time] = grid[speed, shown, time] if is_lane else 1.0
 
 
-@kernel_inline
+@kernel_inner
 def _fill_grid(network: Network, scene: Scene, speeds: Floats, period: float, memory: GridMemory) -> None:
     """Compute the cost of each cell: `compute_ttc_grid`."""
     grid = memory.grid

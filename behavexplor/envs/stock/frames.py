@@ -15,7 +15,7 @@ from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.regulation import enforce_rules
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import Rules, World
-from behavexplor.jit import kernel_in_place, kernel_inline, kernel_inner
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -41,7 +41,7 @@ def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active:
             run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames, log.frames[b], log.things[b])
 
 
-@kernel_inline
+@kernel_inner
 def give_command(world: World, scene: Scene, first: float, second: float) -> None:
     """Begin a decision: count it, and give the ego its command.
 

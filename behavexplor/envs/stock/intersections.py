@@ -1,13 +1,13 @@
 """The start of an episode of highway-env's `IntersectionEnv`, and the vehicles that appear while it runs."""
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_geometry import lane_heading, lane_point
-from behavexplor.envs.stock.pcg64 import Words, integer, normal, two_of, uniform
+from behavexplor.envs.stock.pcg64 import FOUR, THREE, Words, integer, normal, two_of, uniform
 from behavexplor.envs.stock.placing import (
     AS_EGO,
     AS_OTHER,
@@ -20,14 +20,17 @@ from behavexplor.envs.stock.placing import (
 from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
+
+CHALLENGER: Any = np.bool_(True)  # of numpy's type, as the constants of `pcg64`
+NOT_CHALLENGER: Any = np.bool_(False)
 
 INITIAL_PROBABILITY: Final = 0.6  # probability of each vehicle at the start; `spawn_probability` is for later ones
 
 
-@kernel_inline
+@kernel_inner
 def enter_intersection(world: World, task: Task, scene: Scene, words: Words, given: Floats) -> None:
     """Place the ego and a vehicle that crosses its way: the last part of `IntersectionEnv._make_vehicles`.
 
@@ -39,10 +42,10 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words, giv
         given: as in `spawn_vehicle`.
     """
     rules, starts = task.rules[0], task.starts
-    spawn_vehicle(world, task, scene, words, given, 60.0, 1.0, True)
+    spawn_vehicle(world, task, scene, words, given, 60.0, 1.0, CHALLENGER)
     destination: int = rules.ego_destination
     if destination == DRAWN:
-        destination = 1 + integer(words, 3)
+        destination = 1 + integer(words, THREE)
     lane = world.network.lanes[starts.lanes[0]]
     x, y = lane_point(lane, 60.0 + 5.0 * (1.0 + normal(words)))
     ego = place_vehicle(world, scene, AS_EGO, x, y, lane_heading(lane, 60.0), lane.speed_limit)
@@ -76,7 +79,7 @@ def spawn_vehicle(
     is_given = not math.isnan(given[0])
     if (given[0] if is_given else uniform(words, 0.0, 1.0)) > probability:
         return
-    origin, destination = (int(given[1]), int(given[2])) if is_given else two_of(words, 4)
+    origin, destination = (int(given[1]), int(given[2])) if is_given else two_of(words, FOUR)
     if is_challenger:
         destination = (origin + 2) % 4
     station = station + 5.0 + (given[3] if is_given else normal(words)) * (0.1 if is_challenger else 1.0)

@@ -11,13 +11,13 @@ from highway_env.road.lane import AbstractLane
 from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
 from behavexplor.envs.stock.state import Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]
 SLACK: Final = 1e-9  # more than the rounding errors of a lane's least distance [m]
 
 
-@kernel_inline
+@kernel_inner
 def lane_coordinates(lane: Lane, x: float, y: float) -> tuple[float, float]:
     """Compute the station and the offset of a point [m]: `local_coordinates`."""
     if lane.kind == STRAIGHT:

@@ -10,14 +10,14 @@ from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, lan
 from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import Scene
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 NO_VEHICLE: Final = -1
 UNKNOWN: Final = -1  # `n_on_lane` of a lane that has not been asked for in this frame
 MARGIN: Final = 1.0  # a vehicle this far beside a lane still counts as on it [m]
 
 
-@kernel_inline
+@kernel_inner
 def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float) -> tuple[int, int]:
     """Return the nearest vehicles or obstacles in front and behind, `NO_VEHICLE` if there is none.
 

@@ -16,7 +16,7 @@ from behavexplor.envs.stock.pcg64 import Words, shuffle_rows
 from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import OBSTACLE, SAME_NUMBER, Scene, Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Singles = NDArray[np.float32]
 
@@ -26,6 +26,7 @@ PRESENCE, POS_X, POS_Y, VEL_X, VEL_Y, ANGLE, COS_H, SIN_H, COS_D, SIN_D, LONG_OF
 LANE_WIDTH: Final = float(AbstractLane.DEFAULT_WIDTH)  # [m]
 BEHIND: Final = -2 * float(HighwayVehicle.LENGTH)  # vehicles further behind are not seen, unless all are [m]
 NOT_A_LANE: Final = -1
+_KNOWN: Any = np.bool_(True)  # numba would compile a function once more for each constant of Python's own type
 
 COLUMN: Final = record_type(
     feature=np.int64,
@@ -100,7 +101,7 @@ def _make_columns(observation: KinematicObservation) -> Records:
     return columns
 
 
-@kernel_inline
+@kernel_inner
 def observe(network: Network, view: View, scene: Scene, words: Words, table: Singles) -> None:
     """Fill a Kinematics observation.
 
@@ -116,7 +117,7 @@ def observe(network: Network, view: View, scene: Scene, words: Words, table: Sin
     table[:] = 0.0
     for k in range(len(view.columns)):
         column = view.columns[k]
-        own = _feature(network, scene, ego, column.feature, True)
+        own = _feature(network, scene, ego, column.feature, _KNOWN)
         shown = own
         if column.feature == POS_X and options.exit_lane != NOT_A_LANE:
             vehicle = scene.vehicles[ego]
@@ -132,7 +133,7 @@ def observe(network: Network, view: View, scene: Scene, words: Words, table: Sin
         shuffle_rows(words, table, 1)
 
 
-@kernel_inline
+@kernel_inner
 def _sort_seen(network: Network, view: View, scene: Scene, most: int) -> int:
     """List the vehicles that get a row in the scratch memory, and return their number: `Road.close_objects_to`."""
     options, ego = view.options[0], scene.vehicles[scene.episode.ego]

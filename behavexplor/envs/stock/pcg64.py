@@ -10,19 +10,24 @@ distribution are numpy's, as numba ships them.
 """
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numba.np.random import _constants as numpy_tables
 from numpy.typing import NDArray
 
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Words = NDArray[np.uint64]
 Floats = NDArray[np.float64]
 
 N_WORDS = 6
 HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF = range(N_WORDS)
+
+# Numba would compile a function once more for each constant of Python's own type.
+TWO: Any = np.int64(2)
+THREE: Any = np.int64(3)
+FOUR: Any = np.int64(4)
 
 _MULTIPLIER_HIGH: Final = np.uint64(0x2360ED051FC65DA4)
 _MULTIPLIER_LOW: Final = np.uint64(0x4385DF649FCCF645)
@@ -63,7 +68,7 @@ def put_words(words: Words, generator: np.random.Generator) -> None:
     }
 
 
-@kernel_in_place
+@kernel_inner
 def next_word(words: Words) -> np.uint64:
     """Draw 64 bits: one step of PCG XSL-RR 128/64."""
     high, low = words[HIGH], words[LOW]
@@ -81,7 +86,7 @@ def next_word(words: Words) -> np.uint64:
     return word
 
 
-@kernel_in_place
+@kernel_inner
 def next_half(words: Words) -> np.uint64:
     """Draw 32 bits. The other half of the 64 bits that were drawn is kept for the next call."""
     if words[HAS_HALF] != _NONE:
@@ -92,19 +97,19 @@ def next_half(words: Words) -> np.uint64:
     return word & _MASK
 
 
-@kernel_in_place
+@kernel_inner
 def random(words: Words) -> float:
     """Draw a number from [0, 1): `Generator.random`."""
     return float((next_word(words) >> np.uint64(11)) * _UNIT)
 
 
-@kernel_in_place
+@kernel_inner
 def uniform(words: Words, low: float, high: float) -> float:
     """Draw a number from [low, high): `Generator.uniform`."""
     return low + (high - low) * random(words)
 
 
-@kernel_in_place
+@kernel_inner
 def integer(words: Words, n: int) -> int:
     """Draw a whole number from [0, n), where n is at most 2^32: `Generator.integers` and `Generator.choice`."""
     if n == 1:
@@ -118,7 +123,7 @@ def integer(words: Words, n: int) -> int:
     return np.int64(product >> _BITS)  # type: ignore[return-value]
 
 
-@kernel_in_place
+@kernel_inner
 def masked_integer(words: Words, n: int) -> int:
     """Draw a whole number from [0, n) as `Generator.shuffle` does for the rows of a table: by rejection."""
     last = np.uint64(n - 1)
@@ -131,7 +136,7 @@ def masked_integer(words: Words, n: int) -> int:
     return np.int64(value)  # type: ignore[return-value]
 
 
-@kernel_in_place
+@kernel_inner
 def normal(words: Words) -> float:
     """Draw from the standard normal distribution: `Generator.normal`, by numpy's ziggurat."""
     while True:
@@ -150,7 +155,7 @@ def normal(words: Words) -> float:
             return float(x)
 
 
-@kernel_in_place
+@kernel_inner
 def _tail(words: Words, is_negative: bool) -> float:
     """Draw from the normal distribution beyond the last layer of the ziggurat."""
     while True:
@@ -160,17 +165,17 @@ def _tail(words: Words, is_negative: bool) -> float:
             return -(_TAIL + x) if is_negative else _TAIL + x
 
 
-@kernel_in_place
+@kernel_inner
 def two_of(words: Words, n: int) -> tuple[int, int]:
     """Draw two different whole numbers from [0, n), n <= 10 000: `Generator.choice(n, size=2, replace=False)`."""
     first = integer(words, n - 1)
     second = integer(words, n)
     if second == first:
         second = n - 1
-    return (second, first) if integer(words, 2) == 0 else (first, second)
+    return (second, first) if integer(words, TWO) == 0 else (first, second)
 
 
-@kernel_in_place
+@kernel_inner
 def weighted(words: Words, cumulated: Floats) -> int:
     """Draw an index with given probabilities: `Generator.choice(n, size=1, p=p)`.
 
@@ -185,7 +190,7 @@ def weighted(words: Words, cumulated: Floats) -> int:
     return i
 
 
-@kernel_in_place
+@kernel_inner
 def shuffle_rows(words: Words, table: NDArray[np.generic], first: int) -> None:
     """Shuffle the rows of a table from the row `first` on: `Generator.shuffle(table[first:])`."""
     for i in range(len(table) - first - 1, 0, -1):

@@ -12,7 +12,7 @@ from behavexplor.envs.stock.pcg64 import Words, uniform
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
 from behavexplor.envs.stock.stock_world import EGO, OTHER, World
 from behavexplor.envs.vector.meta import nearest_speed
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Ints = NDArray[np.int64]
 
@@ -64,7 +64,7 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     return i
 
 
-@kernel_inline
+@kernel_inner
 def place_on_lane(world: World, scene: Scene, template: int, lane: int, station: float, speed: float) -> int:
     """Add a vehicle at a station [m] of a lane, in the lane's direction: `RoadObject.make_on_lane`."""
     x, y = lane_point(world.network.lanes[lane], station)

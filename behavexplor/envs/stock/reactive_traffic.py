@@ -14,12 +14,12 @@ from behavexplor.envs.stock.neighbors import NO_VEHICLE, neighbors
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.routing import next_lane
 from behavexplor.envs.stock.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 MIN_CHANGE_SPEED: Final = 1  # a slower vehicle does not change lane [m/s]
 
 
-@kernel_inline
+@kernel_inner
 def drive(network: Network, scene: Scene, i: int) -> None:
     """Decide the lane, steering and acceleration of a vehicle: `IDMVehicle.act`.
 
@@ -102,7 +102,7 @@ def _is_cut_off(lane: Lane, scene: Scene, i: int) -> bool:
     return False
 
 
-@kernel_inline
+@kernel_inner
 def _recommends(
     network: Network, scene: Scene, i: int, lane: int, free: float, unchanged: float, old_front: int, old_rear: int
 ) -> bool:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.frames import clear_vehicles
-from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, enter_intersection, spawn_vehicle
+from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, NOT_CHALLENGER, enter_intersection, spawn_vehicle
 from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
-from behavexplor.envs.stock.pcg64 import Words, integer, normal, uniform, weighted
+from behavexplor.envs.stock.pcg64 import THREE, TWO, Words, integer, normal, uniform, weighted
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_on_lane, place_vehicle, plan_route
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import BARRIER, World
@@ -22,7 +22,7 @@ from behavexplor.envs.stock.task import (
     U_TURN,
     Task,
 )
-from behavexplor.jit import kernel_in_place, kernel_inline, kernel_inner
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -68,10 +68,10 @@ def populate(
             clear_vehicles(world.network, scene)
             decision = min(scene.episode.frames // world.rules[0].n_frames - 1, nothing)
             probability = task.rules[0].spawn_probability
-            spawn_vehicle(world, task, scene, words[b], given[b, decision], 0.0, probability, False)
+            spawn_vehicle(world, task, scene, words[b], given[b, decision], 0.0, probability, NOT_CHALLENGER)
 
 
-@kernel_inline
+@kernel_inner
 def _start(world: World, task: Task, scene: Scene, words: Words, given: Floats) -> None:
     """Begin an episode: `AbstractEnv._reset`."""
     episode, kind = scene.episode, task.rules[0].kind
@@ -92,7 +92,7 @@ def _start(world: World, task: Task, scene: Scene, words: Words, given: Floats) 
         _start_at_u_turn(world, task, scene, words)
     else:
         for gap in task.starts.gaps:
-            spawn_vehicle(world, task, scene, words, given, gap, INITIAL_PROBABILITY, False)
+            spawn_vehicle(world, task, scene, words, given, gap, INITIAL_PROBABILITY, NOT_CHALLENGER)
     for k in range(len(task.starts.obstacles)):
         scene.vehicles[episode.n_vehicles + k] = task.starts.obstacles[k]
         scene.traits[episode.n_vehicles + k] = world.templates[BARRIER]
@@ -101,7 +101,7 @@ def _start(world: World, task: Task, scene: Scene, words: Words, given: Floats) 
     episode.n_obstacles = len(task.starts.obstacles)
 
 
-@kernel_inline
+@kernel_inner
 def _start_on_highway(world: World, task: Task, scene: Scene, words: Words) -> None:
     rules, lanes = task.rules[0], task.starts.lanes
     lane: int = rules.ego_lane
@@ -115,7 +115,7 @@ def _start_on_highway(world: World, task: Task, scene: Scene, words: Words) -> N
         draw_behavior(words, scene, i)
 
 
-@kernel_inline
+@kernel_inner
 def _start_at_exit(world: World, task: Task, scene: Scene, words: Words) -> None:
     first = task.starts.lanes[0]
     _place_at_random(world, task, scene, words, AS_EGO, first, 25.0)
@@ -143,13 +143,13 @@ def _place_at_random(
     return place_on_lane(world, scene, template, lane, station, speed)
 
 
-@kernel_inline
+@kernel_inner
 def _start_at_merge(world: World, task: Task, scene: Scene, words: Words) -> None:
     lanes, starts = world.network.lanes, task.starts
     x, y = lane_point(lanes[starts.lanes[1]], 30.0)
     place_vehicle(world, scene, AS_EGO, x, y, 0.0, 30.0)
     for station, speed in ((90.0, 29.0), (70.0, 31.0), (5.0, 31.5)):
-        lane = starts.lanes[integer(words, 2)]
+        lane = starts.lanes[integer(words, TWO)]
         x, y = lane_point(lanes[lane], station + uniform(words, -5.0, 5.0))
         place_vehicle(world, scene, AS_OTHER, x, y, 0.0, speed + uniform(words, -1.0, 1.0))
     x, y = lane_point(lanes[starts.lanes[2]], 110.0)
@@ -157,7 +157,7 @@ def _start_at_merge(world: World, task: Task, scene: Scene, words: Words) -> Non
     scene.vehicles[i].target_speed = 30.0
 
 
-@kernel_inline
+@kernel_inner
 def _start_at_roundabout(world: World, task: Task, scene: Scene, words: Words) -> None:
     rules, starts = task.rules[0], task.starts
     lane = world.network.lanes[starts.lanes[0]]
@@ -168,12 +168,12 @@ def _start_at_roundabout(world: World, task: Task, scene: Scene, words: Words) -
         i = _place_nearby(world, scene, words, starts.lanes[start], station, 16.0)
         destination: int = rules.destination
         if start != 2 or destination == DRAWN:  # the option holds for the first of them only
-            destination = integer(words, 3)
+            destination = integer(words, THREE)
         plan_route(world, scene, i, starts.plans[destination])
         draw_behavior(words, scene, i)
 
 
-@kernel_inline
+@kernel_inner
 def _start_at_u_turn(world: World, task: Task, scene: Scene, words: Words) -> None:
     starts = task.starts
     x, y = lane_point(world.network.lanes[starts.lanes[0]], 0.0)
@@ -187,14 +187,14 @@ def _start_at_u_turn(world: World, task: Task, scene: Scene, words: Words) -> No
             draw_behavior(words, scene, i)
 
 
-@kernel_inline
+@kernel_inner
 def _place_nearby(world: World, scene: Scene, words: Words, lane: int, station: float, speed: float) -> int:
     """Add a vehicle around a station of a lane, with a standard deviation of 2 m and 2 m/s."""
     station += normal(words) * 2.0
     return place_on_lane(world, scene, AS_OTHER, lane, station, speed + normal(words) * 2.0)
 
 
-@kernel_inline
+@kernel_inner
 def _start_on_two_way_road(world: World, task: Task, scene: Scene, words: Words) -> None:
     lanes, starts = world.network.lanes, task.starts
     x, y = lane_point(lanes[starts.lanes[0]], 30.0)

@@ -21,7 +21,7 @@ from behavexplor.envs.stock.task import (
     Task,
 )
 from behavexplor.envs.vector.meta import nearest_speed
-from behavexplor.jit import kernel_inline, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ ARRIVED_AT: Final = 25.0  # station on a lane out of the intersection [m]
 _DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
 
 
-@kernel_inline
+@kernel_inner
 def put_terms(world: World, task: Task, scene: Scene, changes_lane: bool, terms: Floats) -> None:
     """Compute the terms of the reward, in the order of `behavexplor.envs.stock.task.TERMS`.
 
@@ -71,7 +71,7 @@ def put_terms(world: World, task: Task, scene: Scene, changes_lane: bool, terms:
         terms[1], terms[2], terms[3] = share, 1.0 if has_arrived(world, scene) else 0.0, on_road
 
 
-@kernel_inline
+@kernel_inner
 def reward_of(task: Task, terms: Floats) -> float:
     """Compute the reward from its terms."""
     rules, kind = task.rules[0], task.rules[0].kind
@@ -89,7 +89,7 @@ def reward_of(task: Task, terms: Floats) -> float:
     return reward
 
 
-@kernel_inline
+@kernel_inner
 def is_terminated(world: World, task: Task, scene: Scene) -> bool:
     """Return whether the episode has ended by what happened in it."""
     rules, ego = task.rules[0], scene.vehicles[scene.episode.ego]
@@ -110,7 +110,7 @@ def has_arrived(world: World, scene: Scene) -> bool:
     return bool(lane.is_goal and lane_coordinates(lane, ego.x, ego.y)[0] >= ARRIVED_AT)
 
 
-@kernel_inline
+@kernel_inner
 def _speed_index(scene: Scene) -> int:
     """Return the index of the ego's target speed, or of the default one that is nearest to its speed."""
     ego = scene.vehicles[scene.episode.ego]
@@ -119,7 +119,7 @@ def _speed_index(scene: Scene) -> int:
     return nearest_speed(_DEFAULT_SPEEDS, ego.speed)
 
 
-@kernel_inline
+@kernel_inner
 def _slowness_on_ramp(world: World, scene: Scene) -> float:
     """Return how much slower than they want the vehicles on the merging lane are, as a sum of shares."""
     total = 0.0

@@ -1,12 +1,17 @@
 """What a vehicle does at the end of its target lane: `ControlledVehicle.follow_road` and `RoadNetwork.next_lane`."""
 
 import math
+from typing import Any
+
+import numpy as np
 
 from behavexplor.envs.stock.lane_geometry import is_after_end, lane_coordinates, lane_distance, lane_point
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import SAME_NUMBER, Vehicle
 from behavexplor.jit import kernel_inner
+
+_ANY_NUMBER: Any = np.int64(SAME_NUMBER)  # numba would compile a function once more for a constant of Python's own type
 
 
 @kernel_inner
@@ -48,7 +53,7 @@ def next_lane(network: Network, vehicle: Vehicle, route: Records, station: float
     best: int = vehicle.target_lane
     nearest = math.inf
     for k in range(road.first_exit, road.first_exit + road.n_exits):
-        following = _lane_on(network, vehicle.target_lane, network.exits[k], SAME_NUMBER, x, y)
+        following = _lane_on(network, vehicle.target_lane, network.exits[k], _ANY_NUMBER, x, y)
         distance = lane_distance(network.lanes[following], x, y)
         if distance < nearest:
             best, nearest = following, distance

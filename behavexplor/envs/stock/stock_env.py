@@ -166,7 +166,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         check_actions(self.action_space, actions)
         actions, outcome = np.asarray(actions), self._outcome
         rest, active = self._ended, ~self._ended
-        self.frame_log.frames[rest] = 0
+        if self.frame_log.frames.size:
+            self.frame_log.frames[rest] = 0
         self._advance(active, actions, DECISION)
         if self._kind == INTERSECTION:
             self._populate(active, SPAWN)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from behavexplor.envs.stock import pcg64
 from behavexplor.envs.stock.pcg64 import generator_words, put_words
+from behavexplor.jit import kernel_in_place
 
 NAMES = ["exr", "sxr", "nxr"]
 
@@ -25,25 +26,57 @@ def shuffled_by_numpy(generator, n):
 
 def shuffled(words, n):
     table = np.arange(3.0 * n).reshape(n, 3).astype(np.float32)
-    pcg64.shuffle_rows(words, table, 1)
+    shuffle(words, table)
     return table.tolist()
 
 
+@kernel_in_place
+def draw(words, what, n):
+    if what == 0:
+        return pcg64.random(words)
+    return pcg64.uniform(words, 1.5, n) if what == 1 else pcg64.normal(words)
+
+
+@kernel_in_place
+def integer(words, n):
+    return pcg64.integer(words, n)
+
+
+@kernel_in_place
+def two_of(words, n):
+    return pcg64.two_of(words, n)
+
+
+@kernel_in_place
+def weighted(words, sums):
+    return pcg64.weighted(words, sums)
+
+
+@kernel_in_place
+def shuffle(words, table):
+    pcg64.shuffle_rows(words, table, 1)
+
+
+@kernel_in_place
+def skip_half(words):
+    pcg64.next_half(words)
+
+
 DRAWS = {  # numpy's draw and ours; n is from 2 to 60
-    "random": (lambda g, n: g.random(), lambda w, n: pcg64.random(w)),
-    "uniform": (lambda g, n: g.uniform(1.5, n), lambda w, n: pcg64.uniform(w, 1.5, n)),
-    "integers": (lambda g, n: g.integers(n), pcg64.integer),
-    "integers from 1": (lambda g, n: g.integers(1, n + 1), lambda w, n: 1 + pcg64.integer(w, n)),
-    "many integers": (lambda g, n: g.integers(2**32 - n), lambda w, n: pcg64.integer(w, 2**32 - n)),
-    "one integer": (lambda g, n: g.integers(1), lambda w, n: pcg64.integer(w, 1)),
-    "choice": (lambda g, n: g.choice(NAMES), lambda w, n: NAMES[pcg64.integer(w, 3)]),
-    "two of": (lambda g, n: tuple(g.choice(range(n), size=2, replace=False)), pcg64.two_of),
+    "random": (lambda g, n: g.random(), lambda w, n: draw(w, 0, n)),
+    "uniform": (lambda g, n: g.uniform(1.5, n), lambda w, n: draw(w, 1, n)),
+    "integers": (lambda g, n: g.integers(n), integer),
+    "integers from 1": (lambda g, n: g.integers(1, n + 1), lambda w, n: 1 + integer(w, n)),
+    "many integers": (lambda g, n: g.integers(2**32 - n), lambda w, n: integer(w, 2**32 - n)),
+    "one integer": (lambda g, n: g.integers(1), lambda w, n: integer(w, 1)),
+    "choice": (lambda g, n: g.choice(NAMES), lambda w, n: NAMES[integer(w, 3)]),
+    "two of": (lambda g, n: tuple(g.choice(range(n), size=2, replace=False)), two_of),
     "weighted": (
         lambda g, n: g.choice(np.arange(n), size=1, p=cumulated(n)[0])[0],
-        lambda w, n: pcg64.weighted(w, cumulated(n)[1]),
+        lambda w, n: weighted(w, cumulated(n)[1]),
     ),
-    "normal": (lambda g, n: g.normal(), lambda w, n: pcg64.normal(w)),
-    "normal around": (lambda g, n: g.normal(1.0), lambda w, n: 1.0 + pcg64.normal(w)),
+    "normal": (lambda g, n: g.normal(), lambda w, n: draw(w, 2, n)),
+    "normal around": (lambda g, n: g.normal(1.0), lambda w, n: 1.0 + draw(w, 2, n)),
     "shuffle": (shuffled_by_numpy, shuffled),
 }
 
@@ -69,7 +102,7 @@ def test_5000_draws_of_each_kind_are_numpy_s(name):
 def test_the_tail_of_the_normal_distribution_is_numpy_s():
     generator = np.random.default_rng(3)
     words = generator_words(generator)
-    draws = np.array([pcg64.normal(words) for _ in range(200_000)])
+    draws = np.array([draw(words, 2, 0) for _ in range(200_000)])
     assert (draws == generator.normal(size=200_000)).all()
     assert (np.abs(draws) > 3.7).any()  # beyond the last layer
 
@@ -79,7 +112,7 @@ def test_a_generator_goes_on_where_the_array_stopped(seed, halves):
     generator, other = np.random.default_rng(seed), np.random.default_rng(0)
     words = generator_words(generator)
     for _ in range(halves):  # an odd number leaves half a word over
-        pcg64.next_half(words)
+        skip_half(words)
     put_words(words, other)
-    assert [pcg64.integer(words, 9) for _ in range(5)] == other.integers(9, size=5).tolist()
+    assert [integer(words, 9) for _ in range(5)] == other.integers(9, size=5).tolist()
     assert (words == generator_words(other)).all()
