@@ -54,6 +54,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             AutoresetMode.DISABLED,
             max_episode_steps=env.max_decisions,
             log_frames=True,
+            rewards=False,
         )
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}

@@ -9,10 +9,15 @@ from behavexplor.errors import InputError
 
 _STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
 _CHANGEABLE = _STARTS | {"__init__", "default_config"}
+_REWARDS = frozenset({"_reward", "_rewards"})
 
 
-def known_class(env_class: type[AbstractEnv]) -> type[AbstractEnv]:
+def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[AbstractEnv]:
     """Return the class of highway-env whose rules an environment follows: itself, or one of its parents.
+
+    Args:
+        env_class: the environment.
+        rewards: whether its rewards must be those of that class, too.
 
     Raises:
         InputError: if there is none, or the environment changes the rules. The message names the changed method.
@@ -24,10 +29,11 @@ def known_class(env_class: type[AbstractEnv]) -> type[AbstractEnv]:
             f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
             f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"
         )
+    changeable = _CHANGEABLE if rewards else _CHANGEABLE | _REWARDS
     for base in env_class.__mro__[: env_class.__mro__.index(known)]:
         for name, value in vars(base).items():
             is_method = isinstance(value, FunctionType | classmethod | staticmethod | property)
-            if is_method and hasattr(known, name) and name not in _CHANGEABLE:
+            if is_method and hasattr(known, name) and name not in changeable:
                 raise InputError(
                     f"The compiled engine does not know the method {base.__name__}.{name}; use gymnasium.make_vec with "
                     f"vectorization_mode='sync'"
@@ -37,5 +43,5 @@ def known_class(env_class: type[AbstractEnv]) -> type[AbstractEnv]:
 
 def has_own_starts(env_class: type[AbstractEnv]) -> bool:
     """Return whether an environment changes the road or the first vehicles of the class whose rules it follows."""
-    known = known_class(env_class)
+    known = known_class(env_class, rewards=False)
     return any(getattr(env_class, name, None) is not getattr(known, name, None) for name in _STARTS)

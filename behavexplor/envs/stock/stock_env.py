@@ -59,6 +59,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             is 0.
         render_mode: must be None, since the vector environment does not render.
         max_episode_steps: number of decisions after which an episode is truncated.
+        rewards: whether rewards are needed. Without them, the environment may be a subclass with rewards of its own,
+            and the rewards that `step` returns are not its own.
         log_frames: whether the attribute `frame_log` has the frames of the latest step. Without this, it is empty.
 
     Attributes:
@@ -79,6 +81,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         max_episode_steps: int | None = None,
         *,
         log_frames: bool = False,
+        rewards: bool = True,
     ) -> None:
         COUNT.check("num_envs", num_envs)
         optional(COUNT).check("max_episode_steps", max_episode_steps)
@@ -86,7 +89,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         if render_mode is not None:
             raise InputError("The vector environment cannot render; use gymnasium.make for highway-env's own")
         self._mode = chosen_mode(autoreset_mode)
-        known = known_class(env_class)
+        known = known_class(env_class, rewards=rewards)
         self._kind = KINDS[known]
         check_config(env_class, known, config)
         self.num_envs = num_envs

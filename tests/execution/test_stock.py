@@ -1,0 +1,102 @@
+"""Execution of stock environments: compiled, confirmed in highway-env, and configured as the policy was trained."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.target import Target
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
+from behavexplor.execution import confirmation
+from behavexplor.execution.confirmation import DIFFERS, confirmed
+from behavexplor.execution.evaluator import EXECUTE, PREFLIGHT
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.start import logical_of_target, start_executor
+
+FAILING = "constant:IDLE"  # in merge-v0, it drives into the vehicle ahead
+
+
+class Wanderer:
+    """A driver that is configured by what it declares, and that never changes its mind."""
+
+    vectorized = True
+    env_config = {"policy_frequency": 2, "action": {"type": "DiscreteMetaAction", "target_speeds": [10, 20, 30]}}
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.full(len(observation), 4), state
+
+
+class Straight:
+    """A driver without any configuration, that never steers."""
+
+    vectorized = True
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.zeros((len(observation), 1)), state
+
+
+def test_the_configuration_of_training_is_the_environments():
+    simulation = Simulation("merge-v0", Wanderer())
+    config = json.loads(simulation.logical.setup.config)
+    assert config["policy_frequency"] == 2
+    assert simulation.env.inner.vehicle.target_speeds.tolist() == [10, 20, 30]
+    given = Simulation("merge-v0", Wanderer(), env_config={"policy_frequency": 3})
+    assert json.loads(given.logical.setup.config)["policy_frequency"] == 3
+
+
+def test_the_logical_scenario_comes_from_where_the_driver_is():
+    with start_executor(Target("merge-v0", "constant:SLOWER"), 0) as executor:
+        logical = logical_of_target(executor, "merge-v0")
+        assert isinstance(logical, DrawnLogicalScenario)
+        scenario = logical.sample(np.random.default_rng(0))
+        trace = Trace.from_bytes(executor.submit(EXECUTE, scenario.to_json().encode()).result())
+        assert trace.end == "ended"
+        road = RoadShape.from_json(executor.submit("road", b"").result().decode())
+        assert len(road.surfaces) == 9
+
+
+def test_failures_are_those_of_highway_env_itself():
+    simulation = Simulation("merge-v0", FAILING)
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    with start_executor(Target("merge-v0", FAILING), 0) as executor:
+        trace = executor.submit(EXECUTE, scenario.to_json().encode()).result()
+    assert trace == simulation.run(scenario).to_bytes()
+
+
+def test_a_difference_is_its_own_outcome(monkeypatch):
+    simulation = Simulation("merge-v0", FAILING)
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    reference = simulation.run(scenario)
+    assert confirmed(simulation, scenario, reference).to_bytes() == reference.to_bytes()
+    moved = replace(reference, position=reference.position + 0.2)
+    for other, message in (
+        (moved, "up to 0.2 m apart"),
+        (reference.until(5, "timeout"), "end is"),
+        (replace(reference, partner=-1), "partner is -1"),
+    ):
+        monkeypatch.setattr(confirmation.SPECS[0].__class__, "violated", lambda *_: True)
+        with pytest.raises(ADSError, match=f"the compiled engine and highway-env disagree: .*{message}") as caught:
+            confirmed(simulation, scenario, other)
+        assert caught.value.kind == DIFFERS
+
+
+def test_a_driver_of_our_roads_is_refused_in_other_environments():
+    with pytest.raises(InputError, match="'rule' follows a route on the roads of this package"):
+        Simulation("merge-v0", "rule")
+
+
+def test_an_environment_that_is_not_compiled_is_said_to_be_slow():
+    target = Target("racetrack-v0", f"{__name__}:Straight", unconfined=True, env_config={"duration": 2})
+    with start_executor(target, 0) as executor:
+        warnings = json.loads(executor.submit(PREFLIGHT, b"").result())
+    assert any("highway-env itself executes the scenarios" in warning for warning in warnings)
+
+
+def test_a_configuration_that_cannot_be_used_is_named():
+    with pytest.raises(InputError, match="The environment 'merge-v0' cannot be made"):
+        Simulation("merge-v0", "constant:IDLE", env_config={"observation": {"type": "Sonar"}})
