@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.judge.fault import is_at_fault
-from behavexplor.judge.specs import ERROR
+from behavexplor.judge.specs import DIFFERS, ERROR
 
 __all__ = ["ERROR", "Record"]
 
@@ -64,7 +64,8 @@ class Record:
     @property
     def at_fault(self) -> bool:
         """True if the execution failed, and the driving system was at fault as far as the trace can tell."""
-        return self.failed and is_at_fault(self.fault)
+        is_ours = self.error is not None and self.error.get("kind") == DIFFERS
+        return self.failed and not is_ours and is_at_fault(self.fault)
 
     def load_scenario(self) -> Scenario:
         """Return the executed scenario.

@@ -3,9 +3,11 @@
 import importlib
 import warnings
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import Any, Final
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
@@ -47,6 +49,18 @@ def is_stock(name: str) -> bool:
     made = make_registered(name, {})
     made.close()
     return _is_stock(made)
+
+
+def check_keys(name: str, config: Mapping[str, Any]) -> None:
+    """Check that an environment of highway-env has the keys of a configuration, since it would ignore any other.
+
+    Raises:
+        InputError: if it does not have one of them.
+    """
+    made: Any = make_registered(name, {}).unwrapped
+    for key in config:
+        if key not in made.config:
+            raise unknown_name(f"key of the configuration of {name}", str(key), made.config)
 
 
 def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gymnasium.Env[Any, Any]:
@@ -104,6 +118,15 @@ def make_vector_env(
     )
 
 
+def _kept_classes(spec: EnvSpec) -> AbstractContextManager[None]:
+    """Return a context in which an environment of highway-env may be made without an effect on others."""
+    if str(spec.entry_point).startswith("behavexplor."):
+        return nullcontext()
+    from behavexplor.envs.drawn.vehicle_classes import VehicleClasses  # noqa: PLC0415 - slow to import
+
+    return VehicleClasses().applied()
+
+
 def _is_stock(made: gymnasium.Env[Any, Any]) -> bool:
     from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415 - slow to import
 
@@ -123,8 +146,9 @@ def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, 
             importlib.import_module(module)
         spec = gymnasium.spec(own)
         merged = {**(spec.kwargs.get("config") or {}), **config}
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), ExitStack() as stack:
             warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
+            stack.enter_context(_kept_classes(spec))
             made: gymnasium.Env[Any, Any] = gymnasium.make(spec, config=merged, disable_env_checker=True)
     except InputError:
         raise

@@ -8,9 +8,8 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.specs import SPECS
+from behavexplor.judge.specs import DIFFERS, SPECS
 
-DIFFERS: Final = "differs"  # kind of an `ADSError`
 TOLERANCE: Final = (
     0.1  # greatest difference of two equal motions [m]; it begins in the last bit, and traffic amplifies it
 )

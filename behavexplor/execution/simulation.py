@@ -16,7 +16,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.envs.making import environment_id, is_stock, make_env, make_vector_env
+from behavexplor.envs.making import check_keys, environment_id, is_stock, make_env, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
@@ -62,6 +62,8 @@ class Simulation:
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in _DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
+        if stock:
+            check_keys(env, env_config or {})
         self.env = make_env(env, {**declared, **trained, **(env_config or {})}, traffic)
         self.logical = logical_of(self.env, env)
         self.plain = ""

@@ -12,11 +12,12 @@ from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution import confirmation
-from behavexplor.execution.confirmation import DIFFERS, confirmed
+from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.evaluator import EXECUTE, PREFLIGHT
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target, start_executor
+from behavexplor.judge.specs import DIFFERS
 
 FAILING = "constant:IDLE"  # in merge-v0, it drives into the vehicle ahead
 
@@ -55,7 +56,7 @@ def test_the_logical_scenario_comes_from_where_the_driver_is():
         assert isinstance(logical, DrawnLogicalScenario)
         scenario = logical.sample(np.random.default_rng(0))
         trace = Trace.from_bytes(executor.submit(EXECUTE, scenario.to_json().encode()).result())
-        assert trace.end == "ended"
+        assert trace.end == "collision"  # shortly before the end, with the vehicle ahead
         road = RoadShape.from_json(executor.submit("road", b"").result().decode())
         assert len(road.surfaces) == 9
 
@@ -100,3 +101,8 @@ def test_an_environment_that_is_not_compiled_is_said_to_be_slow():
 def test_a_configuration_that_cannot_be_used_is_named():
     with pytest.raises(InputError, match="The environment 'merge-v0' cannot be made"):
         Simulation("merge-v0", "constant:IDLE", env_config={"observation": {"type": "Sonar"}})
+
+
+def test_an_unknown_key_of_the_configuration_is_named():
+    with pytest.raises(InputError, match="key of the configuration of merge-v0 'policy_freq': did you mean"):
+        Simulation("merge-v0", "constant:IDLE", env_config={"policy_freq": 5})

@@ -16,8 +16,8 @@ from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.layout import Layout
 from behavexplor.envs.drawn.road import road_shape
 from behavexplor.envs.drawn.terms import has_arrived
+from behavexplor.envs.drawn.vehicle_classes import VehicleClasses
 from behavexplor.envs.drawn.wide_traffic import widen
-from behavexplor.envs.stock.engine_making import kept_class
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
 _PROBES: Final = 3  # resets from which the environment's draws are read
@@ -38,6 +38,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     Attributes:
         logical: all scenarios of the environment in this configuration.
         record: the record of the present episode; None before the first one.
+        vehicle_classes: the parameters of highway-env's vehicle classes in this environment.
     """
 
     def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: str = DEFAULT) -> None:
@@ -51,6 +52,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self.action_space = self._env.action_space
         self.metadata = self._env.metadata
         self.record: EpisodeRecord | None = None
+        self.vehicle_classes = VehicleClasses()
         self._generator: np.random.Generator | None = None
         self._setup = setup
         self._seed = 0
@@ -98,7 +100,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
         self._generator = generator
         self._decisions = 0
-        with kept_class(type(self._inner), self._inner.config):
+        with self.vehicle_classes.applied():
             self._inner._np_random = generator  # noqa: SLF001 - gymnasium's own place for a given generator
             result: tuple[Any, dict[str, Any]] = self._env.reset()
         generator.forget_calls()
@@ -118,7 +120,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         return observation, float(reward), bool(terminated), bool(truncated), info
 
     def _decide(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        with kept_class(type(self._inner), self._inner.config):
+        with self.vehicle_classes.applied():
             observation, reward, terminated, truncated, info = self._env.step(action)
         self._decisions += 1
         if isinstance(self._generator, DrawnGenerator):

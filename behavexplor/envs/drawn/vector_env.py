@@ -91,7 +91,8 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             given: dict[str, Any] = {"reset_mask": chosen, "starts": {b: self._env.inner}}
             if isinstance(self._env.inner, IntersectionEnv):
                 given["spawn_draws"] = {b: self._spawn_draws(scenario)}
-            result = self._engine.reset(options=given)
+            with self._env.vehicle_classes.applied():
+                result = self._engine.reset(options=given)
         self._ended = self._ended & ~mask
         if result is None:
             raise InputError("reset_mask: no sub-environment is selected")

@@ -162,8 +162,14 @@ def test_a_subclass_needs_nothing_of_its_own():
 
 def test_an_intersection_leaves_the_class_of_its_vehicles_as_it_was():
     before = IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX
-    run(make_env("intersection-v0", {}), 1, seed=0)
+    merge = make_env("merge-v0", {})
+    options = {"scenario": merge.logical.sample(np.random.default_rng(0))}
+    first = run(merge, 4, options=options)
+    intersection = make_env("intersection-v0", {})
+    own = run(intersection, 1, seed=0)
     assert before == (IDMVehicle.DISTANCE_WANTED, IDMVehicle.COMFORT_ACC_MAX)
+    assert run(merge, 4, options=options).to_bytes() == first.to_bytes()
+    assert run(intersection, 1, seed=0).to_bytes() == own.to_bytes()
 
 
 def test_an_unknown_environment_is_named():

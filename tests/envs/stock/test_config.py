@@ -84,7 +84,10 @@ def kind(env_id):
     return KINDS[known_class(load_env_creator(behavexplor.HIGHWAY_ENV[env_id]))]
 
 
-@pytest.mark.parametrize("env_id", IDS)
+QUICK = "merge-v0"  # its episodes are the shortest; the others take half a minute each
+
+
+@pytest.mark.parametrize("env_id", [pytest.param(one, marks=() if one == QUICK else pytest.mark.slow) for one in IDS])
 def test_every_key_of_the_default_configuration_is_accounted_for(env_id):
     keys = [key for key in default(env_id) if key not in ONLY]
     call = {"env_id": env_id, "num_envs": 1, "decisions": DECISIONS.get(env_id, 2), "seed": SEEDS.get(env_id, 0)}

@@ -1,0 +1,104 @@
+"""The commands on a policy in the environment where it was trained."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from behavexplor.campaign.store import Store
+from behavexplor.commands import main
+from behavexplor.data.trace import Trace
+from behavexplor.report.reading import stored
+
+ENV = ["--env", "merge-v0"]
+QUICK = ["--workers", "0", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stock") / "run"
+    config = folder.parent / "merge.yaml"
+    config.write_text(yaml.safe_dump({"policy_frequency": 2}))
+    arguments = ["fuzz", *ENV, "--ads", "constant:FASTER", "--budget", "8", "--seed", "3", "--out", str(folder)]
+    assert main([*arguments, "--env-config", str(config), *QUICK]) == 0
+    return folder
+
+
+def test_a_campaign_is_stored_with_the_whole_configuration(run):
+    records = [execution.record for execution in stored(run)]
+    assert len(records) == 8
+    assert all(record.scenario["config"]["policy_frequency"] == 2 for record in records)
+    assert all(record.scenario["highway-env"] for record in records)
+    assert any(record.violated == ("collision",) for record in records)
+    assert yaml.safe_load((run / "config.yaml").read_text())["env_config"] == {"policy_frequency": 2}
+
+
+def test_the_same_seed_gives_the_same_records(run, tmp_path):
+    again = tmp_path / "again"
+    config = run.parent / "merge.yaml"
+    arguments = ["fuzz", *ENV, "--ads", "constant:FASTER", "--budget", "8", "--seed", "3", "--out", str(again)]
+    assert main([*arguments, "--env-config", str(config), "--quiet", "--workers", "2"]) == 0
+    first, second = ([(one.record, one.trace) for one in stored(folder)] for folder in (run, again))
+    assert first == second
+
+
+def test_a_failure_is_drawn_and_reproduced(run, capsys):
+    assert main(["replay", str(run), "0"]) == 0
+    assert "The execution was reproduced" in capsys.readouterr().out
+    assert (run / "replays" / "000000.png").stat().st_size > 5000
+
+
+def test_the_report_shows_the_road(run):
+    assert main(["report", str(run)]) == 0
+    page = (run / "report.html").read_text()
+    assert "R1/" in page
+    assert '"spans"' in page
+
+
+def test_a_run_goes_on_where_it_ended(run, capsys):
+    assert main(["fuzz", "--resume", str(run), "--budget", "9", *QUICK]) == 0
+    assert "9 executions" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("method", ["random", "avfuzzer", "samota", "nsga2", "map-elites", "novelty-search", "uniform"])
+def test_every_search_method_runs_on_draws(method, tmp_path):
+    out = tmp_path / "run"
+    arguments = ["fuzz", *ENV, "--ads", "constant:SLOWER", "--method", method, "--budget", "12"]
+    assert main([*arguments, "--out", str(out), *QUICK]) == 0
+    records = [execution.record for execution in stored(out)]
+    assert len({json.dumps(record.scenario["draws"]) for record in records}) == 12
+
+
+def test_aiming_needs_scripted_vehicles(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert main(["fuzz", *ENV, "--ads", "constant:IDLE", "--method", "encounters", "--out", str(out), *QUICK]) == 2
+    assert "needs one of the environments with scripted vehicles" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_rates_stand_beside_those_of_constant_drivers(capsys):
+    assert main(["evaluate", *ENV, "--ads", "constant:SLOWER", "--scenarios", "6", *QUICK]) == 0
+    table = capsys.readouterr().out
+    assert "constant:SLOWER in merge-v0, 6 scenarios" in table
+    assert all(f"always {name}, 6 scenarios" in table for name in ("SLOWER", "IDLE", "FASTER"))
+    assert "destination" not in table
+
+
+def test_a_rate_in_wide_traffic_stands_beside_the_one_in_default_traffic(tmp_path, capsys):
+    file = tmp_path / "rates.json"
+    arguments = ["evaluate", *ENV, "--ads", "constant:SLOWER", "--scenarios", "4", "--traffic", "wide", "--no-controls"]
+    assert main([*arguments, "--json", str(file), *QUICK]) == 0
+    assert "the same in default traffic, 4 scenarios" in capsys.readouterr().out
+    assert list(json.loads(file.read_text())["beside"]) == ["the same in default traffic"]
+
+
+def test_a_stored_failure_is_played_by_plain_highway_env(run):
+    file = next(Path(run / "failures").glob("*.json"))
+    scenario = json.loads(file.read_text())["scenario"]
+    assert scenario["functional"] == "merge-v0"
+    assert scenario["draws"]["_make_vehicles"]
+    store = Store.read(run)
+    trace: Trace = store.execution(int(file.stem.split("-")[0])).load_trace()
+    store.close()
+    assert trace.signals["crashed"][-1] == 1
