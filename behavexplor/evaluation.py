@@ -1,7 +1,8 @@
 """Evaluation of an ADS: rates of arrival and violations over uniformly drawn scenarios."""
 
+import json
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Final, Self
@@ -11,9 +12,11 @@ from scipy.stats import binomtest
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
+from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
-from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import Executor
+from behavexplor.execution.start import start_executor
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.specs import SPECS, judge
 
@@ -37,8 +40,13 @@ class Evaluation:
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
         """Judge traces and count their outcomes."""
-        judged = [_outcomes(trace) for trace in traces]
-        found = Counter(outcome for outcomes in judged for outcome in outcomes)
+        return cls.of_outcomes(map(_outcomes, traces))
+
+    @classmethod
+    def of_outcomes(cls, outcomes: Iterable[Sequence[str]]) -> Self:
+        """Count the outcomes of scenarios, each with a list of its own."""
+        judged = list(outcomes)
+        found = Counter(outcome for own in judged for outcome in own)
         faults = sorted(outcome for outcome in found if ": " in outcome)
         names = ["arrived", SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
         return cls(len(judged), {name: found[name] for name in names})
@@ -53,13 +61,26 @@ class Evaluation:
         return float(found.low), float(found.high)
 
 
+class Judge(Evaluator):
+    """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack."""
+
+    def answer(self, trace: Trace) -> bytes:
+        """Return the outcomes as a JSON list."""
+        return json.dumps(_outcomes(trace)).encode()
+
+
+def start_judge(target: Target, workers: int) -> Executor:
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
+    return start_executor(target, workers, recipe=recipe_for(Judge, target))
+
+
 def estimate_rates(
-    executor: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
+    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
 ) -> Evaluation:
-    """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the executor.
+    """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
     Args:
-        executor: executor of the ADS, see `behavexplor.execution.start.start_executor`.
+        judge: executor of the ADS, see `start_judge`.
         logical: logical scenario of its environment.
         n: number of scenarios.
         seed: seed of the random scenarios.
@@ -70,19 +91,19 @@ def estimate_rates(
         RuntimeError: if a scenario could not be executed.
     """
     generator = np.random.default_rng([STREAM, seed])
-    return Evaluation.of(_traces(executor, (logical.sample(generator) for _ in range(n)), observe))
+    return Evaluation.of_outcomes(_judged(judge, (logical.sample(generator) for _ in range(n)), observe))
 
 
-def _traces(
-    executor: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None
-) -> Iterator[Trace]:
-    """Execute scenarios and yield their traces in order. At most `AHEAD` of them are under way."""
+def _judged(
+    judge: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None
+) -> Iterator[list[str]]:
+    """Execute scenarios and yield their outcomes in order. At most `AHEAD` of them are under way."""
     requests = (scenario.to_json().encode() for scenario in scenarios)
-    waiting = deque(executor.submit(EXECUTE, request) for request in islice(requests, AHEAD))
+    waiting = deque(judge.submit(EXECUTE, request) for request in islice(requests, AHEAD))
     done = 0
     while waiting:
-        yield Trace.from_bytes(waiting.popleft().result())
-        waiting.extend(executor.submit(EXECUTE, request) for request in islice(requests, 1))
+        yield json.loads(waiting.popleft().result())
+        waiting.extend(judge.submit(EXECUTE, request) for request in islice(requests, 1))
         done += 1
         if observe is not None:
             observe(done)

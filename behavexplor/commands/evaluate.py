@@ -17,10 +17,10 @@ from behavexplor.commands.meter import Meter
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
-from behavexplor.evaluation import Evaluation, estimate_rates
+from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import check_ads, start_executor
+from behavexplor.execution.start import check_ads
 
 MOST_SCENARIOS = 1_000_000
 
@@ -61,7 +61,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     with ExitStack() as stack:
         logical = logical_scenario(env)
         with patience(say):
-            executor = start_executor(target, count)
+            executor = start_judge(target, count)
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
         for warning in warnings:

@@ -7,6 +7,7 @@ from typing import Any, Final
 from behavexplor.ads.loading import is_shipped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
@@ -69,7 +70,7 @@ class Evaluator(Service):
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
-        self.batch = None if episodes is None else ScenarioBatch(self.simulation, episodes)
+        self.batch = None if episodes is None else ScenarioBatch(self.simulation, episodes, self.answer)
 
     def execute(self, scenario: bytes) -> bytes:
         """Execute a scenario.
@@ -78,12 +79,16 @@ class Evaluator(Service):
             scenario: the scenario as JSON.
 
         Returns:
-            The trace, see `behavexplor.data.trace.Trace.to_bytes`.
+            The answer, see `answer`.
 
         Raises:
             ADSError: if the ADS fails.
         """
-        return self.simulation.run(_scenario(scenario)).to_bytes()
+        return self.answer(self.simulation.run(_scenario(scenario)))
+
+    def answer(self, trace: Trace) -> bytes:
+        """Return what is told about an executed scenario: its trace, see `behavexplor.data.trace.Trace.to_bytes`."""
+        return trace.to_bytes()
 
     def preflight(self, _: bytes) -> bytes:
         """Return warnings about the ADS as a JSON list of sentences.
@@ -102,11 +107,13 @@ class ScenarioBatch:
     Args:
         simulation: simulation with the ADS that drives.
         episodes: episodes of that simulation. The number that can still begin now is the capacity of the batch.
+        answer: function from a trace to the result of its request.
     """
 
-    def __init__(self, simulation: Simulation, episodes: LockStep) -> None:
+    def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
         self._simulation = simulation
         self._episodes = episodes
+        self._answer = answer
         self.capacity = episodes.free
 
     def begin(self, key: int, request: bytes) -> None:
@@ -122,7 +129,7 @@ class ScenarioBatch:
     def advance(self) -> list[tuple[int, bytes | None]]:
         """Advance all episodes by one decision. If the ADS fails, all running scenarios must be executed alone."""
         try:
-            return [(key, trace.to_bytes()) for key, trace in self._episodes.step()]
+            return [(key, self._answer(trace)) for key, trace in self._episodes.step()]
         except ADSError:
             return [(key, None) for key in self._episodes.give_up()]
 
