@@ -1,26 +1,42 @@
 """Evaluation of an ADS: rates of arrival and violations over uniformly drawn scenarios."""
 
+import json
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 from scipy.stats import binomtest
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.trace import ARRIVED, OFF_ROAD, Trace
-from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.data.target import Target
+from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
+from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import Executor
+from behavexplor.execution.start import start_executor
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
 AHEAD: Final = 1024  # scenarios under way, enough for many processes in lock-step
 
+
 _SIGNALS: Final = {ARRIVED: ARRIVED, SPECS[1].name: OFF_ROAD, SPECS[2].name: ARRIVED}  # that an outcome needs
+
+
+class Outcomes(NamedTuple):
+    """What happened in one scenario.
+
+    Attributes:
+        found: the outcomes, see `Evaluation`.
+        asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
+    """
+
+    found: list[str]
+    asked: list[str]
 
 
 @dataclass(frozen=True)
@@ -38,17 +54,18 @@ class Evaluation:
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
-        """Judge traces and count their outcomes. In a stock environment, only those that mean something there."""
-        judged: list[list[str]] = []
-        signals: set[str] = set()
-        for trace in traces:
-            judged.append(_outcomes(trace))
-            signals.update(trace.signals)
-        found = Counter(outcome for outcomes in judged for outcome in outcomes)
+        """Judge traces and count their outcomes."""
+        return cls.of_outcomes(map(outcomes_of, traces))
+
+    @classmethod
+    def of_outcomes(cls, scenarios: Iterable[Outcomes]) -> Self:
+        """Count the outcomes of scenarios. An outcome that means nothing in any of them is left out."""
+        judged = list(scenarios)
+        found = Counter(outcome for one in judged for outcome in one.found)
+        asked = {outcome for one in judged for outcome in one.asked}
         faults = sorted(outcome for outcome in found if ": " in outcome)
         names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
-        foreign = {name for name, signal in _SIGNALS.items() if signals and signal not in signals}
-        return cls(len(judged), {name: found[name] for name in names if name not in foreign})
+        return cls(len(judged), {name: found[name] for name in names if name in asked or name in faults})
 
     def rate(self, outcome: str) -> float:
         """Return the share of scenarios with an outcome."""
@@ -60,13 +77,26 @@ class Evaluation:
         return float(found.low), float(found.high)
 
 
+class Judge(Evaluator):
+    """An evaluator that tells the outcomes of a scenario instead of its trace, which takes longer to pack."""
+
+    def answer(self, trace: Trace) -> bytes:
+        """Return the `Outcomes` as a JSON list."""
+        return json.dumps(outcomes_of(trace)).encode()
+
+
+def start_judge(target: Target, workers: int) -> Executor:
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
+    return start_executor(target, workers, recipe=recipe_for(Judge, target))
+
+
 def estimate_rates(
-    executor: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
+    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
 ) -> Evaluation:
-    """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the executor.
+    """Evaluate an ADS in uniformly drawn scenarios. The result does not depend on the number of workers.
 
     Args:
-        executor: executor of the ADS, see `behavexplor.execution.start.start_executor`.
+        judge: executor of the ADS, see `start_judge`.
         logical: logical scenario of its environment.
         n: number of scenarios.
         seed: seed of the random scenarios.
@@ -77,28 +107,33 @@ def estimate_rates(
         RuntimeError: if a scenario could not be executed.
     """
     generator = np.random.default_rng([STREAM, seed])
-    return Evaluation.of(_traces(executor, (logical.sample(generator) for _ in range(n)), observe))
+    return Evaluation.of_outcomes(_judged(judge, (logical.sample(generator) for _ in range(n)), observe))
 
 
-def _traces(
-    executor: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None
-) -> Iterator[Trace]:
-    """Execute scenarios and yield their traces in order. At most `AHEAD` of them are under way."""
+def _judged(
+    judge: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None
+) -> Iterator[Outcomes]:
+    """Execute scenarios and yield their outcomes in order. At most `AHEAD` of them are under way."""
     requests = (scenario.to_json().encode() for scenario in scenarios)
-    waiting = deque(executor.submit(EXECUTE, request) for request in islice(requests, AHEAD))
+    waiting = deque(judge.submit(EXECUTE, request) for request in islice(requests, AHEAD))
     done = 0
     while waiting:
-        yield Trace.from_bytes(waiting.popleft().result())
-        waiting.extend(executor.submit(EXECUTE, request) for request in islice(requests, 1))
+        yield Outcomes(*json.loads(waiting.popleft().result()))
+        waiting.extend(judge.submit(EXECUTE, request) for request in islice(requests, 1))
         done += 1
         if observe is not None:
             observe(done)
 
 
-def _outcomes(trace: Trace) -> list[str]:
+def outcomes_of(trace: Trace) -> Outcomes:
+    """Judge a trace."""
     verdict = judge(trace, SPECS)
     arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
-    outcomes = [ARRIVED] if arrived else []
-    outcomes += verdict.violated
+    found = [*([ARRIVED] if arrived else []), *verdict.violated]
     fault = contact_fault(trace)
-    return [*outcomes, f"{SPECS[0].name}: {fault}"] if fault else outcomes
+    if fault:
+        found.append(f"{SPECS[0].name}: {fault}")
+    names = (ARRIVED, *(spec.name for spec in SPECS))
+    return Outcomes(
+        found, [name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals]
+    )

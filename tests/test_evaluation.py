@@ -12,10 +12,9 @@ import pytest
 from behavexplor import evaluation
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.data.target import Target
-from behavexplor.evaluation import STREAM, Evaluation, estimate_rates
+from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge
 from behavexplor.execution.rollout import ADSError, rollout_all
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import start_executor
 from tests.confining import confines
 from tests.drivers import Cruiser
 
@@ -91,7 +90,7 @@ def test_intervals_are_wilsons(count, n, low, high):
 def test_the_same_seed_gives_the_same_rates_however_many_are_under_way(ahead, cruising, monkeypatch):
     monkeypatch.setattr(evaluation, "AHEAD", ahead)
     logical, done = cruising[0].logical, []
-    with start_executor(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
+    with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
         first = estimate_rates(executor, logical, 12, 0, done.append)
         other = estimate_rates(executor, logical, 12, 1)
     generator = np.random.default_rng([STREAM, 0])

@@ -22,9 +22,9 @@ from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
-from behavexplor.evaluation import Evaluation, estimate_rates
+from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.start import check_ads, logical_of_target, start_executor
+from behavexplor.execution.start import check_ads, logical_of_target
 
 MOST_SCENARIOS = 1_000_000
 _CONSTANT: Final = "constant:"
@@ -106,7 +106,7 @@ def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation]:
     say = partial(_say, quiet=run.quiet)
     with ExitStack() as stack:
         with patience(say):
-            executor = start_executor(target, run.workers)
+            executor = start_judge(target, run.workers)
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
             logical = logical_of_target(executor, target.env)

@@ -16,9 +16,8 @@ from behavexplor.commands.meter import Meter
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, missing_library
-from behavexplor.evaluation import Evaluation, estimate_rates
+from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import start_executor
 
 if TYPE_CHECKING:
     from behavexplor.training import Learned, TrainingConfig
@@ -71,7 +70,7 @@ def train(
         with Meter(sys.stderr, config.steps, "steps", quiet=quiet) as meter:
             network = training.train(config, folder, lambda learned: meter.show(learned.steps, _line(learned)))
         with Meter(sys.stderr, EVALUATED, "scenarios", quiet=quiet) as meter:
-            executor = start_executor(Target(config.env, str(network)), 0)  # the network is plain numbers
+            executor = start_judge(Target(config.env, str(network)), 0)  # the network is plain numbers
             found = estimate_rates(executor, logical_scenario(config.env), EVALUATED, 0, meter.show)
     except KeyboardInterrupt:
         print(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)

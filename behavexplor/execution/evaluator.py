@@ -77,7 +77,7 @@ class Evaluator(Service):
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
-        self.batch = None if episodes is None else ScenarioBatch(self.simulation, episodes)
+        self.batch = None if episodes is None else ScenarioBatch(self.simulation, episodes, self.answer)
 
     def execute(self, scenario: bytes) -> bytes:
         """Execute a scenario.
@@ -86,12 +86,16 @@ class Evaluator(Service):
             scenario: the scenario as JSON.
 
         Returns:
-            The trace, see `behavexplor.data.trace.Trace.to_bytes`.
+            The answer, see `answer`.
 
         Raises:
             ADSError: if the ADS fails.
         """
-        return self.simulation.run(_scenario(scenario)).to_bytes()
+        return self.answer(self.simulation.run(_scenario(scenario)))
+
+    def answer(self, trace: Trace) -> bytes:
+        """Return what is told about an executed scenario: its trace, see `behavexplor.data.trace.Trace.to_bytes`."""
+        return trace.to_bytes()
 
     def logical(self, _: bytes) -> bytes:
         """Return the logical scenario of a stock environment as JSON, which depends on what the ADS declares.
@@ -124,11 +128,13 @@ class ScenarioBatch:
     Args:
         simulation: simulation with the ADS that drives.
         episodes: episodes of that simulation. The number that can still begin now is the capacity of the batch.
+        answer: function from a trace to the result of its request.
     """
 
-    def __init__(self, simulation: Simulation, episodes: LockStep) -> None:
+    def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
         self._simulation = simulation
         self._episodes = episodes
+        self._answer = answer
         self._scenarios: dict[int, Scenario] = {}
         self.capacity = episodes.free
 
@@ -154,9 +160,9 @@ class ScenarioBatch:
     def _result(self, key: int, trace: Trace) -> bytes | Exception:
         scenario = self._scenarios.pop(key)
         if not isinstance(scenario, DrawnScenario):
-            return trace.to_bytes()
+            return self._answer(trace)
         try:
-            return confirmed(self._simulation, scenario, trace).to_bytes()
+            return self._answer(confirmed(self._simulation, scenario, trace))
         except ADSError as error:
             return error
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
-from behavexplor.data.observation import Observation, joined, mapped
+from behavexplor.data.observations import Observation, joined, mapped
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import ADSError, rollout
 from behavexplor.execution.simulation import Simulation

@@ -17,7 +17,7 @@ from stable_baselines3.common.policies import BasePolicy
 from torch.nn.functional import linear, pad
 from torch.overrides import TorchFunctionMode
 
-from behavexplor.data.observation import Observation, arrays_of, mapped
+from behavexplor.data.observations import Observation, arrays_of, mapped
 
 ROWS: Final = 64  # rows in a block
 ALIGNMENT: Final = 16  # most numbers that a processor multiplies at a time; rows begin at multiples of it

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.sb3.archive import suspicions_about
 from behavexplor.ads.sb3.arrays import as_array, as_mapping
 from behavexplor.ads.sb3.inert import Inert, check_extent, read_pickle
-from behavexplor.data.observation import Observation
+from behavexplor.data.observations import Observation
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 50_000_000

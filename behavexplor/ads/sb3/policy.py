@@ -17,7 +17,7 @@ from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.normalization import Moments, Statistics
-from behavexplor.data.observation import Observation, mapped
+from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, sentence
 
 Floats = NDArray[np.float64]

@@ -10,9 +10,8 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
-from behavexplor.evaluation import estimate_rates
+from behavexplor.evaluation import estimate_rates, start_judge
 from behavexplor.execution.simulation import Simulation, logical_scenario
-from behavexplor.execution.start import start_executor
 from tests.ads.learned.scenes import LOGICALS
 
 EVERYWHERE = pytest.mark.parametrize("name", sorted(FUNCTIONAL_SCENARIOS))
@@ -40,7 +39,7 @@ def test_each_has_a_card_that_says_how_it_was_made_and_how_it_drives(name):
 
 
 def rates(env, ads, n, seed):
-    with start_executor(Target(env, ads), 0) as executor:
+    with start_judge(Target(env, ads), 0) as executor:
         return estimate_rates(executor, logical_scenario(env), n, seed)
 
 
