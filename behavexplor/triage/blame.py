@@ -1,10 +1,11 @@
 """Fault of a collision: by the trace alone where it is clear, otherwise by whether the ego could have avoided it."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import scripted
@@ -12,6 +13,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.judge.fault import AT_FAULT, contact_fault
+from behavexplor.triage.closed_loop import find_driver
 from behavexplor.triage.findings import Witness
 from behavexplor.triage.witness import find_witness
 
@@ -26,15 +28,17 @@ class Blame:
         kind: `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
             otherwise `preventable` if there is a witness, `unpreventable` if none was found, or `other` if the search
             was impossible because the environment cannot run in lock-step.
-        in_junction: whether the ego was inside a junction.
+        in_junction: whether the ego was inside a junction; False in a stock environment, where this is not known.
         witness: evasion that avoids the collision; None unless the collision is `preventable`.
-        tried: number of evasions that were driven.
+        tried: number of evasions, or of other drivers, that were driven.
+        driver: in a stock environment, another driver that does not crash; empty unless the crash is `preventable`.
     """
 
     kind: Kind
     in_junction: bool
     witness: Witness | None = None
     tried: int = 0
+    driver: str = ""
 
     @property
     def at_fault(self) -> bool:
@@ -57,6 +61,8 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     quick, event = contact_fault(trace), violation_event(trace, ("collision",))
     if quick is None or event is None or event.spec != R1:
         return None
+    if isinstance(simulation.logical, DrawnLogicalScenario):
+        return _blame_in_reactive_traffic(quick, simulation.logical, scenario, rng)
     inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
     if quick != "other":
         return Blame(quick, inside)
@@ -64,6 +70,18 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     if witness is not None:
         return Blame("preventable", inside, witness, tried)
     return Blame("unpreventable" if tried else "other", inside, None, tried)
+
+
+def _blame_in_reactive_traffic(
+    quick: Kind, logical: DrawnLogicalScenario, scenario: Any, rng: np.random.Generator
+) -> Blame:
+    """Return the verdict on a crash in a stock environment, see `behavexplor.triage.closed_loop`."""
+    if quick != "other":
+        return Blame(quick, in_junction=False)
+    driver, tried = find_driver(logical, scenario, rng)
+    if driver is not None:
+        return Blame("preventable", in_junction=False, tried=tried, driver=driver)
+    return Blame("unpreventable" if tried else "other", in_junction=False, tried=tried)
 
 
 def in_junction(roadmap: RoadMap, trace: Trace) -> bool:

@@ -110,7 +110,7 @@ def _collision(verdict: Blame | None) -> dict[str, Any]:
     """Return the verdict on a collision as fields of a `Finding`."""
     if verdict is None:
         return {}
-    avoidance = verdict.witness.name if verdict.witness else None
+    avoidance = verdict.witness.name if verdict.witness else verdict.driver or None
     return {
         "fault": verdict.kind,
         "in_junction": verdict.in_junction,
