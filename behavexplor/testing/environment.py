@@ -9,7 +9,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
-from behavexplor.envs.making import environment_id
+from behavexplor.envs.making import make_env
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.testing.contract import ContractError, promise
@@ -32,7 +32,7 @@ def check_env(env: str, *, scenarios: int = SCENARIOS) -> None:
         InputError: if there is no such environment, or it has no `logical`.
     """
     logical = logical_scenario(env)
-    made = gymnasium.make(environment_id(env), disable_env_checker=True)
+    made = make_env(env, {})
     made.action_space.seed(0)
     generator = np.random.default_rng(0)
     try:

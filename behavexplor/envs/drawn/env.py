@@ -4,7 +4,6 @@ from typing import Any, Final
 
 import gymnasium
 import highway_env
-import numpy as np
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 
@@ -27,8 +26,8 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     """A highway-env environment, unchanged, whose episodes are given by its own random draws.
 
     `reset(options={"scenario": scenario})` plays the draws of a `behavexplor.data.drawn.DrawnScenario`. Without the
-    option, the environment draws as always. At the end of an episode, `info["trace"]` is its trace, and
-    `info["scenario"]` the scenario with all draws that were made.
+    option, the environment draws as always. `info["scenario"]` is the scenario. At the end of an episode, it has all
+    draws that were made, and `info["trace"]` is the trace.
 
     Args:
         name: name of the environment, such as "highway-fast-v0" or "module:id".
@@ -53,7 +52,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self.metadata = self._env.metadata
         self.record: EpisodeRecord | None = None
         self.vehicle_classes = VehicleClasses()
-        self._generator: np.random.Generator | None = None
+        self._generator = DrawnGenerator({}, 0, __file__)
         self._setup = setup
         self._seed = 0
         self._decisions = 0
@@ -95,7 +94,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self._seed = 0 if scenario is None else scenario.seed
         observation, info = self._begin(generator)
         self.record = Watch(self._inner).record
-        return observation, info
+        return observation, {**info, "scenario": scenario or self.played()}
 
     def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
         self._generator = generator
@@ -123,14 +122,12 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         with self.vehicle_classes.applied():
             observation, reward, terminated, truncated, info = self._env.step(action)
         self._decisions += 1
-        if isinstance(self._generator, DrawnGenerator):
-            self._generator.forget_calls()
+        self._generator.forget_calls()
         return observation, reward, terminated, truncated or self._decisions >= MOST_DECISIONS, info
 
     def played(self) -> DrawnScenario:
         """Return the scenario of the present episode with all draws that were made so far."""
-        drawn = self._generator.drawn if isinstance(self._generator, DrawnGenerator) else {}
-        return DrawnScenario(self._setup, self._seed, sorted_draws(drawn))
+        return DrawnScenario(self._setup, self._seed, sorted_draws(self._generator.drawn))
 
     def _layout(self) -> tuple[Draw, ...]:
         """Read the environment's draws from a few episodes."""

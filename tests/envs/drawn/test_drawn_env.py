@@ -11,6 +11,7 @@ from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.envs.making import environment_id, is_stock, make_env
 from behavexplor.envs.stock.engine_making import kept_class
 from behavexplor.errors import InputError
+from behavexplor.testing import check_env
 from tests.envs.drawn import subclass
 
 NAMES = ["highway-fast-v0", "merge-v0", "roundabout-v0", "intersection-v0", "exit-v0", "two-way-v0", "u-turn-v0"]
@@ -196,6 +197,10 @@ def test_wide_traffic_is_wider_and_fair():
     assert 0.3 < behind / others < 0.7
     wanted = {vehicle.TIME_WANTED for vehicle in env.inner.road.vehicles if isinstance(vehicle, IDMVehicle)}
     assert len(wanted) > 10
+
+
+def test_it_keeps_the_contract_of_environments():
+    check_env("merge-v0", scenarios=2)
 
 
 def test_wide_traffic_is_played_again():
