@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Literal, Self
 import yaml
 from pydantic import ConfigDict
 
-from behavexplor.data.drawn import DEFAULT
+from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.data.validation import checked
@@ -73,7 +73,7 @@ class CampaignConfig:
             `behavexplor.judge.robustness`.
         env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
             highway-env, see docs/highway-env.md.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
         options: options of the search method; see its `Options`.
         revision: revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,

@@ -17,8 +17,8 @@ from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.workers import chosen_workers, patience
-from behavexplor.data.drawn import DEFAULT
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from behavexplor.data.drawn import DrawnScenario, Setup, sorted_draws
+from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
 from behavexplor.data.logical import Mutations, Noise
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError

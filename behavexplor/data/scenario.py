@@ -1,12 +1,12 @@
 """Concrete scenarios, in which all values are fixed.
 
 There are two kinds: scripted vehicles on one of this package's roads (`behavexplor.data.scripted`), and the random
-draws of a stock environment (`behavexplor.data.drawn`).
+draws of a stock environment (`behavexplor.data.drawn_scenario`).
 """
 
 from typing import Any, Protocol
 
-from behavexplor.data.drawn import DrawnScenario
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.untrusted import parse_json
 

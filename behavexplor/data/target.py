@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
-from behavexplor.data.drawn import DEFAULT
+from behavexplor.data.drawn_scenario import DEFAULT
 
 TIME_LIMIT: Final = 300.0  # default limit of one execution [s]
 MEMORY_LIMIT: Final = 8.0  # default limit of one worker process [GiB]
@@ -22,7 +22,7 @@ class Target:
         time_limit: limit of one execution [s]. It applies to worker processes only.
         memory_limit: limit of one worker process [GiB], where the system can set it.
         env_config: configuration of the environment, as far as it differs from what the driving system declares.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
     """
 
     env: str

@@ -11,7 +11,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
-from behavexplor.data.drawn import DEFAULT
+from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.errors import InputError, unknown_name
 
 _HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second
@@ -69,7 +69,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
     Args:
         name: name of the environment, see `environment_id`.
         config: configuration of the environment, as far as it differs from its own.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
 
     Returns:
         An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
@@ -80,7 +80,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
     made = make_registered(name, config)
     if not _is_stock(made):
         return made
-    from behavexplor.envs.drawn.env import DrawnEnv  # noqa: PLC0415 - slow to import
+    from behavexplor.envs.drawn.drawn_env import DrawnEnv  # noqa: PLC0415 - slow to import
 
     return DrawnEnv(name, made, traffic)
 

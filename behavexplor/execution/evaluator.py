@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from behavexplor.ads.loading import is_shipped
-from behavexplor.data.drawn import DrawnScenario
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace

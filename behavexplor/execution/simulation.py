@@ -10,8 +10,8 @@ from gymnasium.vector import VectorEnv
 import behavexplor
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway import how_to_fit
-from behavexplor.data.drawn import DEFAULT
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
@@ -36,7 +36,7 @@ class Simulation:
             environment, so does its attribute `env_config`.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn.Setup`.
+        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
 
     Attributes:
         env: the environment.

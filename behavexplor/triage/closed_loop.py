@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.constant import MANEUVERS
-from behavexplor.data.drawn import DrawnScenario
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.errors import InputError

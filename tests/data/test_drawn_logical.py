@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from behavexplor.data.drawn import DrawnScenario, Setup
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, Draw, DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.logical import Noise
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError

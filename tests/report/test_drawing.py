@@ -9,11 +9,13 @@ from PIL import Image
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.report import drawing
 from behavexplor.report.drawing import MAX_FRAMES, SIDE, decisive_frame, draw, save_animation
+from behavexplor.report.road_shapes import shape_of
 from tests.fakes import make_trace, simulate
 
 LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
+ROAD = shape_of(ROADMAP)
 SCENARIO = LOGICAL.sample(np.random.default_rng(0))
 
 
@@ -31,7 +33,7 @@ def meeting():
 
 def test_a_frame_shows_the_road_and_the_vehicles():
     trace = meeting()
-    picture = draw(trace, ROADMAP, 5, "meeting")
+    picture = draw(trace, ROAD, 5, "meeting")
     assert picture.size == (SIDE, SIDE)
     assert {drawing._EGO, drawing._NPCS[0], drawing._ASPHALT, drawing._GROUND} <= colors(picture)
     middle = picture.getpixel((SIDE // 2, SIDE // 2))
@@ -42,8 +44,8 @@ def test_a_vehicle_that_is_hit_is_red():
     trace = meeting()
     position = np.array(trace.position)
     position[:, 1] = position[:, 0] + (0.0, -4.0)
-    assert drawing._HIT in colors(draw(replace(trace, position=position), ROADMAP, 5, ""))
-    assert drawing._HIT not in colors(draw(trace, ROADMAP, 5, ""))
+    assert drawing._HIT in colors(draw(replace(trace, position=position), ROAD, 5, ""))
+    assert drawing._HIT not in colors(draw(trace, ROAD, 5, ""))
 
 
 def test_the_decisive_frame():
@@ -64,7 +66,7 @@ def test_an_animation_shows_the_whole_trace(tmp_path, frames):
     trace = make_trace(
         np.column_stack([np.resize(trace.position[:, 0], (frames, 2)), np.zeros(frames)]), lines=ROADMAP.illegal_lines
     )
-    save_animation(tmp_path / "a.gif", trace, ROADMAP, "caption")
+    save_animation(tmp_path / "a.gif", trace, ROAD, "caption")
     with Image.open(tmp_path / "a.gif") as animation:
         assert 1 <= animation.n_frames <= MAX_FRAMES
         if frames == 900:

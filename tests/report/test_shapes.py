@@ -2,16 +2,21 @@
 
 import re
 from itertools import pairwise
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 
+from behavexplor.data.road_shape import RoadShape
+from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, behaviors, evenly, scaled
 from behavexplor.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Series, chart, ticks
 from behavexplor.report.gallery import PASSED, cards, replay_values
 from behavexplor.report.reading import read_run, stored
 from behavexplor.report.road_shapes import known_road, road_values
+
+NO_RUN = Path("no-such-run")
 
 
 @pytest.fixture(scope="module")
@@ -127,10 +132,9 @@ def test_a_collision_is_marked_where_both_vehicles_are(executions, found):
 
 @pytest.mark.parametrize("name", ["intersection-left", "behavexplor/lane-change-v0"])
 def test_the_road_of_our_environments_is_known(name, executions):
-    road = known_road(name)
     env = gymnasium.make(name if "/" in name else f"behavexplor/{name}-v0")
-    assert road is env.unwrapped.logical.roadmap
-    values = road_values(road, executions[0].load_trace())
+    road = env.unwrapped.logical.roadmap
+    values = road_values(known_road(name, NO_RUN), executions[0].load_trace())
     assert len(values["lanes"]) == len(road.lanes)
     assert set(values["routes"]) == set(road.routes)
     ends = [np.hypot(*np.subtract(*dash)) for dash in values["dashes"]]
@@ -139,15 +143,28 @@ def test_the_road_of_our_environments_is_known(name, executions):
 
 def test_double_yellow_lines_and_curbs_are_told_apart(executions):
     trace = executions[0].load_trace()
-    kinds = {line["kind"] for line in road_values(known_road("intersection-straight"), trace)["lines"]}
+    kinds = {line["kind"] for line in road_values(known_road("intersection-straight", NO_RUN), trace)["lines"]}
     assert kinds == {"double-yellow", "curb"}
-    assert {line["kind"] for line in road_values(known_road("lane-change"), trace)["lines"]} == {"curb"}
+    assert {line["kind"] for line in road_values(known_road("lane-change", NO_RUN), trace)["lines"]} == {"curb"}
+
+
+def test_the_road_of_a_stock_environment_is_in_its_run(tmp_path, executions):
+    road = RoadShape((np.zeros((4, 2)),), striped=(np.array([[0.0, 0.0], [30.0, 0.0]]),))
+    (tmp_path / "road.json").write_text(road.to_json())
+    found = known_road("merge-v0", tmp_path)
+    assert [dash.tolist() for dash in found.dashes(np.array([5.0, -1.0]), np.array([16.0, 1.0]))] == [
+        [[6.0, 0.0], [9.0, 0.0]],
+        [[12.0, 0.0], [15.0, 0.0]],
+    ]
+    (tmp_path / "road.json").write_text('{"surfaces": [[1]], "striped": [], "borders": []}')
+    with pytest.raises(InputError, match="surfaces of the shape of a road must be lines of at least two points"):
+        known_road("merge-v0", tmp_path)
 
 
 @pytest.mark.parametrize("name", ["strangers:package/road-v0", "CartPole-v1", "behavexplor/nowhere-v0", "../x"])
 def test_no_environment_of_others_is_made(name, executions, monkeypatch):
     monkeypatch.setattr(gymnasium, "make", lambda *_, **__: pytest.fail("made"))
-    assert known_road(name) is None
+    assert known_road(name, NO_RUN) is None
     values = road_values(None, executions[0].load_trace())
     assert values["lanes"] == []
     assert values["lines"]

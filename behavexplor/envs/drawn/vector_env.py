@@ -9,11 +9,11 @@ from highway_env.envs import IntersectionEnv
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
-from behavexplor.data.drawn import DrawnScenario
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.envs.drawn.course import LaneIndex
-from behavexplor.envs.drawn.env import DrawnEnv
-from behavexplor.envs.drawn.episode import Frame
+from behavexplor.envs.drawn.drawn_env import DrawnEnv
+from behavexplor.envs.drawn.episode_record import Frame
 from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.stock.lane_network import lane_indexes

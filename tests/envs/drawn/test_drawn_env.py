@@ -6,7 +6,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from scipy.stats import binomtest
 
-from behavexplor.data.drawn import DrawnScenario
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.envs.making import environment_id, is_stock, make_env
 from behavexplor.envs.stock.engine_making import kept_class

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from behavexplor.data.drawn import DrawnScenario, Setup, config_text, sorted_draws
+from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.scenario import parse_scenario, read_scenario
 from behavexplor.errors import InputError
 

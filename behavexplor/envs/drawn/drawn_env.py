@@ -7,13 +7,13 @@ import highway_env
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 
-from behavexplor.data.drawn import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.road_shape import RoadShape
-from behavexplor.envs.drawn.episode import EpisodeRecord, Watch
+from behavexplor.envs.drawn.episode_record import EpisodeRecord, Watch
 from behavexplor.envs.drawn.generator import DrawnGenerator
 from behavexplor.envs.drawn.layout import Layout
-from behavexplor.envs.drawn.road import road_shape
+from behavexplor.envs.drawn.road_outline import road_shape
 from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.drawn.vehicle_classes import VehicleClasses
 from behavexplor.envs.drawn.wide_traffic import widen
@@ -25,14 +25,14 @@ _PROBES: Final = 3  # resets from which the environment's draws are read
 class DrawnEnv(gymnasium.Env[Any, Any]):
     """A highway-env environment, unchanged, whose episodes are given by its own random draws.
 
-    `reset(options={"scenario": scenario})` plays the draws of a `behavexplor.data.drawn.DrawnScenario`. Without the
+    `reset(options={"scenario": scenario})` plays the draws of a `behavexplor.data.drawn_scenario.DrawnScenario`. Without the
     option, the environment draws as always. `info["scenario"]` is the scenario. At the end of an episode, it has all
     draws that were made, and `info["trace"]` is the trace.
 
     Args:
         name: name of the environment, such as "highway-fast-v0" or "module:id".
         env: the environment, as gymnasium makes it.
-        traffic: kind of traffic, see `behavexplor.data.drawn.Setup`.
+        traffic: kind of traffic, see `behavexplor.data.drawn_scenario.Setup`.
 
     Attributes:
         logical: all scenarios of the environment in this configuration.
