@@ -25,9 +25,9 @@ _PROBES: Final = 3  # resets from which the environment's draws are read
 class DrawnEnv(gymnasium.Env[Any, Any]):
     """A highway-env environment, unchanged, whose episodes are given by its own random draws.
 
-    `reset(options={"scenario": scenario})` plays the draws of a `behavexplor.data.drawn_scenario.DrawnScenario`. Without the
-    option, the environment draws as always. `info["scenario"]` is the scenario. At the end of an episode, it has all
-    draws that were made, and `info["trace"]` is the trace.
+    `reset(options={"scenario": scenario})` plays the draws of a scenario, see `behavexplor.data.drawn_scenario`.
+    Without the option, the environment draws as always. `info["scenario"]` is the scenario. At the end of an episode,
+    it has all draws that were made, and `info["trace"]` is the trace.
 
     Args:
         name: name of the environment, such as "highway-fast-v0" or "module:id".
