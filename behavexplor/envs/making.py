@@ -29,12 +29,13 @@ def environment_id(name: str) -> str:
     """
     if name in behavexplor.FUNCTIONAL_SCENARIOS:
         return f"{behavexplor.NAMESPACE}/{name}-v0"
-    if ":" in name or name in gymnasium.registry:
+    if ":" in name or "/" in name or name in gymnasium.registry:
         return name
     importlib.import_module(_HIGHWAY_ENV)
     if name not in gymnasium.registry:
-        stock = [known for known, spec in gymnasium.registry.items() if _HIGHWAY_ENV in str(spec.entry_point)]
-        raise unknown_name("environment", name, [*behavexplor.FUNCTIONAL_SCENARIOS, *stock])
+        stock = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(_HIGHWAY_ENV)]
+        own = [known for known in behavexplor.FUNCTIONAL_SCENARIOS if known.startswith(name)]
+        raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *stock])
     return name
 
 
@@ -114,7 +115,7 @@ def make_vector_env(
         num_envs=num_envs,
         vectorization_mode="vector_entry_point",
         autoreset_mode=AutoresetMode.DISABLED,
-        config={**spec.kwargs["config"], **changes},
+        config={**spec.kwargs.get("config", {}), **changes},
     )
 
 
@@ -146,10 +147,11 @@ def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, 
             importlib.import_module(module)
         spec = gymnasium.spec(own)
         merged = {**(spec.kwargs.get("config") or {}), **config}
+        keywords: dict[str, Any] = {"config": merged} if merged else {}
         with warnings.catch_warnings(), ExitStack() as stack:
             warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
             stack.enter_context(_kept_classes(spec))
-            made: gymnasium.Env[Any, Any] = gymnasium.make(spec, config=merged, disable_env_checker=True)
+            made: gymnasium.Env[Any, Any] = gymnasium.make(spec, disable_env_checker=True, **keywords)
     except InputError:
         raise
     except Exception as error:  # gymnasium's own errors, and any error of the environment's package
