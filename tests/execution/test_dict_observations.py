@@ -75,4 +75,5 @@ def test_an_environment_with_other_observations_is_told_in_a_sentence(parked):
         Simulation("lane-follow", parked)
     message = str(refused.value)
     assert "observes Dict(achieved_goal: Box(2,), desired_goal: Box(2,), observation: Box(7, 5))" in message
+    assert message.endswith("The policy needs an environment whose observations are such dictionaries")
     assert "--trust" not in message

@@ -149,13 +149,15 @@ def _of_tensors(path: Path, name: str, content: bytes, reader: PickleReader) -> 
 
     Raises:
         InputError: if the file has a format of earlier versions of torch, or would unpack to more bytes than it has.
-        ValueError: if its pickle cannot be read.
+        ValueError: if it is no such file, or its pickle cannot be read.
     """
     if content.startswith(_OLD_TORCH):
         raise InputError(
             f"{name} in {path} has the format of torch before 1.6, which is not read: if you trust its origin, load "
             "the model with Stable-Baselines3, and save it again"
         )
+    if not content.startswith(b"PK"):
+        raise ValueError(f"its {name} is not a file that torch wrote")
     with ZipFile(io.BytesIO(content)) as tensors:
         unpacked = sum(member.file_size for member in tensors.infolist())
         if unpacked > len(content):  # torch does not compress

@@ -74,6 +74,9 @@ _KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}
 def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> str:
     """Return a sentence that tells the user how to give an environment the spaces of a policy."""
     name, config = fitting_config(observation_space, action_space)
+    if isinstance(observation_space, gymnasium.spaces.Dict):  # other environments have no goals or references
+        example = f", as those of highway-env's {name} are" if name else ""
+        return f"The policy needs an environment whose observations are such dictionaries{example}"
     where = "in a YAML file beside the policy (model.yaml beside model.zip), or as attributes of your driver"
     if not config:
         return f"Give highway-env's `observation` and `action` configuration {where}"

@@ -22,6 +22,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.blocks import ask_in_blocks
 from behavexplor.ads.sb3.description import STATISTICS, describe
+from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError
@@ -159,6 +160,9 @@ def test_a_policy_for_parking_is_read_with_its_buffer_of_hindsight(tmp_path):
     model.save(tmp_path / "model")
     assert read_archive(tmp_path / "model.zip").suspicions == ()
     policy = load_policy(tmp_path / "model.zip")
+    assert how_to_fit(policy.observation_space, policy.action_space).endswith(
+        "as those of highway-env's parking-v0 are"
+    )
     observation, _ = env.reset(seed=3)
     action = policy.predict({key: array[None] for key, array in observation.items()})[0]
     np.testing.assert_allclose(action[0], model.predict(observation, deterministic=True)[0], atol=1e-6)
@@ -409,7 +413,7 @@ def rewritten(source: Path, target: Path, **members) -> Path:
         ({"data": b"{"}, "damaged"),
         ({"data": b"[]"}, "damaged"),
         ({"data": b"{}"}, "cannot be loaded without running code"),
-        ({"policy_pth": b"rubbish"}, "damaged"),
+        ({"policy_pth": b"rubbish"}, r"damaged: its policy\.pth is not a file that torch wrote"),
         ({"data": b" " * 50_000_000}, "which no model needs"),
     ],
 )
