@@ -1,5 +1,6 @@
 """A highway-env environment whose episodes are given by its own random draws."""
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import gymnasium
@@ -95,6 +96,25 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         observation, info = self._begin(generator)
         self.record = Watch(self._inner).record
         return observation, {**info, "scenario": scenario or self.played()}
+
+    def begin_blindly(self, scenario: DrawnScenario) -> None:
+        """Begin an episode without its first observation, which takes highway-env longer than the rest of a reset.
+
+        Raises:
+            InputError: if the scenario is not one of this environment.
+        """
+        define: Callable[[], None] = self._inner.define_spaces
+
+        def define_blindly() -> None:
+            define()
+            self._inner.observation_type.observe = lambda: None
+
+        self._inner.define_spaces = define_blindly
+        try:
+            self.reset(options={"scenario": scenario})
+        finally:
+            del self._inner.define_spaces
+            define()
 
     def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
         self._generator = generator

@@ -85,7 +85,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         result: tuple[NDArray[Any], dict[str, Any]] | None = None
         for b in np.flatnonzero(mask).tolist():
             scenario = options["scenarios"][b]
-            self._env.reset(options={"scenario": scenario})
+            self._env.begin_blindly(scenario)
             self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
             chosen = np.arange(self.num_envs) == b
             given: dict[str, Any] = {"reset_mask": chosen, "starts": {b: self._env.inner}}
@@ -117,11 +117,11 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _log(self, b: int) -> None:
         """Record the frames of the latest decision of sub-environment b."""
         log, record = self._engine.frame_log, self._records[b]
-        for frame, things in zip(log.frames[b], log.things[b], strict=True):
-            seen = things[: frame.n_things].copy()
-            record.frames.append(Frame(seen, int(frame.ego), self._lanes[frame.lane], bool(frame.is_on_road)))
-            for number in seen["number"].tolist():
-                record.sizes.setdefault(number, _SIZE)
+        rows = zip(log.frames[b].tolist(), log.things[b].copy(), strict=True)
+        for (count, ego, lane, is_on_road), things in rows:
+            record.frames.append(Frame(things[:count], ego, self._lanes[lane], is_on_road))
+        for number in log.things[b, -1]["number"][:count].tolist():
+            record.sizes.setdefault(number, _SIZE)
 
     def _spawn_draws(self, scenario: DrawnScenario) -> Floats:
         """Return the draws by which vehicles appear at an intersection after each decision, shape (decisions, 6)."""
