@@ -87,6 +87,17 @@ class ConstantManeuver:
         return np.full(count, self._index), state
 
 
+def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration of highway-env in which `ConstantManeuver` can drive, with the same target speeds.
+
+    Args:
+        config: the whole configuration.
+    """
+    action = config["action"] if config["action"].get("type") == "DiscreteMetaAction" else {}
+    meta = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
+    return {**config, "action": {**action, **meta}}
+
+
 def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDriver | ConstantManeuver:  # noqa: ARG001
     """Make the driver of a variant.
 

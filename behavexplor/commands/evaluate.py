@@ -13,6 +13,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from behavexplor.ads.constant import with_meta_actions
 from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
@@ -29,7 +30,6 @@ from behavexplor.execution.start import check_ads, logical_of_target
 MOST_SCENARIOS = 1_000_000
 _CONSTANT: Final = "constant:"
 _CONTROLS: Final = ("SLOWER", "IDLE", "FASTER")
-_META: Final = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
 
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
@@ -125,9 +125,7 @@ def _beside(target: Target, logical: DrawnLogicalScenario, *, controls: bool) ->
     columns = {}
     if target.traffic != DEFAULT:
         columns["the same in default traffic"] = replace(target, traffic=DEFAULT)
-    config = json.loads(logical.setup.config)
-    own = config["action"] if config["action"].get("type") == _META["type"] else {}
-    config["action"] = {**own, **_META}
+    config = with_meta_actions(json.loads(logical.setup.config))
     for maneuver in _CONTROLS if controls else ():
         columns[f"always {maneuver}"] = replace(target, ads=f"{_CONSTANT}{maneuver}", trust=(), env_config=config)
     return columns

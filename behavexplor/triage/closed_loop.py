@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.constant import MANEUVERS
+from behavexplor.ads.constant import MANEUVERS, with_meta_actions
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
@@ -24,7 +24,6 @@ CONSTANT: Final = ("SLOWER", "IDLE", "FASTER", "LANE_LEFT", "LANE_RIGHT")  # in 
 BY_CHANCE: Final = 11  # drivers that act by chance
 HELD: Final = 2  # decisions for which such a driver keeps an action
 MOST_DECISIONS: Final = 500
-META_ACTIONS: Final = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
 
 Actions = NDArray[np.int64]
 
@@ -68,9 +67,7 @@ def find_driver(
         Name of the first driver that does not crash, None if all of them do; and the number of drivers that were tried,
         which is 0 if the environment cannot be driven by meta-actions.
     """
-    config = json.loads(logical.setup.config)
-    own = config["action"] if config["action"].get("type") == META_ACTIONS["type"] else {}
-    config["action"] = {**own, **META_ACTIONS}
+    config = with_meta_actions(json.loads(logical.setup.config))
     names = [f"always {name}" for name in CONSTANT] + [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
     try:
         traces = _driven(logical, config, scenario, _actions(rng))
