@@ -13,7 +13,10 @@ Parameters = dict[type, dict[str, Any]]
 
 
 class VehicleClasses:
-    """The parameters of the vehicle classes as one environment has left them."""
+    """The parameters of the vehicle classes as one environment has left them.
+
+    An environment begins with those that it finds in its process, as it does without this class.
+    """
 
     def __init__(self) -> None:
         self._own: Parameters | None = None
@@ -21,17 +24,17 @@ class VehicleClasses:
     @contextmanager
     def applied(self) -> Iterator[None]:
         """Let the environment run with the parameters that it left, and give all others theirs back afterwards."""
-        others = _parameters()
+        others = parameters()
         if self._own is not None:
-            _set(self._own)
+            set_parameters(self._own)
         try:
             yield
         finally:
-            self._own = _parameters()
-            _set(others)
+            self._own = parameters()
+            set_parameters(others)
 
 
-def _parameters() -> Parameters:
+def parameters() -> Parameters:
     """Return the parameters, which are named in capitals, by class."""
     found: Parameters = {}
     classes: list[type] = [IDMVehicle]
@@ -42,7 +45,8 @@ def _parameters() -> Parameters:
     return found
 
 
-def _set(parameters: Parameters) -> None:
+def set_parameters(parameters: Parameters) -> None:
+    """Give the classes the parameters, and take from them those that are not named."""
     for kind, wanted in parameters.items():
         present = {name: value for name, value in vars(kind).items() if name.isupper()}
         for name in present.keys() - wanted.keys():
