@@ -13,8 +13,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-FORMAT = 2  # in format 1, rows had a single checksum of record and trace
-READABLE = (1, 2)
+FORMAT = 3  # in format 2, traces were npz files; in format 1, rows also had a single checksum of record and trace
+READABLE = (1, 2, 3)
 MAX_VALUE = 100_000_000  # greatest size of a stored value [bytes]; a trace has some thousand
 _LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
@@ -25,7 +25,7 @@ CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE executions (
     id INTEGER PRIMARY KEY,
     record TEXT NOT NULL,  -- JSON: what `behavexplor records` prints
-    trace BLOB NOT NULL,  -- npz: behavexplor.data.trace.Trace
+    trace BLOB NOT NULL,  -- read by behavexplor.data.trace.Trace.from_bytes
     elapsed REAL NOT NULL,  -- running time of the campaign when the execution was told [s]
     checksum INTEGER NOT NULL,  -- CRC-32 of id, record and trace
     violated TEXT AS (json_extract(record, '$.violated')),
@@ -36,10 +36,8 @@ CREATE TABLE executions (
 ) STRICT;
 """
 _BEGINNING = f"BEGIN IMMEDIATE; {_SCHEMA} INSERT INTO meta VALUES ('format', '{FORMAT}'); COMMIT;"  # noqa: S608
-_UPGRADE = (
-    "BEGIN IMMEDIATE; ALTER TABLE executions ADD COLUMN record_checksum INTEGER; "  # noqa: S608 - constants
-    f"UPDATE meta SET value = '{FORMAT}' WHERE key = 'format'; COMMIT;"
-)
+_ADD_CHECKSUM = "ALTER TABLE executions ADD COLUMN record_checksum INTEGER; "
+_SET_FORMAT = f"UPDATE meta SET value = '{FORMAT}' WHERE key = 'format'; "  # noqa: S608 - constants
 _SELECT = "SELECT id, record, {trace}, elapsed, checksum, {record_checksum} FROM executions"
 _INSERT = (
     "INSERT OR REPLACE INTO executions (id, record, trace, elapsed, checksum, record_checksum) "
@@ -54,7 +52,7 @@ class Row:
     Attributes:
         id: number of the execution.
         record: record as JSON.
-        trace: trace as npz; empty if it was not read.
+        trace: trace as bytes; empty if it was not read.
         elapsed: running time of the campaign up to the execution [s].
     """
 
@@ -137,9 +135,9 @@ def written_format(path: Path) -> str | None:
     return None if found == "none" else found
 
 
-def upgrade(connection: sqlite3.Connection) -> None:
-    """Upgrade a database of format 1 to this version's format in one transaction."""
-    connection.executescript(_UPGRADE)
+def upgrade(connection: sqlite3.Connection, found: str) -> None:
+    """Upgrade a database of an earlier format to this version's format in one transaction."""
+    connection.executescript(f"BEGIN IMMEDIATE; {_ADD_CHECKSUM if found == '1' else ''}{_SET_FORMAT}COMMIT;")
 
 
 def insert(connection: sqlite3.Connection, rows: list[Row]) -> None:

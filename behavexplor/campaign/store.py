@@ -373,7 +373,7 @@ def _prepared(folder: Path) -> sqlite3.Connection:
         found = read_format(connection)
         _check_format(path, found)
         if found != str(FORMAT):
-            upgrade(connection)
+            upgrade(connection, found)
     except BaseException:
         connection.close()
         raise
@@ -389,7 +389,7 @@ def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
 def _check_format(path: Path, found: str) -> None:
     if found in map(str, READABLE):
         return
-    known = " and ".join(map(str, READABLE))
+    known = f"{READABLE[0]} to {READABLE[-1]}"
     newer = re.fullmatch(r"[1-9]\d{0,8}", found) and int(found) > FORMAT
     mend = "it was written by a newer behavexplor" if newer else "it is damaged, or not a campaign's database"
     raise InputError(f"{path} has format {found:.20}, but this version reads {known}: {mend}")

@@ -157,7 +157,7 @@ def _compare(execution: Execution, config: CampaignConfig) -> int:
                 return OK
             print(sentence(f"The execution was NOT reproduced: running it again, {error}"), file=sys.stderr)
             return CHECK_FAILED
-    if again != execution.trace:
+    if Trace.from_bytes(again).to_bytes() != execution.load_trace().to_bytes():
         print("The execution was NOT reproduced: running it again gave a different trace.", file=sys.stderr)
         return CHECK_FAILED
     print("The execution was reproduced: running it again gave the same trace.")

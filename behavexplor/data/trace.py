@@ -1,6 +1,5 @@
 """Traces: the record of one episode, as arrays."""
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -11,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
 from behavexplor.data.untrusted import read_arrays
 from behavexplor.errors import InputError
 
@@ -19,7 +19,8 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
-FORMAT = 1
+FORMAT = 2
+NPZ_FORMAT, NPZ_START = 1, b"PK"  # earlier versions wrote npz files
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
 ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
 CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
@@ -168,7 +169,7 @@ class Trace:
         )
 
     def to_bytes(self) -> bytes:
-        """Return the trace as a compressed npz file. Equal traces give equal bytes, and `from_bytes` restores them."""
+        """Return the trace as compressed bytes. Equal traces give equal bytes, and `from_bytes` restores them."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         for name in _MOTION:
             arrays[name] = _pack(arrays[name])
@@ -177,33 +178,33 @@ class Trace:
         if self.present.size:
             arrays["present"] = self.present
         if self.partner >= 0:
-            arrays["partner"] = np.int64(self.partner)
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, format=np.int64(FORMAT), end=np.str_(self.end), **arrays)
-        return buffer.getvalue()
+            arrays["partner"] = np.array(self.partner)
+        end = np.frombuffer(self.end.encode(), dtype=np.uint8)
+        return pack_arrays({"format": np.array(FORMAT), "end": end, **arrays})
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a trace from the bytes of an npz file, as returned by `to_bytes`. No code in the data is executed.
+        """Read a trace from bytes that `to_bytes` wrote, here or in an earlier version. No code in them is executed.
 
         Raises:
             InputError: if the data is not a trace, or is damaged.
         """
+        is_npz = data.startswith(NPZ_START)
         try:
-            values = read_arrays(data)
+            values = read_arrays(data) if is_npz else unpack_arrays(data)
         except ValueError as error:
             raise InputError(f"Not a trace, or a damaged one: {error}") from None
         missing = {"format", "end", *_ARRAYS} - values.keys()
         if missing:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
-        if not np.array_equal(values["format"], FORMAT):
+        if not np.array_equal(values["format"], NPZ_FORMAT if is_npz else FORMAT):
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
             arrays[name] = _unpack(arrays[name], arrays["time"].size)
         return cls(
             **arrays,
-            end=str(values["end"]),
+            end=str(values["end"]) if is_npz else values["end"].tobytes().decode(errors="replace"),
             decisions=_part(values, "decisions."),
             signals=_part(values, "signals."),
             present=values.get("present", np.ones((0, 0), dtype=bool)),
@@ -211,12 +212,12 @@ class Trace:
         )
 
     def save(self, path: Path) -> None:
-        """Write the trace as an npz file."""
+        """Write the trace as a file."""
         path.write_bytes(self.to_bytes())
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read an npz file written by `save`.
+        """Read a file that `save` wrote.
 
         Raises:
             InputError: if it is not a trace, or is damaged.

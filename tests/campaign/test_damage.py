@@ -142,7 +142,7 @@ def test_a_newer_format_is_left_alone(folder):
     before = (folder / DATABASE).read_bytes()
     for opening in (Store.read, Store.reopen):
         with pytest.raises(
-            InputError, match=r"has format 10, but this version reads 1 and 2: it was written by a newer"
+            InputError, match=r"has format 10, but this version reads 1 to 3: it was written by a newer"
         ):
             opening(folder)
     assert (folder / DATABASE).read_bytes() == before

@@ -7,10 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import MAX_ARRAY_BYTES
 from behavexplor.errors import InputError
 from tests.strategies import random_trace, seeds
 
@@ -184,23 +187,37 @@ def test_frames_are_whole_numbers(frames):
         replace(TRACE, action_frame=frames)
 
 
-@pytest.mark.parametrize("field", ["end", "format", *WRONG_SHAPES])
-def test_a_file_without_a_field_is_refused_by_its_name(field):
-    with np.load(io.BytesIO(BYTES)) as file:
-        values = {name: file[name] for name in file.files if name != field}
+def npz(values):
+    """Return arrays as earlier versions wrote those of a trace."""
     buffer = io.BytesIO()
     np.savez(buffer, **values)
+    return buffer.getvalue()
+
+
+def as_before(values):
+    return npz(values | {"format": np.array(1), "end": np.array(TRACE.end)})
+
+
+def test_traces_of_earlier_versions_are_read():
+    assert Trace.from_bytes(as_before(unpack_arrays(BYTES))).to_bytes() == BYTES
+
+
+@pytest.mark.parametrize("write", [pack_arrays, npz])
+@pytest.mark.parametrize("field", ["end", "format", *WRONG_SHAPES])
+def test_a_file_without_a_field_is_refused_by_its_name(field, write):
+    values = unpack_arrays(BYTES)
+    del values[field]
     with pytest.raises(InputError, match=f"{field} is missing"):
-        Trace.from_bytes(buffer.getvalue())
+        Trace.from_bytes(write(values))
 
 
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("format", np.array(2), "has format 2; this version reads format 1"),
-        ("format", np.ones(2), "this version reads format 1"),
-        ("end", np.array("exploded"), "end: expected one of"),
-        ("time", np.array(["a"] * 20), "time"),
+        ("format", np.array(3), "has format 3; this version reads format 2"),
+        ("format", np.ones(2), "this version reads format 2"),
+        ("end", np.frombuffer(b"exploded", dtype=np.uint8), "end: expected one of"),
+        ("end", np.array([200, 201], dtype=np.uint8), "end: expected one of"),
         ("position", np.zeros((8, 4, 2, 19), dtype=np.uint8), "wrong shape"),
         ("heading", np.zeros((8, 4, 20)), "wrong shape"),
         ("velocity", np.zeros((7, 4, 2, 20), dtype=np.uint8), "wrong shape"),
@@ -209,9 +226,16 @@ def test_a_file_without_a_field_is_refused_by_its_name(field):
     ],
 )
 def test_a_file_with_a_wrong_field_is_refused(field, value, message):
-    with np.load(io.BytesIO(BYTES)) as file:
-        values = {name: file[name] for name in file.files} | {field: value}
-    buffer = io.BytesIO()
-    np.savez(buffer, **values)
     with pytest.raises(InputError, match=message):
-        Trace.from_bytes(buffer.getvalue())
+        Trace.from_bytes(pack_arrays(unpack_arrays(BYTES) | {field: value}))
+
+
+def test_a_file_with_letters_for_numbers_is_refused():
+    with pytest.raises(InputError, match="time"):
+        Trace.from_bytes(npz(unpack_arrays(BYTES) | {"format": np.array(1), "time": np.array(["a"] * 20)}))
+
+
+def test_bytes_that_would_unpack_to_too_much_are_refused():
+    bomb = zstandard.ZstdCompressor().compress(bytes(MAX_ARRAY_BYTES + 1))
+    with pytest.raises(InputError, match="unpacked size of 200000001 bytes"):
+        Trace.from_bytes(bomb)

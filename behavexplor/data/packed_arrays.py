@@ -1,0 +1,34 @@
+"""Arrays by name as bytes: the safetensors format, compressed by Zstandard."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import safetensors.numpy
+import zstandard
+from numpy.typing import NDArray
+
+from behavexplor.data.untrusted import MAX_ARRAY_BYTES
+
+LEVEL: Final = 3
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return arrays of numbers or truth values as bytes. Equal arrays give equal bytes."""
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    return zstandard.ZstdCompressor(level=LEVEL).compress(safetensors.numpy.save(contiguous))
+
+
+def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays that `pack_arrays` packed. No code in the data is executed.
+
+    Raises:
+        ValueError: if the data is of another form, is damaged, or would unpack to more than `MAX_ARRAY_BYTES`.
+    """
+    try:
+        size = zstandard.frame_content_size(data)
+        if not 0 <= size <= MAX_ARRAY_BYTES:
+            raise ValueError(f"it declares an unpacked size of {size} bytes")  # noqa: TRY301
+        return safetensors.numpy.load(zstandard.ZstdDecompressor().decompress(data))
+    except Exception as error:  # both libraries raise several kinds of errors for damaged data
+        raise ValueError(" ".join(f"{type(error).__name__}: {error}".split())[:300]) from None
