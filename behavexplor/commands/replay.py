@@ -30,6 +30,9 @@ _ENDED_BY = MappingProxyType(
         "passed": "passing its destination",
         "standstill": "standing still",
         "timeout": "the time limit",
+        "off-road": "leaving the road",
+        "ended": "the environment",
+        "error": "a failure of the ADS",
     }
 )
 

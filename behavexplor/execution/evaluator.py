@@ -10,6 +10,7 @@ from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
+from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed
@@ -193,8 +194,14 @@ def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Rec
         f"{service.__module__}:{service.__qualname__}",
         {**target.to_dict(), **settings},
         batched=EXECUTE,
-        preload=(service.__module__,),
+        preload=(service.__module__, *_preloaded(target)),
     )
+
+
+def _preloaded(target: Target) -> list[str]:
+    """Return the slow modules that executing the scenarios of a target needs."""
+    modules = ["behavexplor.envs.drawn.vector_env"] if is_stock(target.env) else []
+    return [*modules, "behavexplor.ads.sb3.policy"] if target.ads.endswith(".zip") else modules
 
 
 def needs_confinement(target: Target) -> bool:

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.observations import Observation, joined, mapped
+from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.rollout import ADSError, rollout
+from behavexplor.execution.rollout import ADSError, rollout, rollout_all
 from behavexplor.execution.simulation import Simulation
 
 SCENARIOS: Final = 4
@@ -41,13 +42,11 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
-    traces = []
-    for _ in range(SCENARIOS):
-        scenario = simulation.logical.sample(generator)
-        try:
-            traces.append(rollout(simulation.env, witness, scenario))
-        except ADSError as error:
-            return [f"In the first scenarios, {error}"]
+    scenarios = [simulation.logical.sample(generator) for _ in range(SCENARIOS)]
+    try:
+        traces = _traces(simulation, witness, scenarios)
+    except ADSError as error:
+        return [f"In the first scenarios, {error}"]
     prepare = getattr(simulation.ads, "prepare", lambda observation: observation)
     seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
@@ -59,6 +58,14 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
         _foreign(seen, trained_on),
     )
     return [finding for finding in findings if finding]
+
+
+def _traces(simulation: Simulation, witness: _Witness, scenarios: list[Scenario]) -> list[Trace]:
+    """Drive scenarios one after the other, in the compiled form of a stock environment where there is one."""
+    envs = simulation.compiled(1)
+    if envs is None:
+        return [rollout(simulation.env, witness, scenario) for scenario in scenarios]
+    return [trace for _, trace in rollout_all(envs, witness, scenarios)]
 
 
 def _unconfigured(simulation: Simulation) -> str | None:

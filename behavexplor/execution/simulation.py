@@ -57,7 +57,7 @@ class Simulation:
         env_config: Mapping[str, Any] | None = None,
         traffic: str = DEFAULT,
     ) -> None:
-        stock = is_stock(env)
+        self._is_stock = stock = is_stock(env)
         roadmap = None if stock else logical_scenario(env).roadmap
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in _DECLARED if hasattr(self.ads, key)}
@@ -84,7 +84,7 @@ class Simulation:
         Yields:
             The index of a scenario, counted from 0, and its trace, in the order in which the episodes end.
         """
-        envs = self._lock_step(min(batch, len(scenarios)))
+        envs = self.compiled(min(batch, len(scenarios)))
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
@@ -92,21 +92,22 @@ class Simulation:
         envs.close()
 
     def lock_step(self, count: int) -> LockStep | None:
-        """Return episodes in lock-step; None if the ADS or the environment can run only one at a time.
+        """Return episodes in lock-step; None if `run` is as fast, or the environment has no compiled form.
 
         Args:
-            count: number of episodes at a time.
+            count: number of episodes at a time. It is 1 if the ADS takes one observation at a time.
         """
-        envs = self._lock_step(count)
+        envs = self.compiled(count)
         return None if envs is None else LockStep(envs, self.ads)
 
     def close(self) -> None:
         """Release the resources of the environment."""
         self.env.close()
 
-    def _lock_step(self, count: int) -> VectorEnv[Any, Any, Any] | None:
-        able = count > 1 and getattr(self.ads, "vectorized", False)
-        return self.vector_env(count) if able else None
+    def compiled(self, count: int) -> VectorEnv[Any, Any, Any] | None:
+        """Return a vector environment for episodes in lock-step; see `lock_step`."""
+        count = count if getattr(self.ads, "vectorized", False) else 1
+        return self.vector_env(count) if count > 1 or self._is_stock else None
 
     def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
         """Return a vector environment with the observations and actions of the ADS.

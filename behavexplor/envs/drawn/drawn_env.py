@@ -38,6 +38,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     Attributes:
         logical: all scenarios of the environment in this configuration.
         record: the record of the present episode; None before the first one.
+        generator: the generator of the present episode.
         vehicle_classes: the parameters of highway-env's vehicle classes in this environment.
     """
 
@@ -53,7 +54,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self.metadata = self._env.metadata
         self.record: EpisodeRecord | None = None
         self.vehicle_classes = VehicleClasses()
-        self._generator = DrawnGenerator({}, 0, __file__)
+        self.generator = DrawnGenerator({}, 0, __file__)
         self._setup = setup
         self._seed = 0
         self._decisions = 0
@@ -117,7 +118,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             define()
 
     def _begin(self, generator: DrawnGenerator) -> tuple[Any, dict[str, Any]]:
-        self._generator = generator
+        self.generator = generator
         self._decisions = 0
         with self.vehicle_classes.applied():
             self._inner._np_random = generator  # noqa: SLF001 - gymnasium's own place for a given generator
@@ -142,12 +143,12 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         with self.vehicle_classes.applied():
             observation, reward, terminated, truncated, info = self._env.step(action)
         self._decisions += 1
-        self._generator.forget_calls()
+        self.generator.forget_calls()
         return observation, reward, terminated, truncated or self._decisions >= MOST_DECISIONS, info
 
     def played(self) -> DrawnScenario:
         """Return the scenario of the present episode with all draws that were made so far."""
-        return DrawnScenario(self._setup, self._seed, sorted_draws(self._generator.drawn))
+        return DrawnScenario(self._setup, self._seed, sorted_draws(self.generator.drawn))
 
     def _layout(self) -> tuple[Draw, ...]:
         """Read the environment's draws from a few episodes."""

@@ -1,5 +1,6 @@
 """The record of one episode of a highway-env environment, and the trace that is made of it."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,16 +39,16 @@ class EpisodeRecord:
     """The frames and decisions of an episode.
 
     Args:
-        env: the environment, which has just been reset.
+        env: the environment, which has been reset.
+        route: lanes of the ego's route at the start; empty if the environment plans none.
 
     Attributes:
         frames: the frames.
         sizes: length and width of each vehicle and obstacle by its number [m].
-        planned: lanes of the ego's route at the start; empty if the environment plans none.
     """
 
-    def __init__(self, env: AbstractEnv) -> None:
-        self.planned: tuple[LaneIndex, ...] = tuple(getattr(env.vehicle, "route", None) or ())
+    def __init__(self, env: AbstractEnv, route: Sequence[LaneIndex]) -> None:
+        self._route = tuple(route)
         self._leaving_matters = leaving_matters(env)
         self._must_move_on = must_move_on(env)
         self.frames: list[Frame] = []
@@ -90,7 +91,7 @@ class EpisodeRecord:
         present[at], crashed[at] = True, every["crashed"]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         size = np.array([self.sizes[number] for number in numbers.tolist()])
-        route = ego_route(network, self.planned, [seen.lane for seen in self.frames], position[:, 0])
+        route = ego_route(network, self._route, [seen.lane for seen in self.frames], position[:, 0])
         trace = Trace(
             time=np.arange(len(things), dtype=np.float64) * self._period,
             position=position,
@@ -118,7 +119,7 @@ class EpisodeRecord:
             signals[ARRIVED] = np.zeros(len(self.frames))
             signals[ARRIVED][ends] = self._arrivals
         elif self._must_move_on:
-            entry = {self.frames[0].lane[:2], *(lane[:2] for lane in self.planned[:2])}
+            entry = {self.frames[0].lane[:2], *(lane[:2] for lane in self._route[:2])}
             signals[ARRIVED] = np.array([frame.lane[:2] not in entry for frame in self.frames], dtype=np.float64)
         return signals
 
@@ -143,7 +144,7 @@ class Watch:
 
     def __init__(self, env: AbstractEnv) -> None:
         self._things: dict[int, tuple[int, RoadObject]] = {}  # keeps the objects alive, since their identity is the key
-        self.record = EpisodeRecord(env)
+        self.record = EpisodeRecord(env, getattr(env.vehicle, "route", None) or ())
         self._look(env)
         road: Any = env.road
         step = road.step

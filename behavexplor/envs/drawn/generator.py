@@ -41,6 +41,7 @@ class DrawnGenerator(np.random.Generator):
         drawn: the standard forms of all draws so far, by the name of the call that made them.
         kinds: their kinds, UNIFORM or NORMAL.
         labels: their labels.
+        sequence: name, position and kind of all draws so far, in their order.
     """
 
     def __init__(
@@ -57,21 +58,13 @@ class DrawnGenerator(np.random.Generator):
         self.drawn: dict[str, list[float]] = {}
         self.kinds: dict[str, list[str]] = {}
         self.labels: dict[str, list[int]] = {}
+        self.sequence: list[tuple[str, int, str]] = []
         self._label = label
 
     @property
     def count(self) -> int:
         """Number of draws so far."""
-        return sum(map(len, self.drawn.values()))
-
-    def forms(self, name: str, kinds: Sequence[str]) -> list[float]:
-        """Return the standard forms of the draws that a call would make, without making them.
-
-        Args:
-            name: name of the call.
-            kinds: kinds of its draws.
-        """
-        return [self._form(name, position, kind) for position, kind in enumerate(kinds)]
+        return len(self.sequence)
 
     def forget_calls(self) -> None:
         """Release the environment's calls, after they have ended."""
@@ -158,13 +151,15 @@ class DrawnGenerator(np.random.Generator):
         if isinstance(self._source, np.random.Generator):
             forms = np.asarray(native(self._source, count), dtype=np.float64).ravel().tolist()
         else:
-            forms = [self._form(name, len(drawn) + k, kind) for k in range(count)]
+            forms = [self.form(name, len(drawn) + k, kind) for k in range(count)]
+        self.sequence += [(name, len(drawn) + k, kind) for k in range(count)]
         drawn += forms
         kinds += [kind] * count
         self.labels.setdefault(name, []).extend([self._label()] * count)
         return np.array(forms)
 
-    def _form(self, name: str, position: int, kind: str) -> float:
+    def form(self, name: str, position: int, kind: str) -> float:
+        """Return the standard form of a draw of an episode without a generator as its source."""
         given = self._played.get(name, ())
         if position < len(given):
             return given[position]

@@ -1,6 +1,5 @@
 """The compiled form of highway-env's environments whose episodes are given by their random draws."""
 
-import math
 from typing import Any, Final
 
 import numpy as np
@@ -9,14 +8,15 @@ from highway_env.envs import IntersectionEnv
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
-from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.envs.drawn.course import LaneIndex
+from behavexplor.envs.drawn.draw_order import SPAWN, Place, decision_order, forms_of, start_order
 from behavexplor.envs.drawn.drawn_env import DrawnEnv
-from behavexplor.envs.drawn.episode_record import Frame
-from behavexplor.envs.drawn.generator import DrawnGenerator
+from behavexplor.envs.drawn.episode_record import EpisodeRecord, Frame
 from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.stock.lane_network import lane_indexes
+from behavexplor.envs.stock.slot_state import are_alike
 from behavexplor.envs.stock.source_gate import changed_sources
 from behavexplor.envs.stock.stock_env import StockVectorEnv
 from behavexplor.errors import InputError
@@ -24,15 +24,14 @@ from behavexplor.errors import InputError
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_SPAWN: Final = "_spawn_vehicle"
-_SPAWN_KINDS: Final = (UNIFORM, UNIFORM, UNIFORM, NORMAL, NORMAL)  # of its draws, before that of `DELTA`
-_ORIGINS: Final = 4  # roads from which vehicles enter an intersection
+_COMPARED: Final = 3  # starts of the engine that are compared with highway-env's
 
 
 class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     """`num_envs` environments of highway-env in lock-step, whose episodes are given by their random draws.
 
-    highway-env itself begins each episode, with the draws of its scenario. The compiled engine drives it.
+    The compiled engine begins each episode with the draws of its scenario, and drives it. If the first episodes that
+    highway-env itself begins are others, or draw in a varying order, highway-env begins all of them.
     `reset(options={"scenarios": [...], "reset_mask": ...})` begins episodes, and at the end of an episode
     `infos["trace"]` has its trace. Autoreset is disabled.
 
@@ -67,6 +66,24 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
         self._ended = np.ones(num_envs, dtype=bool)
         self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
+        self._later = decision_order(env)
+        self._order = self._start_order()
+
+    def _start_order(self) -> tuple[Place, ...] | None:
+        """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
+        rng = np.random.default_rng(0)
+        scenarios = [self.logical.sample(rng) for _ in range(_COMPARED)]
+        order = start_order(self._env, scenarios)
+        if order is None or self._engine.places_own:
+            return None
+        mask = np.arange(self.num_envs) == 0
+        for scenario in scenarios:
+            self._begin_by_highway_env(0, scenario)
+            expected = self._engine.state(0)
+            self._engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
+            if not are_alike(expected, self._engine.state(0)):
+                return None
+        return order
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin episodes.
@@ -82,21 +99,33 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         del seed
         options = options or {}
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
-        result: tuple[NDArray[Any], dict[str, Any]] | None = None
-        for b in np.flatnonzero(mask).tolist():
-            scenario = options["scenarios"][b]
-            self._env.begin_blindly(scenario)
-            self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
-            chosen = np.arange(self.num_envs) == b
-            given: dict[str, Any] = {"reset_mask": chosen, "starts": {b: self._env.inner}}
-            if isinstance(self._env.inner, IntersectionEnv):
-                given["spawn_draws"] = {b: self._spawn_draws(scenario)}
-            with self._env.vehicle_classes.applied():
-                result = self._engine.reset(options=given)
-        self._ended = self._ended & ~mask
-        if result is None:
+        chosen = np.flatnonzero(mask).tolist()
+        if not chosen:
             raise InputError("reset_mask: no sub-environment is selected")
-        return result
+        self._ended = self._ended & ~mask
+        scenarios: dict[int, DrawnScenario] = {b: options["scenarios"][b] for b in chosen}
+        if self._order is None:
+            return [self._begin_by_highway_env(b, scenario) for b, scenario in scenarios.items()][-1]
+        for scenario in scenarios.values():
+            self.logical.check(scenario)
+        draws = {b: forms_of(scenario, (*self._order, *self._later)) for b, scenario in scenarios.items()}
+        begun = self._engine.reset(options={"reset_mask": mask, "draws": draws})
+        for b in chosen:
+            state = self._engine.state(b)
+            self._records[b] = EpisodeRecord(self._env.inner, state.ego_route(self._networks[b]))
+            self._records[b].sizes.update(state.sizes())
+            self._log(b, 1)
+        return begun
+
+    def _begin_by_highway_env(self, b: int, scenario: DrawnScenario) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin an episode of sub-environment b in highway-env, and copy it to the engine."""
+        self._env.begin_blindly(scenario)
+        self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
+        chosen, later = np.arange(self.num_envs) == b, forms_of(scenario, self._later)
+        with self._env.vehicle_classes.applied():
+            return self._engine.reset(
+                options={"reset_mask": chosen, "starts": {b: self._env.inner}, "draws": {b: later}}
+            )
 
     def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment. A sub-environment whose episode has ended rests."""
@@ -108,35 +137,20 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         ended = self._ended & ~rest
         traces = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(~rest).tolist():
-            self._log(b)
+            self._log(b, len(self._engine.frame_log.frames[b]))
             self._records[b].judge(has_arrived(_own(infos, b)))
         for b in np.flatnonzero(ended).tolist():
             traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
         return observations, rewards, terminated, truncated, {**infos, "trace": traces, "_trace": ended}
 
-    def _log(self, b: int) -> None:
-        """Record the frames of the latest decision of sub-environment b."""
+    def _log(self, b: int, count: int) -> None:
+        """Record the first frames of the latest decision of sub-environment b."""
         log, record = self._engine.frame_log, self._records[b]
-        rows = zip(log.frames[b].tolist(), log.things[b].copy(), strict=True)
-        for (count, ego, lane, is_on_road), things in rows:
-            record.frames.append(Frame(things[:count], ego, self._lanes[lane], is_on_road))
-        for number in log.things[b, -1]["number"][:count].tolist():
+        rows = zip(log.frames[b, :count].tolist(), log.things[b, :count].copy(), strict=True)
+        for (n_things, ego, lane, is_on_road), things in rows:
+            record.frames.append(Frame(things[:n_things], ego, self._lanes[lane], is_on_road))
+        for number in log.things[b, count - 1]["number"][:n_things].tolist():
             record.sizes.setdefault(number, _SIZE)
-
-    def _spawn_draws(self, scenario: DrawnScenario) -> Floats:
-        """Return the draws by which vehicles appear at an intersection after each decision, shape (decisions, 6)."""
-        config = self._env.config
-        played = DrawnGenerator(dict(scenario.draws), scenario.seed, __file__)
-        decisions = math.ceil(config["duration"] * config["policy_frequency"]) + 1
-        rows = []
-        for decision in range(decisions):
-            call = f"step#{decision}/{_SPAWN}" if decision else f"step/{_SPAWN}"
-            share, first, second, station, speed = played.forms(call, _SPAWN_KINDS)
-            delta = played.forms(f"{call}/randomize_behavior", (UNIFORM,))[0]
-            origin = int(first * _ORIGINS)
-            others = [road for road in range(_ORIGINS) if road != origin]
-            rows.append([share, origin, others[int(second * len(others))], station, speed, delta])
-        return np.array(rows)
 
     def close_extras(self, **_: Any) -> None:
         """Release the engine."""
@@ -157,7 +171,7 @@ def check_compiled(env: DrawnEnv) -> None:
         raise InputError(f"This release of highway-env has another {', '.join(changed[:3])} than the compiled engine")
     for draw in env.logical.draws:
         call, _, function = draw.name.partition("/")
-        is_spawn = isinstance(env.inner, IntersectionEnv) and function.startswith(_SPAWN)
+        is_spawn = isinstance(env.inner, IntersectionEnv) and function.startswith(SPAWN)
         if "observe" in draw.name or (call.partition("#")[0] == "step" and not is_spawn):
             raise InputError(f"The compiled engine does not know the draws of {draw.name}")
 

@@ -158,7 +158,7 @@ def _make_thing(env: AbstractEnv, slots: Slots, b: int, i: int) -> Any:
         _give_commands(thing, vehicle)
     if traits.kind in (MDP, IDM, LINEAR):
         thing.target_lane_index, thing.target_speed = indexes[vehicle.target_lane], float(vehicle.target_speed)
-        thing.route = _make_route(vehicle, slots.routes[b, i], list(road_numbers(network)))
+        thing.route = make_route(vehicle, slots.routes[b, i], list(road_numbers(network)))
     if traits.kind == MDP:
         thing.speed_index = int(vehicle.speed_index)
     if traits.kind in (IDM, LINEAR):
@@ -171,7 +171,7 @@ def _give_commands(thing: Any, vehicle: Vehicle) -> None:
     thing.impact = np.array([vehicle.impact_x, vehicle.impact_y]) if vehicle.has_impact else None
 
 
-def _make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) -> list[LaneIndex] | None:
+def make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) -> list[LaneIndex] | None:
     """Return what is left of a route."""
     if vehicle.route_length == NO_ROUTE:
         return None

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
-from behavexplor.envs.stock.frame_log import FrameLog
+from behavexplor.envs.stock.frame_log import FrameLog, log_frame
 from behavexplor.envs.stock.frames import give_command, run_frames
 from behavexplor.envs.stock.observing import View, observe
 from behavexplor.envs.stock.pcg64 import Words
@@ -109,6 +109,8 @@ def advance(
         ego = scene.vehicles[episode.ego]
         if stage == FIRST_LOOK:
             episode.n_side_lanes = world.network.roads[world.network.lanes[ego.lane].road].n_lanes
+            if len(outcome.log.frames[b]) > 0:
+                log_frame(world.network, scene, outcome.log.frames[b, 0], outcome.log.things[b, 0])
         if engine.observed.options[0].is_grid:
             period = world.rules[0].policy_period
             observe_times(world.network, scene, world.speeds, period, outcome.memory, outcome.observations[b])

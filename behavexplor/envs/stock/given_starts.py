@@ -4,9 +4,9 @@ These are options of `StockVectorEnv.reset`, for some of the slots that are rese
 
 - `starts`: {slot: environment of highway-env, unwrapped, that has just been reset}. Its state is copied, and its random
   generator, if that is numpy's. If the order of the observation is "shuffled", the first one has an order of its own.
-- `spawn_draws`, at intersections: {slot: array of shape (decisions, 6)}. A row has the draws after a decision that
-  decide which vehicle appears, in standard form: u of the probability, the choice of the origin and another one of the
-  destination (0 to 3), z of the station, z of the speed, u of `DELTA`. After the last row, the generator draws again.
+- `draws`: {slot: array of shape (n,)}. The draws that the episode makes from then on, in their order and in standard
+  form; see `behavexplor.envs.stock.pcg64`. At an intersection, each vehicle that may appear takes `N_DRAWS`, also if it
+  does not appear. The generator draws again after the last of them. The first observation of a start must not draw.
 """
 
 from collections.abc import Mapping
@@ -20,17 +20,16 @@ from behavexplor.envs.stock.config_check import DRAWING
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import Engine
 from behavexplor.envs.stock.lane_network import make_network
-from behavexplor.envs.stock.pcg64 import generator_words
-from behavexplor.envs.stock.state import IDM, Slots
-from behavexplor.envs.stock.stock_world import OTHER, goal_lanes
-from behavexplor.envs.stock.task import INTERSECTION
+from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, give
+from behavexplor.envs.stock.state import Slots
+from behavexplor.envs.stock.stock_world import goal_lanes
 from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-N_DRAWS: Final = 6
+_NONE: Final = np.zeros(0)
 _OF_STARTS: Final = frozenset(  # keys of the config that matter to starts only
     {
         "vehicles_count",
@@ -71,7 +70,7 @@ def copy_start(env: AbstractEnv, engine: Engine, slots: Slots, b: int, most: int
     load(env, engine.world, slots, b)
     generator: object = env.np_random
     if type(generator) is np.random.Generator and isinstance(generator.bit_generator, np.random.PCG64):
-        engine.words[b] = generator_words(generator)
+        engine.words[b, :N_WORDS] = generator_words(generator)
 
 
 def chosen_starts(
@@ -98,38 +97,32 @@ def chosen_starts(
     return found
 
 
-def chosen_draws(draws: object, kind: int, engine: Engine, mask: Bools) -> dict[int, Floats]:
-    """Return the reset option `spawn_draws`: for each slot an array of shape (decisions, 6).
+def chosen_draws(draws: object, mask: Bools) -> dict[int, Floats]:
+    """Return the reset option `draws`: for each slot an array of shape (n,).
 
     Args:
         draws: the option, or None.
-        kind: the environment's kind.
-        engine: what the episodes have in common.
         mask: which slots are reset, shape (B,).
 
     Raises:
-        InputError: if the environment lets no vehicles appear, or the draws are not what they should be.
+        InputError: if a slot is not reset, or the draws are not finite numbers.
     """
-    found = _by_slot("spawn_draws", draws, mask)
-    if found and (kind != INTERSECTION or engine.world.templates[OTHER].kind != IDM):
-        raise InputError("spawn_draws: only intersections with IDMVehicles let vehicles appear by these draws")
-    return {b: _checked_draws(rows) for b, rows in found.items()}
+    return {b: _checked_draws(forms) for b, forms in _by_slot("draws", draws, mask).items()}
 
 
-def with_draws(given: Floats, mask: Bools, draws: Mapping[int, Floats]) -> Floats:
-    """Return the draws of all slots after a reset, shape (B, decisions + 1, 6), where NaN stands for no draw.
+def with_draws(engine: Engine, mask: Bools, draws: Mapping[int, Floats]) -> Engine:
+    """Give draws to some of the slots that are reset, and take those away that the others had.
 
-    Args:
-        given: the draws before the reset, of the same form.
-        mask: which slots are reset, shape (B,).
-        draws: the draws of some of them, each of shape (decisions, 6).
+    Returns:
+        The engine, with more room for draws if that is needed.
     """
-    longest = max([len(given[0]) - 1, *map(len, draws.values())])
-    table = np.full((len(given), longest + 1, N_DRAWS), np.nan)
-    table[~mask, : len(given[0])] = given[~mask]
-    for b, rows in draws.items():
-        table[b, : len(rows)] = rows
-    return table
+    words = engine.words
+    lacking = N_WORDS + max(map(len, draws.values()), default=0) - words.shape[1]
+    if lacking > 0:
+        words = np.pad(words, ((0, 0), (0, lacking)))
+    for b in np.flatnonzero(mask).tolist():
+        give(words[b], draws.get(b, _NONE))
+    return engine._replace(words=words)
 
 
 def _by_slot(name: str, given: object, mask: Bools) -> dict[int, Any]:
@@ -142,16 +135,11 @@ def _by_slot(name: str, given: object, mask: Bools) -> dict[int, Any]:
     return {int(b): value for b, value in found.items()}
 
 
-def _checked_draws(rows: object) -> Floats:
+def _checked_draws(draws: object) -> Floats:
     try:
-        table = np.array(rows, dtype=np.float64)
+        forms = np.array(draws, dtype=np.float64)
     except (TypeError, ValueError):
-        table = np.zeros(0)
-    if table.ndim != 2 or table.shape[1] != N_DRAWS or not np.isfinite(table).all():
-        raise InputError(f"spawn_draws: expected finite numbers of shape (decisions, {N_DRAWS}), got {shown(rows)}")
-    shares, choices = table[:, [0, 5]], table[:, 1:3]
-    if (shares < 0).any() or (shares >= 1).any():
-        raise InputError("spawn_draws: the first and last column must be in [0, 1)")
-    if not np.isin(choices, range(4)).all() or (choices[:, 0] == choices[:, 1]).any():
-        raise InputError("spawn_draws: the second and third column must be two different numbers from 0 to 3")
-    return table
+        forms = np.full(1, np.nan)
+    if forms.ndim != 1 or not np.isfinite(forms).all():
+        raise InputError(f"draws: expected finite numbers of shape (n,), got {shown(draws)}")
+    return forms

@@ -4,34 +4,25 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_geometry import lane_heading, lane_point
-from behavexplor.envs.stock.pcg64 import FOUR, THREE, Words, integer, normal, two_of, uniform
-from behavexplor.envs.stock.placing import (
-    AS_EGO,
-    AS_OTHER,
-    HIGH_DELTA,
-    LOW_DELTA,
-    draw_behavior,
-    place_vehicle,
-    plan_route,
-)
+from behavexplor.envs.stock.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
+from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
 from behavexplor.jit import kernel_inner
 
-Floats = NDArray[np.float64]
-
 CHALLENGER: Any = np.bool_(True)  # of numpy's type, as the constants of `pcg64`
 NOT_CHALLENGER: Any = np.bool_(False)
 
+N_DRAWS: Final = 6  # of a vehicle that may appear: u of the probability, two choices, two z, and u of `DELTA`
+_N_DRAWS: Final = np.uint64(N_DRAWS)
 INITIAL_PROBABILITY: Final = 0.6  # probability of each vehicle at the start; `spawn_probability` is for later ones
 
 
 @kernel_inner
-def enter_intersection(world: World, task: Task, scene: Scene, words: Words, given: Floats) -> None:
+def enter_intersection(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Place the ego and a vehicle that crosses its way: the last part of `IntersectionEnv._make_vehicles`.
 
     Args:
@@ -39,10 +30,9 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words, giv
         task: the environment's starts.
         scene: the episode, changed in place. The traffic has driven for three seconds.
         words: its random generator, changed in place.
-        given: as in `spawn_vehicle`.
     """
     rules, starts = task.rules[0], task.starts
-    spawn_vehicle(world, task, scene, words, given, 60.0, 1.0, CHALLENGER)
+    spawn_vehicle(world, task, scene, words, 60.0, 1.0, CHALLENGER)
     destination: int = rules.ego_destination
     if destination == DRAWN:
         destination = 1 + integer(words, THREE)
@@ -55,35 +45,38 @@ def enter_intersection(world: World, task: Task, scene: Scene, words: Words, giv
 
 @kernel_inner
 def spawn_vehicle(
-    world: World,
-    task: Task,
-    scene: Scene,
-    words: Words,
-    given: Floats,
-    station: float,
-    probability: float,
-    is_challenger: bool,
+    world: World, task: Task, scene: Scene, words: Words, station: float, probability: float, is_challenger: bool
 ) -> None:
     """Let a vehicle appear, or not: `IntersectionEnv._spawn_vehicle`.
+
+    If draws are given, there are `N_DRAWS` for each call, also for one that needs less because no vehicle appears.
 
     Args:
         world: the road and the vehicles' classes.
         task: the environment's starts.
         scene: the episode, changed in place.
         words: its random generator, changed in place.
-        given: numbers to be used instead of draws, or NaN, shape (6,): those of the reset option `spawn_draws`.
         station: station about which it appears [m].
         probability: probability that it appears, unless there is no room.
         is_challenger: whether it goes straight on, and starts at nearly the same place and speed every time.
     """
-    is_given = not math.isnan(given[0])
-    if (given[0] if is_given else uniform(words, 0.0, 1.0)) > probability:
+    first, given = words[NEXT_FORM], is_given(words)
+    _spawn(world, task, scene, words, station, probability, is_challenger)
+    if given:
+        words[NEXT_FORM] = first + _N_DRAWS
+
+
+@kernel_inner
+def _spawn(
+    world: World, task: Task, scene: Scene, words: Words, station: float, probability: float, is_challenger: bool
+) -> None:
+    if uniform(words, 0.0, 1.0) > probability:
         return
-    origin, destination = (int(given[1]), int(given[2])) if is_given else two_of(words, FOUR)
+    origin, destination = two_of(words, FOUR)
     if is_challenger:
         destination = (origin + 2) % 4
-    station = station + 5.0 + (given[3] if is_given else normal(words)) * (0.1 if is_challenger else 1.0)
-    speed = 8.0 + (given[4] if is_given else normal(words)) * (0.0 if is_challenger else 1.0)
+    station = station + 5.0 + normal(words) * (0.1 if is_challenger else 1.0)
+    speed = 8.0 + normal(words) * (0.0 if is_challenger else 1.0)
     lane = world.network.lanes[task.starts.lanes[origin]]
     x, y = lane_point(lane, station)
     for j in range(scene.episode.n_vehicles):
@@ -91,10 +84,7 @@ def spawn_vehicle(
             return
     i = place_vehicle(world, scene, AS_OTHER, x, y, lane_heading(lane, station), speed)
     plan_route(world, scene, i, task.starts.plans[destination])
-    if is_given:
-        scene.traits[i].delta = LOW_DELTA + (HIGH_DELTA - LOW_DELTA) * given[5]
-    else:
-        draw_behavior(words, scene, i)
+    draw_behavior(words, scene, i)
 
 
 @kernel_inner

@@ -2,8 +2,12 @@
 
 Numba accepts numpy's generators in compiled code, and draws the same numbers. But it spends 16 to 20 us on each
 generator that it is handed, which is as long as an environment takes for a whole decision, and it has no `choice`. So
-a generator is an array here, of shape (6,): the high and low half of the state, the high and low half of the increment,
-whether half of a 64-bit word is left over, and this half.
+a generator is an array here: the high and low half of the state, the high and low half of the increment, whether half
+of a 64-bit word is left over, and this half.
+
+Draws can also be given. The rest of the array is then the index of the next given draw, their number, and their
+standard forms as the bits of floating-point numbers: the position u of a uniform number in its range, of a choice in
+[0, 1); the distance z of a normal number from the mean. When all of them are used, the generator draws again.
 
 The draws are those of numpy's `distributions.c` and `_generator.pyx` (BSD-3-Clause). The tables of the normal
 distribution are numpy's, as numba ships them.
@@ -21,8 +25,8 @@ from behavexplor.jit import kernel_inner
 Words = NDArray[np.uint64]
 Floats = NDArray[np.float64]
 
-N_WORDS = 6
-HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF = range(N_WORDS)
+N_WORDS = 8
+HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF, NEXT_FORM, N_FORMS = range(N_WORDS)
 
 # Numba would compile a function once more for each constant of Python's own type.
 TWO: Any = np.int64(2)
@@ -46,14 +50,14 @@ _INVERSE_TAIL: Final = float(numpy_tables.ziggurat_nor_inv_r)
 
 
 def generator_words(generator: np.random.Generator) -> Words:
-    """Return the state of a numpy generator as an array, shape (6,).
+    """Return the state of a numpy generator as an array without given draws, shape (8,).
 
     Args:
         generator: a generator on `PCG64`, as `numpy.random.default_rng` and gymnasium make it.
     """
     state = generator.bit_generator.state
     word, increment = int(state["state"]["state"]), int(state["state"]["inc"])
-    values = [*divmod(word, 1 << 64), *divmod(increment, 1 << 64), state["has_uint32"], state["uinteger"]]
+    values = [*divmod(word, 1 << 64), *divmod(increment, 1 << 64), state["has_uint32"], state["uinteger"], 0, 0]
     return np.array(values, dtype=np.uint64)
 
 
@@ -66,6 +70,26 @@ def put_words(words: Words, generator: np.random.Generator) -> None:
         "has_uint32": has_half,
         "uinteger": half,
     }
+
+
+def give(words: Words, forms: Floats) -> None:
+    """Give a generator draws in standard form, shape (n,), in place of any earlier ones. It has room for them."""
+    words[NEXT_FORM], words[N_FORMS] = 0, len(forms)
+    words[N_WORDS : N_WORDS + len(forms)] = forms.view(np.uint64)
+
+
+@kernel_inner
+def is_given(words: Words) -> bool:
+    """Return whether the next draw is given."""
+    return bool(words[NEXT_FORM] < words[N_FORMS])
+
+
+@kernel_inner
+def next_form(words: Words) -> float:
+    """Return the standard form of the next given draw."""
+    place = np.int64(words[NEXT_FORM])
+    words[NEXT_FORM] += _ONE
+    return float(words.view(np.float64)[N_WORDS + place])
 
 
 @kernel_inner
@@ -100,6 +124,8 @@ def next_half(words: Words) -> np.uint64:
 @kernel_inner
 def random(words: Words) -> float:
     """Draw a number from [0, 1): `Generator.random`."""
+    if is_given(words):
+        return next_form(words)
     return float((next_word(words) >> np.uint64(11)) * _UNIT)
 
 
@@ -114,6 +140,8 @@ def integer(words: Words, n: int) -> int:
     """Draw a whole number from [0, n), where n is at most 2^32: `Generator.integers` and `Generator.choice`."""
     if n == 1:
         return 0
+    if is_given(words):
+        return min(int(next_form(words) * n), n - 1)
     count = np.uint64(n)
     product = next_half(words) * count
     if (product & _MASK) < count:
@@ -139,6 +167,8 @@ def masked_integer(words: Words, n: int) -> int:
 @kernel_inner
 def normal(words: Words) -> float:
     """Draw from the standard normal distribution: `Generator.normal`, by numpy's ziggurat."""
+    if is_given(words):
+        return next_form(words)
     while True:
         word = next_word(words)
         layer = np.int64(word & np.uint64(0xFF))
@@ -167,7 +197,14 @@ def _tail(words: Words, is_negative: bool) -> float:
 
 @kernel_inner
 def two_of(words: Words, n: int) -> tuple[int, int]:
-    """Draw two different whole numbers from [0, n), n <= 10 000: `Generator.choice(n, size=2, replace=False)`."""
+    """Draw two different whole numbers from [0, n), n <= 10 000: `Generator.choice(n, size=2, replace=False)`.
+
+    Given draws are the place of the first number among all, and that of the second one among the others.
+    """
+    if is_given(words):
+        first = integer(words, n)
+        second = integer(words, n - 1)
+        return first, second + (second >= first)
     first = integer(words, n - 1)
     second = integer(words, n)
     if second == first:

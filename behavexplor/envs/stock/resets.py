@@ -25,7 +25,6 @@ from behavexplor.envs.stock.task import (
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 START, ENTER, SPAWN = range(3)  # stages of `populate`
 
@@ -37,7 +36,6 @@ def populate(
     slots: Slots,
     scratch: Scratch,
     words: Words,
-    given: Floats,
     chosen: Bools,
     stage: int,
 ) -> None:
@@ -48,9 +46,7 @@ def populate(
         task: the environment's starts.
         slots: the episodes, changed in place.
         scratch: memory.
-        words: their random generators, changed in place, shape (B, 6).
-        given: numbers to be used instead of draws after each decision, shape (B, decisions + 1, 6); see
-            `behavexplor.envs.stock.given_starts.with_draws`.
+        words: their random generators, changed in place, shape (B, ...); see `behavexplor.envs.stock.pcg64`.
         chosen: which slots are changed, shape (B,).
         stage: START begins episodes; ENTER lets the ego enter the intersection after the traffic has driven for a
             while; SPAWN removes the vehicles that leave the intersection, and lets a new one appear.
@@ -59,20 +55,17 @@ def populate(
         if not chosen[b]:
             continue
         scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-        nothing = len(given[b]) - 1
         if stage == START:
-            _start(world, task, scene, words[b], given[b, nothing])
+            _start(world, task, scene, words[b])
         elif stage == ENTER:
-            enter_intersection(world, task, scene, words[b], given[b, nothing])
+            enter_intersection(world, task, scene, words[b])
         else:
             clear_vehicles(world.network, scene)
-            decision = min(scene.episode.frames // world.rules[0].n_frames - 1, nothing)
-            probability = task.rules[0].spawn_probability
-            spawn_vehicle(world, task, scene, words[b], given[b, decision], 0.0, probability, NOT_CHALLENGER)
+            spawn_vehicle(world, task, scene, words[b], 0.0, task.rules[0].spawn_probability, NOT_CHALLENGER)
 
 
 @kernel_inner
-def _start(world: World, task: Task, scene: Scene, words: Words, given: Floats) -> None:
+def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
     """Begin an episode: `AbstractEnv._reset`."""
     episode, kind = scene.episode, task.rules[0].kind
     episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
@@ -92,7 +85,7 @@ def _start(world: World, task: Task, scene: Scene, words: Words, given: Floats) 
         _start_at_u_turn(world, task, scene, words)
     else:
         for gap in task.starts.gaps:
-            spawn_vehicle(world, task, scene, words, given, gap, INITIAL_PROBABILITY, NOT_CHALLENGER)
+            spawn_vehicle(world, task, scene, words, gap, INITIAL_PROBABILITY, NOT_CHALLENGER)
     for k in range(len(task.starts.obstacles)):
         scene.vehicles[episode.n_vehicles + k] = task.starts.obstacles[k]
         scene.traits[episode.n_vehicles + k] = world.templates[BARRIER]

@@ -18,11 +18,12 @@ from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_at_start, most_new
 from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, advance
 from behavexplor.envs.stock.frame_log import make_log
-from behavexplor.envs.stock.given_starts import N_DRAWS, chosen_draws, chosen_starts, copy_start, with_draws
+from behavexplor.envs.stock.given_starts import chosen_draws, chosen_starts, copy_start, with_draws
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
-from behavexplor.envs.stock.pcg64 import generator_words, put_words
+from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
+from behavexplor.envs.stock.slot_state import SlotState, slot_state
 from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.task import (
     INTERSECTION,
@@ -65,7 +66,9 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     Attributes:
         frame_log: where every vehicle and obstacle was after each frame of the latest step; see
-            `behavexplor.envs.stock.frame_log.FrameLog`. The next step overwrites it.
+            `behavexplor.envs.stock.frame_log.FrameLog`. After a reset, the first frame shows the start. The next step
+            overwrites it.
+        places_own: whether highway-env itself begins the episodes, since a subclass makes its own road or vehicles.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only highway-env itself can do.
@@ -95,14 +98,14 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
         self._max_steps = math.inf if max_episode_steps is None else max_episode_steps
-        self._places_own = has_own_starts(env_class)
+        self.places_own = has_own_starts(env_class)
         with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
-            self._engine = make_engine(self._single, self._kind, num_envs, places_own=self._places_own)
+            self._engine = make_engine(self._single, self._kind, num_envs, places_own=self.places_own)
         n_steps = self._engine.task.starts.plans.shape[-1]
-        if self._places_own:
+        if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
-        self._most_at_start = most_at_start(self._single, self._kind, places_own=self._places_own)
+        self._most_at_start = most_at_start(self._single, self._kind, places_own=self.places_own)
         n_places = self._most_at_start + most_new(self._single, self._kind)
         self._slots = make_slots(num_envs, n_places, n_steps)
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
@@ -115,7 +118,6 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
-        self._given = np.full((num_envs, 1, N_DRAWS), np.nan)
         self._compile()
         self._commands = make_commands(self._single.action_type)
         self._no_lane_changes = np.zeros(num_envs, dtype=bool)
@@ -131,22 +133,21 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
         Args:
             seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
-            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,). `starts` and `spawn_draws`
-                give starts and draws from outside; see `behavexplor.envs.stock.given_starts`.
+            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,). `starts` and `draws` give
+                starts and draws from outside; see `behavexplor.envs.stock.given_starts`.
 
         Raises:
             InputError: if an option or a seed cannot be used.
         """
-        options = chosen_options(options, ("reset_mask", "starts", "spawn_draws"))
+        options = chosen_options(options, ("reset_mask", "starts", "draws"))
         mask = chosen_slots(options.get("reset_mask"), self.num_envs)
         starts = chosen_starts(options.get("starts"), type(self._single), self.config, mask)
-        draws = chosen_draws(options.get("spawn_draws"), self._kind, self._engine, mask)
+        draws = chosen_draws(options.get("draws"), mask)
         for b, own_seed in enumerate(chosen_seeds(seed, self.num_envs)):
             if mask[b] and (own_seed is not None or not self._is_seeded[b]):
-                self._engine.words[b] = generator_words(seeding.np_random(own_seed)[0])
+                self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(own_seed)[0])
         self._is_seeded |= mask
-        actions = self._begin(mask, starts)
-        self._given = with_draws(self._given, mask, draws)
+        actions = self._begin(mask, starts, draws)
         self._has_begun |= mask
         return self._observations(), infos_of(self._kind, self._outcome, actions, mask, ~mask)
 
@@ -188,6 +189,10 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         infos = infos_of(self._kind, outcome, actions, chosen, active)
         return self._observations(), rewards, terminated, truncated, infos
 
+    def state(self, b: int) -> SlotState:
+        """Return a copy of the state of sub-environment b."""
+        return slot_state(self._slots, b)
+
     def _reset_ended(
         self, actions: NDArray[Any], rewards: Floats, terminated: Bools, truncated: Bools
     ) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
@@ -200,20 +205,26 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         infos = infos_of(self._kind, self._outcome, actions, everywhere, ~ended) | final
         return self._observations(), rewards, terminated, truncated, infos
 
-    def _begin(self, mask: Bools, starts: Mapping[int, AbstractEnv] = MappingProxyType({})) -> NDArray[Any]:
+    def _begin(
+        self,
+        mask: Bools,
+        starts: Mapping[int, AbstractEnv] = MappingProxyType({}),
+        draws: Mapping[int, Floats] = MappingProxyType({}),
+    ) -> NDArray[Any]:
         """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...).
 
         Args:
             mask: the chosen slots, shape (num_envs,).
             starts: the starts of some of them.
+            draws: the draws of some of them.
         """
         actions: NDArray[Any] = self._sampled_space.sample()
-        self._given[mask] = np.nan
         own, seen = mask.copy(), dict[int, NDArray[Any]]()
         own[list(starts)] = False
         for b, env in starts.items():
             copy_start(env, self._engine, self._slots, b, self._most_at_start)
-        if self._places_own:
+        self._engine = with_draws(self._engine, mask, draws)
+        if self.places_own:
             seen = self._copy_starts(own)
         elif own.any():
             self._populate(own, START)
@@ -237,9 +248,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._advance_slots = compiled_for(
             advance, self._engine, self._slots, self._scratch, mask, commands, mask, self._outcome, DECISION
         )
-        self._populate_slots = compiled_for(
-            populate, world, task, self._slots, self._scratch, words, self._given, mask, START
-        )
+        self._populate_slots = compiled_for(populate, world, task, self._slots, self._scratch, words, mask, START)
 
     def _advance(self, mask: Bools, actions: NDArray[Any], stage: int) -> None:
         commands, lane_changes = self._commands(actions), self._lane_changes(actions)
@@ -257,7 +266,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _populate(self, mask: Bools, stage: int) -> None:
         world, task, _, words = self._engine
         mask = np.ascontiguousarray(mask, dtype=np.bool_)
-        self._populate_slots(world, task, self._slots, self._scratch, words, self._given, mask, stage)
+        self._populate_slots(world, task, self._slots, self._scratch, words, mask, stage)
 
     def _copy_starts(self, mask: Bools) -> dict[int, NDArray[Any]]:
         """Let highway-env begin episodes, copy them to the chosen slots, and return its observations by their slot."""
