@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from typing import Final, TypeAlias
 
 import numpy as np
-from highway_env.road.lane import AbstractLane
+from highway_env.road.lane import AbstractLane, StraightLane
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 LaneIndex: TypeAlias = tuple[str, str, int | None]
 
-_STEP: Final = 2.0  # greatest distance of two points of a route [m]
+_STEP: Final = 2.0  # greatest distance of two points of a route where it is not straight [m]
 _SAME: Final = 1e-6  # points nearer to each other are one [m]
 
 
@@ -61,5 +61,5 @@ def _connected(roads: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
 
 def _center(lane: AbstractLane, start: float, end: float) -> Floats:
     """Return points of a lane's center line between two stations [m], shape (n, 2)."""
-    count = max(int(abs(end - start) / _STEP) + 2, 2)
+    count = 2 if type(lane) is StraightLane else max(int(abs(end - start) / _STEP) + 2, 2)
     return np.array([lane.position(station, 0.0) for station in np.linspace(start, end, count)])

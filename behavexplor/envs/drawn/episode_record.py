@@ -81,7 +81,7 @@ class EpisodeRecord:
         column = np.zeros(numbers.max() + 1, dtype=np.intp)
         column[numbers] = np.arange(len(numbers))
         frame = np.repeat(np.arange(len(things)), [len(seen) for seen in things])
-        every = np.concatenate(things)
+        every = np.concatenate(things, dtype=THING)
         at = (frame, column[every["number"]])
         motion = np.zeros((4, len(things), len(numbers)))
         motion[:2] = ABSENT
