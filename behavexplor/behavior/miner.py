@@ -6,6 +6,7 @@ from the centers of the last one, uses a bounded sample of merged states, and ha
 
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from typing import Annotated, Literal
 from warnings import catch_warnings, simplefilter
 
@@ -193,6 +194,11 @@ class _Sample:
         kept = slots < len(self._rows)
         self._rows[slots[kept]] = rows[kept]
         self._seen += len(rows)
+
+
+def load_clustering() -> None:
+    """Import the library that finds the clusters, which takes a second."""
+    import_module("sklearn.cluster")
 
 
 def _k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:

@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import dataclass
 from pathlib import Path
 
+from behavexplor.behavior.miner import load_clustering
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.store import Store
@@ -12,7 +13,8 @@ from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import ROAD
+from behavexplor.execution.evaluator import ROAD, evaluator_recipe
+from behavexplor.execution.pool import share_imports
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
@@ -62,6 +64,8 @@ def opened(
             used, or if the campaign has another revision.
     """
     check_revision(stored_config(folder) if resume else config, str(folder))
+    if workers and not cluster:
+        share_imports(evaluator_recipe(config.target))
     logical = None if is_stock(config.env) else logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
@@ -69,7 +73,7 @@ def opened(
         with patience or nullcontext():
             executor = start_executor(config.target, workers, cluster)
             stack.callback(executor.shutdown, wait=False)
-            warnings = check_ads(executor)
+            warnings = check_ads(executor, meanwhile=load_clustering)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())

@@ -4,6 +4,7 @@ import importlib
 import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from functools import cache
 from typing import Any, Final
 
 import gymnasium
@@ -39,6 +40,7 @@ def environment_id(name: str) -> str:
     return name
 
 
+@cache
 def is_stock(name: str) -> bool:
     """Return whether an environment is one of highway-env, or a subclass, without scripted vehicles.
 

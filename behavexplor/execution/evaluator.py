@@ -4,13 +4,13 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+import behavexplor
 from behavexplor.ads.loading import is_shipped
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
-from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed
@@ -200,7 +200,7 @@ def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Rec
 
 def _preloaded(target: Target) -> list[str]:
     """Return the slow modules that executing the scenarios of a target needs."""
-    modules = ["behavexplor.envs.drawn.vector_env"] if is_stock(target.env) else []
+    modules = [] if target.env in behavexplor.FUNCTIONAL_SCENARIOS else ["behavexplor.envs.drawn.vector_env"]
     return [*modules, "behavexplor.ads.sb3.policy"] if target.ads.endswith(".zip") else modules
 
 

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from multiprocessing.connection import Connection, wait
+from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from typing import Any, Final
@@ -27,7 +28,15 @@ from behavexplor.execution.worker import CLOSED, serve
 
 BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
 CRASHES: Final = 2  # an ADS is blamed after this many worker crashes during the same single execution
+_SHARES: Final = "forkserver" in multiprocessing.get_all_start_methods()
 ENDING_SECONDS: Final = 2.0  # time limit for the end of a worker that has closed its connection [s]
+
+
+def share_imports(recipe: Recipe) -> None:
+    """Begin to import, in the background, what the processes of a service need, where the system can share it."""
+    if _SHARES:
+        set_forkserver_preload(list(recipe.preload))
+        ensure_running()
 
 
 class WorkerDiedError(RuntimeError):
@@ -68,6 +77,7 @@ class WorkerPool(Executor):
     """
 
     def __init__(self, n_workers: int, recipe: Recipe, time_limit: float, memory_limit: float) -> None:
+        share_imports(recipe)
         recipe.make().prepare()
         self._recipe = recipe
         self._folder = TemporaryDirectory(prefix="behavexplor-", ignore_cleanup_errors=True)
@@ -185,6 +195,7 @@ class WorkerPool(Executor):
         tag, content = answer[:1], answer[1:]
         if tag == READY:
             worker.capacity, worker.is_ready = int(content), True
+            self._start_others()
         elif not worker.is_ready:
             _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
@@ -194,6 +205,11 @@ class WorkerPool(Executor):
             settle(worker.tasks.pop(key).future, answer)
             if self._recipe.long_calls:
                 self._remove(worker)
+
+    def _start_others(self) -> None:
+        """Start all workers, after the first one has compiled what they have in common."""
+        if not self._recipe.long_calls:
+            self._workers = [worker or _Worker(*self._serving) for worker in self._workers]
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
         """Remove a worker that has died or hangs, and repeat or fail its calls."""
@@ -237,10 +253,8 @@ class _Worker:
     """
 
     def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
-        methods = multiprocessing.get_all_start_methods()
-        context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
-        if context.get_start_method() == "forkserver":
-            context.set_forkserver_preload(list(recipe.preload))
+        share_imports(recipe)
+        context: Any = multiprocessing.get_context("forkserver" if _SHARES else "spawn")
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)

@@ -287,7 +287,7 @@ def _checked(
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
     if isinstance(space, gymnasium.spaces.Discrete):
-        for action in actions:
-            if not space.contains(action):
-                raise _AnswerError(f"predict must return actions of {space}, got {action}")
+        valid = (actions >= space.start) & (actions < space.start + space.n) & (actions.dtype.kind != "f")
+        if not valid.all():
+            raise _AnswerError(f"predict must return actions of {space}, got {actions[valid.argmin()]}")
     return actions, answer[1]

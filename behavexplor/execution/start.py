@@ -1,6 +1,7 @@
 """Functions that start executors: for one target or for any service, in this process, in workers or on a cluster."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 from behavexplor.ads.loading import check_name
@@ -103,8 +104,12 @@ def check_loading(executor: Executor) -> None:
     executor.submit(FINGERPRINT, b"[]").result()
 
 
-def check_ads(executor: Executor) -> list[str]:
+def check_ads(executor: Executor, meanwhile: Callable[[], None] = lambda: None) -> list[str]:
     """Check the ADS in the place where it will run. This also compiles the kernels for all workers.
+
+    Args:
+        executor: executor of the ADS.
+        meanwhile: work to do in this process while the ADS is loaded in another one.
 
     Returns:
         Warnings, each of them a printable sentence.
@@ -112,8 +117,10 @@ def check_ads(executor: Executor) -> list[str]:
     Raises:
         InputError: if the ADS cannot be loaded.
     """
+    checking = executor.submit(PREFLIGHT, b"")
+    meanwhile()
     try:
-        return [sentence(str(warning)) for warning in json.loads(executor.submit(PREFLIGHT, b"").result())]
+        return [sentence(str(warning)) for warning in json.loads(checking.result())]
     except InputError:
         raise
     except Exception:  # an ADS that ends its process will do so again in the campaign, where it is recorded

@@ -2,7 +2,7 @@
 
 On a CPU, the last bits of a matrix product depend on the number of rows and on the position of a row among them. So a
 network always receives blocks of the same number of rows, padded with zeros, and its linear layers multiply each row
-separately. A network with other layers receives one row at a time.
+separately. A network with other layers, or with code from elsewhere, receives one row at a time.
 """
 
 from collections.abc import Iterator
@@ -14,19 +14,57 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
-from torch.nn.functional import linear, pad
-from torch.overrides import TorchFunctionMode
+from torch.nn.functional import pad
 
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
 ROWS: Final = 64  # rows in a block
 ALIGNMENT: Final = 16  # most numbers that a processor multiplies at a time; rows begin at multiples of it
 
+_KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.")
+
 Memory = tuple[NDArray[Any], ...]
+
+
+def prepare_blocks(network: BasePolicy) -> int:
+    """Prepare a network that is not trained any further, and return the number of rows in its blocks.
+
+    Its linear layers multiply each row separately from now on.
+    """
+    network.set_training_mode(False)
+    network.set_training_mode = _stay  # type: ignore[method-assign] # `predict` visits every layer to set the mode
+    modules = list(network.modules())
+    layers = [module for module in modules if not list(module.children()) and list(module.parameters())]
+    if not all(type(module).__module__.startswith(_KNOWN) for module in modules):
+        return 1
+    if not all(type(layer) in (torch.nn.Linear, RowLinear) for layer in layers):
+        return 1
+    for layer in layers:
+        layer.__class__ = RowLinear
+    return ROWS
+
+
+def _stay(mode: bool) -> None:
+    """Leave a network in the mode in which it is."""
+
+
+class RowLinear(torch.nn.Linear):
+    """A linear layer that multiplies each row separately, with weights that stay as they are."""
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return the products, shape (..., outputs)."""
+        if rows.ndim != 2:
+            return super().forward(rows)
+        missing = -self.in_features % ALIGNMENT
+        if not hasattr(self, "padded"):
+            self.padded = pad(self.weight.detach(), (0, missing)).t()
+        products = torch.bmm(pad(rows, (0, missing))[:, None], self.padded.expand(len(rows), -1, -1))[:, 0]
+        return products if self.bias is None else products + self.bias
 
 
 def ask_in_blocks(
     network: BasePolicy,
+    rows: int,
     observation: Observation,
     memory: Memory | None,
     episode_start: NDArray[np.bool_] | None,
@@ -36,6 +74,7 @@ def ask_in_blocks(
 
     Args:
         network: policy network of Stable-Baselines3.
+        rows: number of rows in a block, see `prepare_blocks`.
         observation: observations, arrays of shape (B, ...).
         memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
         episode_start: True for each row that begins an episode, shape (B,); None if no row does.
@@ -45,10 +84,9 @@ def ask_in_blocks(
         The actions, shape (B, ...), and the memory. The memory is None if the network has none.
     """
     count = len(arrays_of(observation)[0])
-    rows = ROWS if _is_linear(network) else 1
     start = np.zeros(count, dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
     answers = []
-    with _one_thread(), _RowByRow():
+    with _one_thread():
         for begin in range(0, count, rows):
             block = slice(begin, begin + rows)
             remembered = None if memory is None else tuple(_filled(array[:, block], rows, 1) for array in memory)
@@ -68,32 +106,11 @@ def _block_of(array: NDArray[Any], block: slice, rows: int) -> NDArray[Any]:
 
 def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
     """Pad an array with zeros at its end to a length of `rows` along an axis."""
-    missing = [(0, 0)] * array.ndim
-    missing[axis] = (0, rows - array.shape[axis])
-    return np.pad(array, missing)
-
-
-def _is_linear(network: torch.nn.Module) -> bool:
-    """Return whether only linear layers have weights."""
-    layers = [module for module in network.modules() if not list(module.children())]
-    return all(isinstance(layer, torch.nn.Linear) or not list(layer.parameters()) for layer in layers)
-
-
-class _RowByRow(TorchFunctionMode):
-    """A mode of torch in which linear layers multiply each row separately."""
-
-    def __torch_function__(
-        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
-    ) -> Any:
-        by_rows = func is linear and not kwargs and args[0].ndim == 2
-        return _linear(*args) if by_rows else func(*args, **(kwargs or {}))
-
-
-def _linear(rows: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:
-    missing = -rows.shape[1] % ALIGNMENT
-    rows, weight = pad(rows, (0, missing)), pad(weight, (0, missing))
-    products = torch.bmm(rows[:, None], weight.t().expand(len(rows), -1, -1))[:, 0]
-    return products if bias is None else products + bias
+    shape = [*array.shape]
+    count, shape[axis] = shape[axis], rows
+    filled = np.zeros(shape, dtype=array.dtype)
+    filled[(slice(None),) * axis + (slice(count),)] = array
+    return filled
 
 
 @contextmanager

@@ -66,6 +66,13 @@ def build_trusted(archive: Archive) -> BasePolicy:
     return assemble(archive, policy_class, observation_space, action_space, keywords)
 
 
+class _NoOptimizer:
+    """Takes the place of an optimizer. Driving needs none, and those of torch take seconds to import."""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        pass
+
+
 def assemble(
     archive: Archive,
     policy_class: type[BasePolicy],
@@ -81,6 +88,8 @@ def assemble(
     _check_size(archive, (observation_space, action_space), keywords.get("net_arch"))
     accepted = inspect.signature(policy_class).parameters
     given = {key: value for key, value in keywords.items() if not key.startswith("optimizer")}
+    if "optimizer_class" in accepted and policy_class.__module__.startswith(_KNOWN):
+        given["optimizer_class"] = _NoOptimizer
     if "lr_schedule" in accepted:
         given["lr_schedule"] = lambda _: 0.0
     if "use_sde" in accepted:

@@ -13,7 +13,7 @@ from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
 from behavexplor.ads.sb3.arrays import as_arrays
-from behavexplor.ads.sb3.blocks import ask_in_blocks
+from behavexplor.ads.sb3.blocks import ask_in_blocks, prepare_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.normalization import Moments, Statistics
@@ -43,6 +43,7 @@ class SB3Policy:
     ) -> None:
         self.vectorized = True
         self._network = network
+        self._rows = prepare_blocks(network)
         self._statistics = statistics
         self._stack = description.frame_stack
         self.observation_space = _unstacked(network.observation_space, self._stack)
@@ -76,7 +77,7 @@ class SB3Policy:
         prepared = self.prepare(mapped(np.asarray, observation))
         if self._stack > 1:
             prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
-        actions, memory = ask_in_blocks(self._network, prepared, memory, episode_start, deterministic)
+        actions, memory = ask_in_blocks(self._network, self._rows, prepared, memory, episode_start, deterministic)
         return actions, (frames, memory)
 
 

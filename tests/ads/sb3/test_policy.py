@@ -15,12 +15,13 @@ import pytest
 import torch
 import yaml
 from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from behavexplor.ads.sb3.archive import read_archive
-from behavexplor.ads.sb3.blocks import ask_in_blocks
+from behavexplor.ads.sb3.blocks import ask_in_blocks, prepare_blocks
 from behavexplor.ads.sb3.description import STATISTICS, describe
 from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.ads.sb3.normalization import Statistics
@@ -78,16 +79,29 @@ def test_actions_do_not_depend_on_the_batch_to_the_last_bit(name, tmp_path):
         np.testing.assert_array_equal(policy.predict(many[::-1][70:75], part)[0], later[70:75])
 
 
-@pytest.mark.parametrize(("layer", "rows"), [(torch.nn.Linear(4, 1), 64), (torch.nn.Conv1d(1, 1, 2), 1)])
-def test_a_network_of_other_than_linear_layers_is_asked_for_one_row_at_a_time(layer, rows):
-    class Counting(torch.nn.Sequential):
+@pytest.mark.parametrize(
+    ("layer", "module", "rows"),
+    [
+        (torch.nn.Linear(4, 1), "stable_baselines3.x", 64),
+        (torch.nn.Linear(4, 1), "own", 1),
+        (torch.nn.Conv1d(1, 1, 2), "stable_baselines3.x", 1),
+    ],
+)
+def test_a_network_of_other_than_linear_layers_is_asked_for_one_row_at_a_time(layer, module, rows):
+    class Counting(BasePolicy):
+        def _predict(self, observation, deterministic=False):
+            raise NotImplementedError
+
         def predict(self, observation, state, episode_start, deterministic):
             asked.append(len(observation))
             return observation[:, :1], None
 
     asked = []
     seen = np.arange(3 * 4.0).reshape(3, 4)
-    actions, memory = ask_in_blocks(Counting(layer, torch.nn.Tanh()), seen, None, None, True)
+    network = Counting(BOX, BOX)
+    network.layer = torch.nn.Sequential(layer, torch.nn.Tanh())
+    Counting.__module__ = module
+    actions, memory = ask_in_blocks(network, prepare_blocks(network), seen, None, None, True)
     assert asked == [rows] * (3 // rows or 1)
     assert actions[:, 0].tolist() == [0, 4, 8]
     assert memory is None
