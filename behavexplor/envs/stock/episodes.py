@@ -20,7 +20,7 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-DECISION, WARM_UP, FIRST_LOOK = range(3)  # stages of `advance`
+DECISION, WARM_UP, FIRST_LOOK, LOGGED_LOOK = range(4)  # stages of `advance`
 
 
 class Outcome(NamedTuple):
@@ -88,7 +88,8 @@ def advance(
         commands: see `behavexplor.envs.stock.frames.step`, shape (B, 2).
         changes_lane: whether highway-env takes each action for a change of lane, shape (B,).
         outcome: changed in place.
-        stage: DECISION; WARM_UP simulates the traffic before an episode begins; FIRST_LOOK observes and judges only.
+        stage: DECISION; WARM_UP simulates the traffic before an episode begins; FIRST_LOOK observes and judges only;
+            LOGGED_LOOK also logs the start as the first frame.
     """
     world, task = engine.world, engine.task
     for b in range(len(chosen)):
@@ -107,10 +108,10 @@ def advance(
             continue
         episode = scene.episode
         ego = scene.vehicles[episode.ego]
-        if stage == FIRST_LOOK:
+        if stage != DECISION:
             episode.n_side_lanes = world.network.roads[world.network.lanes[ego.lane].road].n_lanes
-            if len(outcome.log.frames[b]) > 0:
-                log_frame(world.network, scene, outcome.log.frames[b, 0], outcome.log.things[b, 0])
+        if stage == LOGGED_LOOK:
+            log_frame(world.network, scene, outcome.log.frames[b, 0], outcome.log.things[b, 0])
         if engine.observed.options[0].is_grid:
             period = world.rules[0].policy_period
             observe_times(world.network, scene, world.speeds, period, outcome.memory, outcome.observations[b])

@@ -63,7 +63,7 @@ def generator_words(generator: np.random.Generator) -> Words:
 
 def put_words(words: Words, generator: np.random.Generator) -> None:
     """Give a numpy generator on `PCG64` a state that `generator_words` returned, so that both draw the same numbers."""
-    high, low, increment_high, increment_low, has_half, half = (int(word) for word in words)
+    high, low, increment_high, increment_low, has_half, half = (int(word) for word in words[:NEXT_FORM])
     generator.bit_generator.state = {
         "bit_generator": "PCG64",
         "state": {"state": (high << 64) + low, "inc": (increment_high << 64) + increment_low},

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_at_start, most_new
-from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, WARM_UP, advance
+from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, LOGGED_LOOK, WARM_UP, advance
 from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.given_starts import chosen_draws, chosen_starts, copy_start, with_draws
 from behavexplor.envs.stock.infos import final_infos, infos_of
@@ -66,8 +66,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     Attributes:
         frame_log: where every vehicle and obstacle was after each frame of the latest step; see
-            `behavexplor.envs.stock.frame_log.FrameLog`. After a reset, the first frame shows the start. The next step
-            overwrites it.
+            `behavexplor.envs.stock.frame_log.FrameLog`. After a call of `reset`, the first frame shows the start. The
+            next step overwrites it.
         places_own: whether highway-env itself begins the episodes, since a subclass makes its own road or vehicles.
 
     Raises:
@@ -147,7 +147,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             if mask[b] and (own_seed is not None or not self._is_seeded[b]):
                 self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(own_seed)[0])
         self._is_seeded |= mask
-        actions = self._begin(mask, starts, draws)
+        look = LOGGED_LOOK if self.frame_log.frames.size else FIRST_LOOK
+        actions = self._begin(mask, starts, draws, look)
         self._has_begun |= mask
         return self._observations(), infos_of(self._kind, self._outcome, actions, mask, ~mask)
 
@@ -210,6 +211,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         mask: Bools,
         starts: Mapping[int, AbstractEnv] = MappingProxyType({}),
         draws: Mapping[int, Floats] = MappingProxyType({}),
+        look: int = FIRST_LOOK,
     ) -> NDArray[Any]:
         """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...).
 
@@ -217,6 +219,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             mask: the chosen slots, shape (num_envs,).
             starts: the starts of some of them.
             draws: the draws of some of them.
+            look: FIRST_LOOK or LOGGED_LOOK.
         """
         actions: NDArray[Any] = self._sampled_space.sample()
         own, seen = mask.copy(), dict[int, NDArray[Any]]()
@@ -232,7 +235,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 self._advance(own, actions, WARM_UP)
                 self._populate(own, ENTER)
         words = self._engine.words.copy()
-        self._advance(mask, actions, FIRST_LOOK)
+        self._advance(mask, actions, look)
         for b in (*starts, *seen):  # highway-env has drawn the order of this observation already
             self._engine.words[b] = words[b]
         for b, observation in seen.items():

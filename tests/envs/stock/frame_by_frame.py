@@ -51,6 +51,15 @@ class Player:
         return next(self.normals)
 
 
+def standard_forms(draws):
+    """Return rows of draws as the compiled engine takes them: choices as places in [0, 1)."""
+    rows = []
+    for share, first, second, *others in draws:
+        place = second - (second > first)  # among the three that are left
+        rows.append([share, (first + 0.5) / 4, (place + 0.5) / 3, *others])
+    return np.ravel(rows)
+
+
 def compare(env_id, config=None, *, decisions, seed=0, is_given=False, draws=()):
     """Drive highway-env and the second of two compiled episodes from the same start with the same random actions.
 
@@ -59,7 +68,7 @@ def compare(env_id, config=None, *, decisions, seed=0, is_given=False, draws=())
     env = make(env_id, config)
     compiled = StockVectorEnv(type(env), 2, config, autoreset_mode="Disabled", log_frames=True)
     expected, _ = env.reset(seed=seed)
-    options = {"starts": {1: env}} | ({"spawn_draws": {1: draws}} if draws else {})
+    options = {"starts": {1: env}} | ({"draws": {1: standard_forms(draws)}} if draws else {})
     shown, _ = compiled.reset(seed=[seed + 1, None if is_given else seed], options=options if is_given else None)
     env.action_space.seed(seed)
     return drive(env, compiled, decisions, Comparison(worst=deviation(expected, shown[1])), draws)

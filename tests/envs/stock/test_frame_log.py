@@ -46,10 +46,16 @@ def test_only_the_slots_that_take_an_action_are_logged():
     assert not env.frame_log.frames["n_things"].any()
 
 
-def test_what_happens_before_an_episode_is_not_logged():
+def test_a_reset_logs_the_start_and_not_what_happened_before_it():
     env = StockVectorEnv(IntersectionEnv, 1, log_frames=True)
     env.reset(seed=0)
-    assert not env.frame_log.frames["n_things"].any()
+    frames, things = env.frame_log
+    assert (frames["n_things"][0, 1:] == 0).all()
+    count, ego, lane, is_on_road = frames[0, 0].tolist()
+    start = env.state(0)
+    assert (count, ego, is_on_road) == (len(start.vehicles), start.episode["ego"], True)
+    assert lane == start.vehicles["lane"][ego]
+    assert (things["x"][0, 0, :count] == start.vehicles["x"]).all()
 
 
 def test_without_asking_there_is_no_log():

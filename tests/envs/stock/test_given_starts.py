@@ -61,10 +61,12 @@ def test_slots_without_a_start_begin_as_ever():
 
 
 def test_given_draws_end_with_the_episode():
-    never = np.tile([0.99, 0, 1, 0.0, 0.0, 0.0], (3, 1))  # above the probability
+    challenger, place_of_ego = [0.5, 0.1, 0.1, 0.0, 0.0, 0.5], [0.0]
+    never = [0.99, 0.1, 0.1, 0.0, 0.0, 0.0]  # above the probability
+    draws = [*challenger, *place_of_ego, *never, *never, *never]
     config = {"initial_vehicle_count": 1, "spawn_probability": 0.9, "duration": 2}
     env = StockVectorEnv(IntersectionEnv, 1, config, autoreset_mode=AutoresetMode.SAME_STEP, log_frames=True)
-    env.reset(seed=0, options={"spawn_draws": {0: never}})
+    env.reset(seed=0, options={"draws": {0: draws}})
     counts = []
     for _ in range(8):
         env.step(np.ones(1, dtype=np.int64))
@@ -81,9 +83,6 @@ def test_a_shuffled_observation_of_an_own_start_has_highway_env_s_order():
         np.testing.assert_allclose(env.step(np.ones(1, dtype=np.int64))[0][0], own.step(1)[0], atol=1e-6)
 
 
-ROW = [0.1, 0, 1, 0.0, 0.0, 0.5]
-
-
 @pytest.mark.parametrize(
     ("env_class", "options", "message"),
     [
@@ -93,10 +92,10 @@ ROW = [0.1, 0, 1, 0.0, 0.0, 0.5]
         (HighwayEnvFast, {"starts": {0: RoundaboutEnv()}}, "starts: expected HighwayEnvFast that have been reset"),
         (HighwayEnvFast, {"starts": {0: HighwayEnvFast({"duration": 5})}}, "starts: duration is 5, but must be 30"),
         (HighwayEnvFast, {"starts": {0: HighwayEnvFast({"vehicles_count": 40})}}, "41 vehicles .* room for 21"),
-        (HighwayEnvFast, {"spawn_draws": {0: [ROW]}}, "spawn_draws: only intersections with IDMVehicles"),
-        (IntersectionEnv, {"spawn_draws": {0: ROW}}, r"spawn_draws: expected finite numbers of shape \(decisions, 6\)"),
-        (IntersectionEnv, {"spawn_draws": {0: [[*ROW[:5], 1.0]]}}, r"spawn_draws: the first and last .* in \[0, 1\)"),
-        (IntersectionEnv, {"spawn_draws": {0: [[0.1, 1, 1, 0, 0, 0]]}}, "spawn_draws: .* two different numbers"),
+        (HighwayEnvFast, {"draws": {0: [[0.5]]}}, r"draws: expected finite numbers of shape \(n,\)"),
+        (IntersectionEnv, {"draws": {0: [0.5, np.inf]}}, "draws: expected finite numbers"),
+        (IntersectionEnv, {"draws": {0: ["a"]}}, "draws: expected finite numbers"),
+        (IntersectionEnv, {"draws": {3: [0.5]}}, "draws: 3 is not a slot that is reset"),
     ],
 )
 def test_what_cannot_be_a_start_is_refused(env_class, options, message):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from behavexplor.envs.stock import pcg64
-from behavexplor.envs.stock.pcg64 import generator_words, put_words
+from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, give, put_words
 from behavexplor.jit import kernel_in_place
 
 NAMES = ["exr", "sxr", "nxr"]
@@ -116,3 +116,19 @@ def test_a_generator_goes_on_where_the_array_stopped(seed, halves):
     put_words(words, other)
     assert [integer(words, 9) for _ in range(5)] == other.integers(9, size=5).tolist()
     assert (words == generator_words(other)).all()
+
+
+def test_given_draws_are_used_in_their_order_and_then_it_draws_again():
+    generator = np.random.default_rng(3)
+    words = np.pad(generator_words(generator), (0, 7))
+    give(words, np.array([0.25, -3.5, 0.99, 0.5, 0.9, 1 / 3, 0.0]))
+    assert draw(words, 0, 0) == 0.25
+    assert draw(words, 2, 0) == -3.5
+    assert integer(words, 5) == 4
+    assert integer(words, 1) == 0  # a choice among one is no draw
+    assert two_of(words, 4) == (2, 3)
+    assert weighted(words, np.array([0.2, 0.6, 1.0])) == 1
+    assert draw(words, 1, 3.5) == 1.5
+    assert draw(words, 0, 0) == generator.random()
+    give(words[:N_WORDS], np.zeros(0))
+    assert draw(words, 0, 0) == generator.random()
