@@ -37,10 +37,13 @@ class Evaluator(Service):
         target: the fields of a `behavexplor.data.target.Target`.
 
     Attributes:
+        confirms: whether highway-env itself confirms each failure that the compiled engine finds.
         target: the driving system and its environment.
         functions: see `behavexplor.execution.service.Service`.
         batch: executes many scenarios in lock-step; None if the ADS or the environment cannot.
     """
+
+    confirms = True
 
     def __init__(self, **target: Any) -> None:
         self.target = Target(**target)
@@ -78,7 +81,9 @@ class Evaluator(Service):
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
-        self.batch = None if episodes is None else ScenarioBatch(self.simulation, episodes, self.answer)
+        self.batch = (
+            None if episodes is None else ScenarioBatch(self.simulation, episodes, self.answer, confirms=self.confirms)
+        )
 
     def execute(self, scenario: bytes) -> bytes:
         """Execute a scenario.
@@ -130,12 +135,16 @@ class ScenarioBatch:
         simulation: simulation with the ADS that drives.
         episodes: episodes of that simulation. The number that can still begin now is the capacity of the batch.
         answer: function from a trace to the result of its request.
+        confirms: whether highway-env itself confirms failures; see `behavexplor.execution.confirmation`.
     """
 
-    def __init__(self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes]) -> None:
+    def __init__(
+        self, simulation: Simulation, episodes: LockStep, answer: Callable[[Trace], bytes], *, confirms: bool
+    ) -> None:
         self._simulation = simulation
         self._episodes = episodes
         self._answer = answer
+        self._confirms = confirms
         self._scenarios: dict[int, Scenario] = {}
         self.capacity = episodes.free
 
@@ -160,7 +169,7 @@ class ScenarioBatch:
 
     def _result(self, key: int, trace: Trace) -> bytes | Exception:
         scenario = self._scenarios.pop(key)
-        if not isinstance(scenario, DrawnScenario):
+        if not (self._confirms and isinstance(scenario, DrawnScenario)):
             return self._answer(trace)
         try:
             return self._answer(confirmed(self._simulation, scenario, trace))
