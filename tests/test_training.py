@@ -100,7 +100,7 @@ def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, m
     flags = ["--env", "lane-follow", "--steps", "2000", "--envs", "3"]
     assert main(["train", *flags, "--out", str(folder), "--quiet"]) == OK
     out = capsys.readouterr().out
-    assert "lane-follow, 5 scenarios" in out
+    assert "5 scenarios of lane-follow, with 95 % intervals:" in out
     assert f"--ads {folder}/policy.npz" in out
     card = yaml.safe_load((folder / "policy.yaml").read_text())
     assert card["trained_by"].endswith("train --env lane-follow --algo ppo --steps 2000 --seed 0 --envs 3")

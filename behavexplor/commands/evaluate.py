@@ -73,7 +73,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     target = Target(env, ads, (trust,) if trust else (), unconfined, env_config=settings, traffic=traffic)
     found: dict[str, Evaluation] = {}
     try:
-        logical, found[f"{ads} in {env}"] = _evaluated(target, run)
+        logical, found[Path(ads).name] = _evaluated(target, run)
         if isinstance(logical, DrawnLogicalScenario):
             for name, beside in _beside(target, logical, controls=controls).items():
                 _, found[name] = _evaluated(beside, run)
@@ -88,7 +88,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         first, *others = found.items()
         values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
         _write(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
-    print(table(found))
+    print(table(env, found))
     return OK
 
 
@@ -124,7 +124,7 @@ def _beside(target: Target, logical: DrawnLogicalScenario, *, controls: bool) ->
     """
     columns = {}
     if target.traffic != DEFAULT:
-        columns["the same in default traffic"] = replace(target, traffic=DEFAULT)
+        columns["in default traffic"] = replace(target, traffic=DEFAULT)
     config = with_meta_actions(json.loads(logical.setup.config))
     for maneuver in _CONTROLS if controls else ():
         columns[f"always {maneuver}"] = replace(target, ads=f"{_CONSTANT}{maneuver}", trust=(), env_config=config)
@@ -143,21 +143,29 @@ def _write(path: Path, values: Mapping[str, object]) -> None:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
-def table(evaluations: Mapping[str, Evaluation]) -> str:
-    """Return a table of rates in percent with their 95 % intervals, with a column for each evaluation."""
+def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
+    """Return a table of rates in percent with their 95 % intervals.
+
+    Args:
+        env: the environment.
+        evaluations: the evaluations, each of as many scenarios, by the headings of their columns.
+    """
     grid = Table(box=None, pad_edge=False)
     grid.add_column("")
-    for name, found in evaluations.items():
-        grid.add_column(f"{name}, {found.n} scenarios", justify="right")
+    for name in evaluations:
+        grid.add_column(name, justify="right")
     outcomes = dict.fromkeys(outcome for found in evaluations.values() for outcome in found.counts)
-    for outcome in outcomes:
+    kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
+    for outcome in sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome)):
         cells = []
         for found in evaluations.values():
             low, high = found.interval(outcome)
             cells.append(f"{found.rate(outcome):.1%} ({low:.1%} to {high:.1%})")
         kind, _, fault = outcome.partition(": ")
         grid.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
-    console = Console(width=40 + 60 * len(evaluations), highlight=False, no_color=True)
+    console = Console(width=40 + 40 * len(evaluations), highlight=False, no_color=True)
     with console.capture() as captured:
         console.print(grid)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+    n = next(iter(evaluations.values())).n
+    heading = f"{n} scenarios of {env}, with 95 % intervals:"
+    return "\n".join([heading, *(line.rstrip() for line in captured.get().splitlines())])

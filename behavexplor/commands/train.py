@@ -76,7 +76,7 @@ def train(
         print(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
     (folder / CARD).write_text(_card(config, found))
-    print(table({config.env: found}))
+    print(table(config.env, {network.name: found}))
     name = shlex.quote(str(network))
     print(f"The policy is in {name}. Search for its failures: {program()} fuzz --env {config.env} --ads {name}")
     return OK

@@ -80,8 +80,9 @@ def test_aiming_needs_scripted_vehicles(tmp_path, capsys):
 def test_rates_stand_beside_those_of_constant_drivers(capsys):
     assert main(["evaluate", *ENV, "--ads", "constant:SLOWER", "--scenarios", "6", *QUICK]) == 0
     table = capsys.readouterr().out
-    assert "constant:SLOWER in merge-v0, 6 scenarios" in table
-    assert all(f"always {name}, 6 scenarios" in table for name in ("SLOWER", "IDLE", "FASTER"))
+    heading, columns, *_ = table.splitlines()
+    assert heading == "6 scenarios of merge-v0, with 95 % intervals:"
+    assert all(name in columns for name in ("constant:SLOWER", "always SLOWER", "always IDLE", "always FASTER"))
     assert "destination" not in table
 
 
@@ -89,8 +90,8 @@ def test_a_rate_in_wide_traffic_stands_beside_the_one_in_default_traffic(tmp_pat
     file = tmp_path / "rates.json"
     arguments = ["evaluate", *ENV, "--ads", "constant:SLOWER", "--scenarios", "4", "--traffic", "wide", "--no-controls"]
     assert main([*arguments, "--json", str(file), *QUICK]) == 0
-    assert "the same in default traffic, 4 scenarios" in capsys.readouterr().out
-    assert list(json.loads(file.read_text())["beside"]) == ["the same in default traffic"]
+    assert "in default traffic" in capsys.readouterr().out
+    assert list(json.loads(file.read_text())["beside"]) == ["in default traffic"]
 
 
 def test_a_stored_failure_is_played_by_plain_highway_env(run):
