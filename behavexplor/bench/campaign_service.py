@@ -3,7 +3,7 @@
 import io
 import json
 import tarfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +16,9 @@ from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.opening import opened
+from behavexplor.data.target import Target
 from behavexplor.errors import InputError
+from behavexplor.execution.evaluator import evaluator_recipe
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.execution.start import fewest_workers
@@ -109,10 +111,15 @@ class CampaignService(Service):
             return not ready.campaign.stopping
 
 
-def campaign_recipe() -> Recipe:
-    """Return the recipe by which worker processes make the service. Each process runs a single campaign."""
+def campaign_recipe(targets: Iterable[Target]) -> Recipe:
+    """Return the recipe by which worker processes make the service. Each process runs a single campaign.
+
+    Args:
+        targets: the driving systems and environments of the campaigns.
+    """
+    modules = dict.fromkeys(module for target in targets for module in evaluator_recipe(target).preload)
     name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
-    return Recipe(name, preload=_PRELOAD, long_calls=True)
+    return Recipe(name, preload=(*_PRELOAD, *modules), long_calls=True)
 
 
 def campaign_request(config: CampaignConfig, folder: Path, workers: int, *, remote: bool) -> bytes:

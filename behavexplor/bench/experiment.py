@@ -4,12 +4,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Literal
 
 import yaml
 from pydantic import ConfigDict
 
 from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_folder, read_config, read_yaml
+from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, unknown_name
 
@@ -64,6 +65,8 @@ class Experiment:
         unconfined: whether third-party driving systems may write files and use the network, as in a campaign's
             `unconfined`.
         specs: user-defined requirements, as in a campaign's `specs`.
+        traffic: kind of traffic in stock environments, as in a campaign's `traffic`.
+        confirm: whether highway-env itself confirms failures in stock environments, as in a campaign's `confirm`.
         reference: method that is compared with each other method; by default the first one.
         baseline: method that each other method is compared with; empty for none.
         groups: names of additional tables, each with the methods that it shows.
@@ -87,6 +90,8 @@ class Experiment:
     trust: tuple[str, ...] = ()
     unconfined: bool = False
     specs: tuple[str, ...] = ()
+    traffic: Literal["default", "wide"] = DEFAULT
+    confirm: bool = True
     reference: str = ""
     baseline: str = ""
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -139,7 +144,7 @@ class Experiment:
     def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
         """Return the configuration of a method's campaigns in one environment with one ADS, with the default seed."""
         values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
-        of_all = ("budget", "batch", "trust", "unconfined", "specs")
+        of_all = ("budget", "batch", "trust", "unconfined", "specs", "traffic", "confirm")
         return campaign_config({**values, **{key: getattr(self, key) for key in of_all}})
 
     def to_yaml(self) -> str:

@@ -157,7 +157,7 @@ class ExperimentRunner:
 
     def _start_executor(self) -> tuple[Executor, int]:
         """Start the executor of the campaigns. Return it and the number of campaigns that it runs at a time."""
-        recipe, without_limit = campaign_recipe(), math.inf
+        recipe, without_limit = campaign_recipe(run.config.target for run in self._waiting), math.inf
         if not self._cluster:
             return WorkerPool(self._jobs, recipe, without_limit, without_limit), self._jobs
         executor = start_on_cluster(self._cluster, self._jobs, recipe, without_limit, without_limit, self._ads)

@@ -74,6 +74,7 @@ class CampaignConfig:
         env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
             highway-env, see docs/highway-env.md.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
         options: options of the search method; see its `Options`.
         revision: revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,
@@ -98,6 +99,7 @@ class CampaignConfig:
     specs: tuple[str, ...] = ()
     env_config: dict[str, Any] = field(default_factory=dict)
     traffic: Literal["default", "wide"] = DEFAULT
+    confirm: bool = True
     options: dict[str, Any] = field(default_factory=dict)
     revision: int = REVISION
 
@@ -126,6 +128,7 @@ class CampaignConfig:
             self.memory_limit,
             self.env_config,
             self.traffic,
+            self.confirm,
         )
 
     def to_yaml(self) -> str:

@@ -23,6 +23,7 @@ class Target:
         memory_limit: limit of one worker process [GiB], where the system can set it.
         env_config: configuration of the environment, as far as it differs from what the driving system declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
     """
 
     env: str
@@ -33,6 +34,7 @@ class Target:
     memory_limit: float = MEMORY_LIMIT
     env_config: Mapping[str, Any] = field(default_factory=dict)
     traffic: str = DEFAULT
+    confirm: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only

@@ -82,7 +82,9 @@ class Evaluator(Service):
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
         self.batch = (
-            None if episodes is None else ScenarioBatch(self.simulation, episodes, self.answer, confirms=self.confirms)
+            None
+            if episodes is None
+            else ScenarioBatch(self.simulation, episodes, self.answer, confirms=self.confirms and self.target.confirm)
         )
 
     def execute(self, scenario: bytes) -> bytes:
