@@ -226,8 +226,8 @@ def _mutants(records: Sequence[Record]) -> Iterator[Mutant]:
 
 
 def _assignment(record: Record) -> tuple[tuple[str, str], ...]:
-    """Return the type and the route of each NPC."""
-    return tuple((npc["type"], npc["route"]) for npc in record.scenario["npcs"])
+    """Return the type and the route of each NPC; nothing in a stock environment, whose vehicles have none."""
+    return tuple((npc["type"], npc["route"]) for npc in record.scenario.get("npcs", ()))
 
 
 def _failure(record: Record) -> Failure:

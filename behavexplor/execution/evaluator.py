@@ -81,11 +81,9 @@ class Evaluator(Service):
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
-        self.batch = (
-            None
-            if episodes is None
-            else ScenarioBatch(self.simulation, episodes, self.answer, confirms=self.confirms and self.target.confirm)
-        )
+        if episodes is not None:
+            confirms = self.confirms and self.target.confirm
+            self.batch = ScenarioBatch(self.simulation, episodes, self.answer, confirms=confirms)
 
     def execute(self, scenario: bytes) -> bytes:
         """Execute a scenario.
