@@ -103,3 +103,29 @@ def test_a_stored_failure_is_played_by_plain_highway_env(run):
     trace: Trace = store.execution(int(file.stem.split("-")[0])).load_trace()
     store.close()
     assert trace.signals["crashed"][-1] == 1
+
+
+def test_search_methods_are_compared_in_a_stock_environment(tmp_path, capsys):
+    experiment = {
+        "methods": {"Uniform": {"method": "uniform"}, "BehAVExplor": {"method": "behavexplor"}},
+        "envs": ["merge-v0"],
+        "ads": ["constant:IDLE"],
+        "seeds": 1,
+        "budget": 4,
+        "traffic": "wide",
+        "confirm": False,
+    }
+    file = tmp_path / "merge.yaml"
+    file.write_text(yaml.safe_dump(experiment))
+    assert main(["bench", str(file), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    assert "Number of failures at fault" in capsys.readouterr().out
+    config = yaml.safe_load((tmp_path / "out/runs/merge-v0/constant-IDLE/Uniform/1/config.yaml").read_text())
+    assert (config["traffic"], config["confirm"]) == ("wide", False)
+
+
+def test_a_campaign_may_do_without_confirmation(tmp_path):
+    folder = tmp_path / "run"
+    arguments = ["fuzz", *ENV, "--ads", "constant:FASTER", "--budget", "2", "--no-confirm", "--out", str(folder)]
+    assert main([*arguments, *QUICK]) == 0
+    assert yaml.safe_load((folder / "config.yaml").read_text())["confirm"] is False
+    assert main(["fuzz", "--resume", str(folder), "--budget", "3", *QUICK]) == 0

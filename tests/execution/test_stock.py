@@ -11,6 +11,7 @@ from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+from behavexplor.evaluation import start_judge
 from behavexplor.execution import confirmation
 from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.evaluator import EXECUTE, PREFLIGHT
@@ -67,6 +68,27 @@ def test_failures_are_those_of_highway_env_itself():
     with start_executor(Target("merge-v0", FAILING), 0) as executor:
         trace = executor.submit(EXECUTE, scenario.to_json().encode()).result()
     assert trace == simulation.run(scenario).to_bytes()
+
+
+def test_failures_are_not_confirmed_if_that_is_not_wanted(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("highway-env was asked")
+
+    monkeypatch.setattr(Simulation, "run", refuse)
+    data = Simulation("merge-v0", FAILING).logical.sample(np.random.default_rng(0)).to_json().encode()
+    with start_executor(Target("merge-v0", FAILING, confirm=False), 0) as executor:
+        assert Trace.from_bytes(executor.submit(EXECUTE, data).result()).end == "collision"
+    with start_judge(Target("merge-v0", FAILING), 0) as executor:
+        assert "collision" in json.loads(executor.submit(EXECUTE, data).result())[0]
+
+
+def test_a_driver_of_one_observation_is_compiled_too():
+    class Single(Wanderer):
+        vectorized = False
+
+    episodes = Simulation("merge-v0", Single()).lock_step(8)
+    assert episodes is not None
+    assert episodes.free == 1
 
 
 def test_a_difference_is_its_own_outcome(monkeypatch):

@@ -88,3 +88,51 @@ def test_observations_are_those_of_highway_env():
 def test_what_it_does_not_know_is_refused(name, config, message):
     with pytest.raises(InputError, match=message):
         make_vector_env(make_env(name, config), 2, {})
+
+
+@pytest.mark.parametrize(
+    ("name", "config"),
+    [
+        ("highway-fast-v0", {"initial_lane_id": None, "vehicles_count": 7}),
+        ("merge-v0", {}),
+        ("roundabout-v0", {"incoming_vehicle_destination": None}),
+        ("intersection-v0", {"destination": None, "initial_vehicle_count": 5}),
+        ("exit-v0", {"vehicles_count": 6}),
+        ("two-way-v0", {}),
+        ("u-turn-v0", {}),
+    ],
+)
+def test_the_engine_begins_episodes_as_highway_env_does(name, config):
+    own = make_env(name, config)
+    envs = make_vector_env(own, COUNT, {})
+    assert envs._order is not None
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        scenario = own.logical.sample(rng)
+        observation, _ = own.reset(options={"scenario": scenario})
+        shown, _ = envs.reset(options={"scenarios": [scenario] * COUNT})
+        assert np.allclose(shown, observation, atol=1e-5)
+        first, record = own.record.frames[0], envs._records[1]
+        assert len(first.things) == len(record.frames[0].things)
+        assert list(own.record.sizes.values()) == list(record.sizes.values())
+    envs.close()
+
+
+@pytest.mark.parametrize(("name", "traffic"), [("merge-v0", "wide"), ("highway-fast-v0", "wide")])
+def test_highway_env_begins_episodes_that_the_engine_does_not_know(name, traffic):
+    envs = make_vector_env(make_env(name, {}, traffic), COUNT, {})
+    assert envs._order is None
+    scenarios = [envs.logical.sample(np.random.default_rng(k)) for k in range(COUNT)]
+    together, _ = envs.reset(options={"scenarios": scenarios})
+    alone, _ = make_env(name, {}, traffic).reset(options={"scenario": scenarios[1]})
+    assert np.allclose(together[1], alone, atol=1e-5)
+    envs.close()
+
+
+def test_an_episode_begins_with_at_least_one():
+    envs = make_vector_env(make_env("merge-v0", {}), 1, {})
+    with pytest.raises(InputError, match="no sub-environment is selected"):
+        envs.reset(options={"scenarios": [None], "reset_mask": np.zeros(1, dtype=bool)})
+    scenario = make_env("merge-v0", {"policy_frequency": 2}).logical.sample(np.random.default_rng(0))
+    with pytest.raises(InputError, match="config"):
+        envs.reset(options={"scenarios": [scenario]})
