@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -62,18 +61,22 @@ class ConstantDriver:
 class ConstantManeuver:
     """A driver that always chooses the same of highway-env's meta-actions.
 
-    Attributes:
-        action: highway-env's meta-actions.
-
     Args:
         maneuver: name of the meta-action, one of `MANEUVERS`.
     """
 
-    action: Mapping[str, Any] = MappingProxyType({"type": "DiscreteMetaAction"})
     vectorized: bool = True
 
     def __init__(self, maneuver: str) -> None:
         self._index = MANEUVERS.index(maneuver)
+
+    def fitted(self, config: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the configuration of an environment in which this driver drives.
+
+        Args:
+            config: the environment's own configuration.
+        """
+        return with_meta_actions(config)
 
     def predict(
         self,

@@ -17,8 +17,10 @@ SYSTEMS = MappingProxyType(
         "learned": "behavexplor.ads.learned.shipped:learned_driver",
         "idm": "behavexplor.ads.idm:idm_driver",
         "constant": "behavexplor.ads.constant:constant_driver",
+        "careful": "behavexplor.ads.careful:careful_driver",
     }
 )
+_ANYWHERE = ("constant", "careful")  # systems that need none of this package's roads
 
 
 def is_shipped(name: str) -> bool:
@@ -58,10 +60,10 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
     """
     check_name(name)
     system, _, variant = name.partition(":")
-    if roadmap is None and is_shipped(name) and system != "constant":
+    if roadmap is None and is_shipped(name) and system not in _ANYWHERE:
         raise InputError(
             f"The driving system {name!r} follows a route on the roads of this package: in an environment of "
-            f"highway-env, name a policy file, your own module:attribute, or constant:ACTION"
+            f"highway-env, name a policy file, your own module:attribute, careful, or constant:ACTION"
         )
     if system in SYSTEMS:
         module_name, _, factory = SYSTEMS[system].partition(":")

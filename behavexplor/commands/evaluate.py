@@ -7,13 +7,13 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Final, Literal, NamedTuple
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.ads.constant import with_meta_actions
 from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
@@ -29,7 +29,14 @@ from behavexplor.execution.start import check_ads, logical_of_target
 
 MOST_SCENARIOS = 1_000_000
 _CONSTANT: Final = "constant:"
-_CONTROLS: Final = ("SLOWER", "IDLE", "FASTER")
+_CONTROLS: Final = MappingProxyType(
+    {
+        "careful": "careful",
+        "always SLOWER": "constant:SLOWER",
+        "always IDLE": "constant:IDLE",
+        "always FASTER": "constant:FASTER",
+    }
+)
 
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
@@ -60,7 +67,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         json_file: Also write the counts to this JSON file.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
-        controls: In highway-env's own environments, also evaluate drivers that always do the same.
+        controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
     """
@@ -119,15 +126,15 @@ def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation]:
 def _beside(target: Target, logical: DrawnLogicalScenario, *, controls: bool) -> dict[str, Target]:
     """Return what a rate in a stock environment is compared with, by the heading of its column.
 
-    These are the environment's own traffic, if the rate is one in wide traffic, and drivers that always do the same, in
-    the configuration of the policy.
+    These are the environment's own traffic, if the rate is one in wide traffic, and simple drivers in the configuration
+    of the policy.
     """
     columns = {}
     if target.traffic != DEFAULT:
         columns["in default traffic"] = replace(target, traffic=DEFAULT)
-    config = with_meta_actions(json.loads(logical.setup.config))
-    for maneuver in _CONTROLS if controls else ():
-        columns[f"always {maneuver}"] = replace(target, ads=f"{_CONSTANT}{maneuver}", trust=(), env_config=config)
+    config = json.loads(logical.setup.config)
+    for heading, ads in _CONTROLS.items() if controls else ():
+        columns[heading] = replace(target, ads=ads, trust=(), env_config=config)
     return columns
 
 

@@ -60,10 +60,17 @@ def check_keys(name: str, config: Mapping[str, Any]) -> None:
     Raises:
         InputError: if it does not have one of them.
     """
-    made: Any = make_registered(name, {}).unwrapped
+    own = default_config(name)
     for key in config:
-        if key not in made.config:
-            raise unknown_name(f"key of the configuration of {name}", str(key), made.config)
+        if key not in own:
+            raise unknown_name(f"key of the configuration of {name}", str(key), own)
+
+
+def default_config(name: str) -> dict[str, Any]:
+    """Return the whole configuration of an environment of highway-env as it is registered."""
+    made: Any = make_registered(name, {}).unwrapped
+    config: dict[str, Any] = made.config
+    return config
 
 
 def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gymnasium.Env[Any, Any]:

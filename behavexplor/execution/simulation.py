@@ -16,7 +16,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.envs.making import check_keys, environment_id, is_stock, make_env, make_vector_env
+from behavexplor.envs.making import check_keys, default_config, environment_id, is_stock, make_env, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
@@ -33,7 +33,8 @@ class Simulation:
             ends an episode with `info["trace"]`.
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
             `policy_frequency` and `simulation_frequency`, where it has them, configure the environment; in a stock
-            environment, so does its attribute `env_config`.
+            environment, so does its attribute `env_config`, or its method `fitted`, which makes a configuration in
+            which it drives from the environment's own.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
@@ -62,9 +63,12 @@ class Simulation:
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in _DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
+        given = dict(env_config or {})
         if stock:
-            check_keys(env, env_config or {})
-        self.env = make_env(env, {**declared, **trained, **(env_config or {})}, traffic)
+            check_keys(env, given)
+        if stock and hasattr(self.ads, "fitted"):
+            given = self.ads.fitted({**default_config(env), **given})
+        self.env = make_env(env, {**declared, **trained, **given}, traffic)
         self.logical = logical_of(self.env, env)
         self.plain = ""
         self.is_configured = not stock or bool(trained or env_config or not hasattr(self.ads, "observation_space"))

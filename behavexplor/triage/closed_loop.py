@@ -1,8 +1,8 @@
 """Witnesses in traffic that reacts: drivers that avoid a crash when they drive the whole scenario.
 
 In a stock environment, the other vehicles react to the ego, so a maneuver cannot be tried against their recorded
-motion. Other drivers drive the scenario from its start instead: those that always do the same, and some that act by
-chance.
+motion. Other drivers drive the scenario from its start instead: a careful one, those that always do the same, and some
+that act by chance.
 """
 
 import json
@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.constant import MANEUVERS, with_meta_actions
+from behavexplor.ads.careful import CarefulDriver
+from behavexplor.ads.constant import MANEUVERS
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
@@ -67,10 +68,10 @@ def find_driver(
         Name of the first driver that does not crash, None if all of them do; and the number of drivers that were tried,
         which is 0 if the environment cannot be driven by meta-actions.
     """
-    config = with_meta_actions(json.loads(logical.setup.config))
-    names = [f"always {name}" for name in CONSTANT] + [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
+    constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
+    names = ["careful", *constant, *by_chance]
     try:
-        traces = _driven(logical, config, scenario, _actions(rng))
+        traces = _driven(logical, scenario, _actions(rng))
     except InputError:
         return None, 0
     avoiding = (name for name, trace in zip(names, traces, strict=True) if not trace.signals[CRASHED].any())
@@ -78,27 +79,33 @@ def find_driver(
 
 
 def _actions(rng: np.random.Generator) -> Actions:
-    """Return the actions of all drivers, shape (drivers, decisions)."""
+    """Return the actions of all drivers but the careful one, shape (drivers, decisions)."""
     constant = np.array([[MANEUVERS.index(name)] * MOST_DECISIONS for name in CONSTANT])
     drawn = rng.integers(len(MANEUVERS), size=(BY_CHANCE, MOST_DECISIONS // HELD))
     return np.concatenate([constant, np.repeat(drawn, HELD, axis=1)])
 
 
-def _driven(
-    logical: DrawnLogicalScenario, config: dict[str, Any], scenario: DrawnScenario, actions: Actions
-) -> list[Trace]:
-    """Return the trace of each driver.
+def _driven(logical: DrawnLogicalScenario, scenario: DrawnScenario, actions: Actions) -> list[Trace]:
+    """Return the trace of the careful driver, and one for each row of actions.
 
     Raises:
         InputError: if the environment cannot be configured so.
     """
-    env: Any = make_env(logical.name, config, logical.setup.traffic)
+    careful = CarefulDriver()
+    env: Any = make_env(logical.name, careful.fitted(json.loads(logical.setup.config)), logical.setup.traffic)
     same = replace(scenario, setup=env.logical.setup)
     try:
-        envs = make_vector_env(env, len(actions), {})
+        return [*_compiled(env, careful, same, 1), *_compiled(env, ScriptedDriver(actions), same, len(actions))]
     except InputError:
-        return [rollout(env, ScriptedDriver(row[None]), same) for row in actions]
-    if envs is None:
-        return []
-    ended = dict(rollout_all(envs, ScriptedDriver(actions), [same] * len(actions)))
-    return [ended[row] for row in range(len(actions))]
+        return [rollout(env, driver, same) for driver in (careful, *(ScriptedDriver(row[None]) for row in actions))]
+
+
+def _compiled(env: Any, driver: Any, scenario: DrawnScenario, count: int) -> list[Trace]:
+    """Return the traces of so many egos with a driver, each alone in the scenario.
+
+    Raises:
+        InputError: if the compiled engine does not support the environment.
+    """
+    envs: Any = make_vector_env(env, count, {})
+    ended = dict(rollout_all(envs, driver, [scenario] * count))
+    return [ended[row] for row in range(count)]

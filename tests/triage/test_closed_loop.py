@@ -18,11 +18,11 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     trace = merging.run(scenario)
     assert trace.end == "collision"
     driver, tried = find_driver(merging.logical, scenario, np.random.default_rng(0))
-    assert driver == "always SLOWER"
-    assert tried == len(CONSTANT) + BY_CHANCE
-    assert Simulation("merge-v0", "constant:SLOWER").run(scenario).end != "collision"
+    assert driver == "careful"
+    assert tried == 1 + len(CONSTANT) + BY_CHANCE
+    assert Simulation("merge-v0", "careful").run(scenario).end != "collision"
     verdict = blame(merging, scenario, trace, np.random.default_rng(0))
-    assert (verdict.kind, verdict.driver) == ("preventable", "always SLOWER")
+    assert (verdict.kind, verdict.driver) == ("preventable", "careful")
     assert verdict.at_fault
 
 
