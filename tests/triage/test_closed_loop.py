@@ -1,5 +1,7 @@
 """Fault in traffic that reacts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,8 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     driver, tried = find_driver(merging.logical, scenario, np.random.default_rng(0))
     assert driver == "careful"
     assert tried == 1 + len(CONSTANT) + BY_CHANCE
-    assert Simulation("merge-v0", "careful").run(scenario).end != "collision"
+    careful = Simulation("merge-v0", "careful")
+    assert careful.run(replace(scenario, setup=careful.logical.setup)).end != "collision"
     verdict = blame(merging, scenario, trace, np.random.default_rng(0))
     assert (verdict.kind, verdict.driver) == ("preventable", "careful")
     assert verdict.at_fault
