@@ -11,8 +11,9 @@ from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
+from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.road_shape import RoadShape
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
@@ -20,7 +21,8 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from behavexplor.report.drawing import decisive_frame, draw, save_animation
 from behavexplor.report.road_shapes import known_road
-from behavexplor.triage.findings import read_witness, witness_path
+from behavexplor.triage.closed_loop import drive_again
+from behavexplor.triage.findings import OtherDriver, Witness, read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
 
 _ENDED_BY = MappingProxyType(
@@ -132,21 +134,36 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
             "collision that it calls preventable"
         )
     witness, recorded = read_witness(file), execution.load_trace()
-    simulation = Simulation(config.env, "constant")  # any ADS will do, because the witness drives
-    try:
-        trace = replay_witness(simulation, execution.scenario, witness)
-    finally:
-        simulation.close()
-    if not avoids(trace, recorded, witness.begin):
+    trace, is_avoided = _driven(execution, config, witness, recorded)
+    if not is_avoided:
         print(f"The maneuver in {file} does NOT avoid the collision.", file=sys.stderr)
         return CHECK_FAILED
     frame = min(len(recorded.time), len(trace.time)) - 1
-    caption = f"{witness.name} from {witness.begin:.2f} s on"
+    begin = witness.begin if isinstance(witness, Witness) else 0.0
+    caption = f"{witness.name} from {begin:.2f} s on"
     path = folder / f"{execution.id:06d}-avoided"
     animation, picture = _save(trace, _road(config, run), frame, caption, path)
     print(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     print(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK
+
+
+def _driven(
+    execution: Execution, config: CampaignConfig, witness: Witness | OtherDriver, recorded: Trace
+) -> tuple[Trace, bool]:
+    """Drive a witness, and return its trace and whether it avoids the collision."""
+    scenario = execution.scenario
+    if isinstance(scenario, DrawnScenario) and isinstance(witness, OtherDriver):
+        trace = drive_again(scenario, witness)
+        return trace, not trace.signals[CRASHED].any()
+    if isinstance(scenario, DrawnScenario) or isinstance(witness, OtherDriver):
+        raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
+    simulation = Simulation(config.env, "constant")  # any ADS will do, because the witness drives
+    try:
+        trace = replay_witness(simulation, scenario, witness)
+    finally:
+        simulation.close()
+    return trace, avoids(trace, recorded, witness.begin)
 
 
 def _compare(execution: Execution, config: CampaignConfig) -> int:

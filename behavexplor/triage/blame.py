@@ -14,7 +14,7 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.judge.fault import AT_FAULT, contact_fault
 from behavexplor.triage.closed_loop import find_driver
-from behavexplor.triage.findings import Witness
+from behavexplor.triage.findings import OtherDriver, Witness
 from behavexplor.triage.witness import find_witness
 
 Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "preventable", "unpreventable", "other"]
@@ -29,16 +29,15 @@ class Blame:
             otherwise `preventable` if there is a witness, `unpreventable` if none was found, or `other` if the search
             was impossible because the environment cannot run in lock-step.
         in_junction: whether the ego was inside a junction; False in a stock environment, where this is not known.
-        witness: evasion that avoids the collision; None unless the collision is `preventable`.
+        witness: evasion that avoids the collision, or in a stock environment another driver that does not crash; None
+            unless the collision is `preventable`.
         tried: number of evasions, or of other drivers, that were driven.
-        driver: in a stock environment, another driver that does not crash; empty unless the crash is `preventable`.
     """
 
     kind: Kind
     in_junction: bool
-    witness: Witness | None = None
+    witness: Witness | OtherDriver | None = None
     tried: int = 0
-    driver: str = ""
 
     @property
     def at_fault(self) -> bool:
@@ -62,7 +61,7 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     if quick is None or event is None or event.spec != R1:
         return None
     if isinstance(simulation.logical, DrawnLogicalScenario):
-        return _blame_in_reactive_traffic(quick, simulation.logical, scenario, rng)
+        return _blame_in_reactive_traffic(quick, scenario, rng)
     inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
     if quick != "other":
         return Blame(quick, inside)
@@ -72,15 +71,13 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     return Blame("unpreventable" if tried else "other", inside, None, tried)
 
 
-def _blame_in_reactive_traffic(
-    quick: Kind, logical: DrawnLogicalScenario, scenario: Any, rng: np.random.Generator
-) -> Blame:
+def _blame_in_reactive_traffic(quick: Kind, scenario: Any, rng: np.random.Generator) -> Blame:
     """Return the verdict on a crash in a stock environment, see `behavexplor.triage.closed_loop`."""
     if quick != "other":
         return Blame(quick, in_junction=False)
-    driver, tried = find_driver(logical, scenario, rng)
+    driver, tried = find_driver(scenario, rng)
     if driver is not None:
-        return Blame("preventable", in_junction=False, tried=tried, driver=driver)
+        return Blame("preventable", in_junction=False, witness=driver, tried=tried)
     return Blame("unpreventable" if tried else "other", in_junction=False, tried=tried)
 
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.careful import CarefulDriver
 from behavexplor.ads.constant import MANEUVERS
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import rollout, rollout_all
+from behavexplor.triage.findings import OtherDriver
 
 CONSTANT: Final = ("SLOWER", "IDLE", "FASTER", "LANE_LEFT", "LANE_RIGHT")  # in the order in which they are named
 BY_CHANCE: Final = 11  # drivers that act by chance
@@ -54,28 +54,32 @@ class ScriptedDriver:
         return rows[:, min(decision, rows.shape[1] - 1)], decision + 1
 
 
-def find_driver(
-    logical: DrawnLogicalScenario, scenario: DrawnScenario, rng: np.random.Generator
-) -> tuple[str | None, int]:
+def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int]:
     """Find a driver that does not crash in a scenario.
 
     Args:
-        logical: the scenarios of the environment.
         scenario: the scenario.
         rng: generator for the drivers that act by chance.
 
     Returns:
-        Name of the first driver that does not crash, None if all of them do; and the number of drivers that were tried,
-        which is 0 if the environment cannot be driven by meta-actions.
+        The first driver that does not crash, None if all of them do; and the number of drivers that were tried, which
+        is 0 if the environment cannot be driven by meta-actions.
     """
     constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
     names = ["careful", *constant, *by_chance]
     try:
-        traces = _driven(logical, scenario, _actions(rng))
+        traces = _driven(scenario, _actions(rng))
     except InputError:
         return None, 0
-    avoiding = (name for name, trace in zip(names, traces, strict=True) if not trace.signals[CRASHED].any())
-    return next(avoiding, None), len(traces)
+    avoiding = (pair for pair in zip(names, traces, strict=True) if not pair[1].signals[CRASHED].any())
+    name, trace = next(avoiding, ("", None))
+    return None if trace is None else OtherDriver(name, tuple(trace.actions[:, 0].astype(int).tolist())), len(traces)
+
+
+def drive_again(scenario: DrawnScenario, driver: OtherDriver) -> Trace:
+    """Return the trace of a driver in a scenario, from highway-env itself."""
+    env, same = _with_meta_actions(scenario)
+    return rollout(env, ScriptedDriver(np.array([driver.actions])), same)
 
 
 def _actions(rng: np.random.Generator) -> Actions:
@@ -85,15 +89,25 @@ def _actions(rng: np.random.Generator) -> Actions:
     return np.concatenate([constant, np.repeat(drawn, HELD, axis=1)])
 
 
-def _driven(logical: DrawnLogicalScenario, scenario: DrawnScenario, actions: Actions) -> list[Trace]:
+def _with_meta_actions(scenario: DrawnScenario) -> tuple[Any, DrawnScenario]:
+    """Return a scenario's environment, in which the careful driver and meta-actions can drive, and the scenario there.
+
+    Raises:
+        InputError: if the environment cannot be configured so.
+    """
+    config = CarefulDriver().fitted(json.loads(scenario.setup.config))
+    env: Any = make_env(scenario.setup.env, config, scenario.setup.traffic)
+    return env, replace(scenario, setup=env.logical.setup)
+
+
+def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
     """Return the trace of the careful driver, and one for each row of actions.
 
     Raises:
         InputError: if the environment cannot be configured so.
     """
     careful = CarefulDriver()
-    env: Any = make_env(logical.name, careful.fitted(json.loads(logical.setup.config)), logical.setup.traffic)
-    same = replace(scenario, setup=env.logical.setup)
+    env, same = _with_meta_actions(scenario)
     try:
         return [*_compiled(env, careful, same, 1), *_compiled(env, ScriptedDriver(actions), same, len(actions))]
     except InputError:

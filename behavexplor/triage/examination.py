@@ -15,7 +15,7 @@ from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec
 from behavexplor.triage.blame import Blame, blame
 from behavexplor.triage.counterfactual import find_cause
-from behavexplor.triage.findings import Finding, Witness, trace_finding, witness_values
+from behavexplor.triage.findings import Finding, OtherDriver, Witness, trace_finding, witness_values
 from behavexplor.triage.flakiness import repeat
 from behavexplor.triage.signatures import signature
 
@@ -71,7 +71,7 @@ def examination(record: Record, trace: bytes, seed: int) -> bytes:
 
 def examined(
     simulation: Simulation, record: Record, trace: Trace, *, seed: int, specs: Sequence[Spec] = SPECS
-) -> tuple[Finding, Witness | None]:
+) -> tuple[Finding, Witness | OtherDriver | None]:
     """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
     Args:
@@ -110,10 +110,9 @@ def _collision(verdict: Blame | None) -> dict[str, Any]:
     """Return the verdict on a collision as fields of a `Finding`."""
     if verdict is None:
         return {}
-    avoidance = verdict.witness.name if verdict.witness else verdict.driver or None
     return {
         "fault": verdict.kind,
         "in_junction": verdict.in_junction,
-        "avoidance": avoidance,
+        "avoidance": verdict.witness.name if verdict.witness else None,
         "tried": verdict.tried,
     }

@@ -21,6 +21,7 @@ from behavexplor.judge.events import REQUIREMENTS
 Floats = NDArray[np.float64]
 
 FORMAT: Final = 1
+N_META_ACTIONS: Final = 5  # of highway-env
 TRIAGE, WITNESSES = "triage.json", "witnesses"
 
 
@@ -171,6 +172,19 @@ class Witness:
     commands: Floats
 
 
+@dataclass(frozen=True)
+class OtherDriver:
+    """A driver that avoids a recorded crash in traffic that reacts, by its actions from the start of the scenario.
+
+    Attributes:
+        name: kind of driver, such as "careful".
+        actions: its meta-actions, one for each decision, by their index in highway-env.
+    """
+
+    name: str
+    actions: tuple[int, ...]
+
+
 def counted(names: Iterable[str | None]) -> str:
     """Return names as text, the most frequent first. Counts are included if there are several different names."""
     counts = Counter(name for name in names if name is not None).most_common()
@@ -184,12 +198,14 @@ def witness_path(folder: Path, number: int) -> Path:
     return folder / WITNESSES / f"{number:06d}.json"
 
 
-def witness_values(witness: Witness) -> dict[str, Any]:
+def witness_values(witness: Witness | OtherDriver) -> dict[str, Any]:
     """Return a witness as JSON values."""
+    if isinstance(witness, OtherDriver):
+        return asdict(witness)
     return {**asdict(witness), "commands": np.asarray(witness.commands).tolist()}
 
 
-def read_witness(path: Path) -> Witness:
+def read_witness(path: Path) -> Witness | OtherDriver:
     """Read a witness from its file.
 
     Raises:
@@ -201,12 +217,18 @@ def read_witness(path: Path) -> Witness:
         raise InputError(f"{path} is not a witness: {error}") from None
 
 
-def witness_from(values: Mapping[str, Any]) -> Witness:
+def witness_from(values: Mapping[str, Any]) -> Witness | OtherDriver:
     """Build a witness from JSON values. This is the inverse of `witness_values`.
 
     Raises:
-        ValueError: if there are no commands, a command is not finite, or the frequency is below 1 Hz.
+        ValueError: if there are no commands, a command is not finite, or the frequency is below 1 Hz; or if there are
+            no actions, or an action is not one of highway-env's.
     """
+    if "actions" in values:
+        actions = tuple(int(action) for action in values["actions"])
+        if not actions or not set(actions) <= set(range(N_META_ACTIONS)):
+            raise ValueError("it has no actions that can be driven")
+        return OtherDriver(str(values["name"]), actions)
     commands = np.array(values["commands"], dtype=np.float64).reshape(-1, 2)
     frequency = int(values["frequency"])
     if not len(commands) or not np.isfinite(commands).all() or frequency < 1:

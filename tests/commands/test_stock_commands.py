@@ -1,6 +1,7 @@
 """The commands on a policy in the environment where it was trained."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,20 @@ def test_a_failure_is_drawn_and_reproduced(run, capsys):
     assert main(["replay", str(run), "0"]) == 0
     assert "The execution was reproduced" in capsys.readouterr().out
     assert (run / "replays" / "000000.png").stat().st_size > 5000
+
+
+def test_a_driver_that_avoids_a_crash_is_drawn(run, tmp_path, capsys):
+    folder = shutil.copytree(run, tmp_path / "run")
+    assert main(["triage", str(folder), *QUICK]) == 0
+    assert "preventable" in capsys.readouterr().out
+    number = next(one.id for one in stored(folder) if (folder / "witnesses" / f"{one.id:06d}.json").is_file())
+    assert main(["replay", str(folder), str(number), "--avoided"]) == 0
+    assert f"Execution {number} without its collision" in capsys.readouterr().out
+    assert (folder / "replays" / f"{number:06d}-avoided.png").stat().st_size > 5000
+    witness = folder / "witnesses" / f"{number:06d}.json"
+    witness.write_text(json.dumps({"name": "careful", "begin": 0, "frequency": 20, "commands": [[0, 0]]}))
+    assert main(["replay", str(folder), str(number), "--avoided"]) == 2
+    assert "belongs to an environment of another kind" in capsys.readouterr().err
 
 
 def test_the_report_shows_the_road(run):

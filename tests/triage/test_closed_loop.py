@@ -1,5 +1,6 @@
 """Fault in traffic that reacts."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from behavexplor.execution.simulation import Simulation
 from behavexplor.triage.blame import blame
-from behavexplor.triage.closed_loop import BY_CHANCE, CONSTANT, ScriptedDriver, find_driver
+from behavexplor.triage.closed_loop import BY_CHANCE, CONSTANT, ScriptedDriver, drive_again, find_driver
+from behavexplor.triage.findings import witness_from, witness_values
 
 
 @pytest.fixture(scope="module")
@@ -19,25 +21,34 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     scenario = merging.logical.sample(np.random.default_rng(1))
     trace = merging.run(scenario)
     assert trace.end == "collision"
-    driver, tried = find_driver(merging.logical, scenario, np.random.default_rng(0))
-    assert driver == "careful"
+    driver, tried = find_driver(scenario, np.random.default_rng(0))
+    assert driver.name == "careful"
     assert tried == 1 + len(CONSTANT) + BY_CHANCE
     careful = Simulation("merge-v0", "careful")
     assert careful.run(replace(scenario, setup=careful.logical.setup)).end != "collision"
     verdict = blame(merging, scenario, trace, np.random.default_rng(0))
-    assert (verdict.kind, verdict.driver) == ("preventable", "careful")
+    assert (verdict.kind, verdict.witness) == ("preventable", driver)
     assert verdict.at_fault
+    again = drive_again(scenario, witness_from(json.loads(json.dumps(witness_values(driver)))))
+    assert not again.signals["crashed"].any()
+    assert again.actions[:, 0].tolist() == list(driver.actions)
+
+
+@pytest.mark.parametrize("actions", [[], [5], [-1], ["left"], None])
+def test_actions_that_cannot_be_driven_are_refused(actions):
+    with pytest.raises((ValueError, TypeError)):
+        witness_from({"name": "careful", "actions": actions})
 
 
 def test_the_same_generator_gives_the_same_verdict(merging):
     scenario = merging.logical.sample(np.random.default_rng(2))
-    assert len({find_driver(merging.logical, scenario, np.random.default_rng(5)) for _ in range(2)}) == 1
+    assert len({find_driver(scenario, np.random.default_rng(5)) for _ in range(2)}) == 1
 
 
 def test_an_environment_without_meta_actions_has_no_witness():
     simulation = Simulation("racetrack-v0", f"{__name__}:Straight", env_config={"duration": 2})
     scenario = simulation.logical.sample(np.random.default_rng(0))
-    assert find_driver(simulation.logical, scenario, np.random.default_rng(0)) == (None, 0)
+    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0)
 
 
 class Straight:
