@@ -14,6 +14,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
@@ -28,6 +29,7 @@ from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 
 MOST_SCENARIOS = 1_000_000
+_ENV: Final = "intersection-straight"
 _CONSTANT: Final = "constant:"
 _CONTROLS: Final = MappingProxyType(
     {
@@ -41,7 +43,10 @@ _CONTROLS: Final = MappingProxyType(
 
 def evaluate(  # noqa: PLR0913 - one argument for each flag
     *,
-    env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
+    env: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="NAME", help_behavior_hint=f"(default: the policy's own, or {_ENV})"),
+    ] = None,
     ads: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rule",
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -75,6 +80,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
     if seed < 0:
         raise InputError(f"--seed {seed} must not be negative")
+    env = env or trained_in(ads) or _ENV
     run = _Run(scenarios, seed, chosen_workers(workers), quiet)
     settings = read_yaml(env_config) if env_config else {}
     target = Target(env, ads, (trust,) if trust else (), unconfined, env_config=settings, traffic=traffic)

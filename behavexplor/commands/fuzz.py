@@ -14,6 +14,7 @@ import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.loading import SYSTEMS
+from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import Campaign, ExecutionError, run_folder
 from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
 from behavexplor.campaign.opening import opened
@@ -28,8 +29,8 @@ from behavexplor.fuzz.methods import METHODS, describe_method
 
 _DEFAULTS = CampaignConfig()
 _ENVS = (
-    f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}, or the gymnasium id of an environment that runs concrete "
-    "scenarios."
+    f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}; one of highway-env's own, such as highway-fast-v0 "
+    "(docs/stock.md); or module:id of one that another module registers."
 )
 _SYSTEMS = (
     f"Driving system under test (ADS): {', '.join(SYSTEMS)} (docs/policies.md), a policy file, or "
@@ -53,7 +54,10 @@ def _methods() -> str:
 
 def fuzz(  # noqa: PLR0913 - one argument for each flag
     *,
-    env: Annotated[str | None, _flag("NAME", _DEFAULTS.env, _ENVS)] = None,
+    env: Annotated[
+        str | None,
+        _flag("NAME", f"that of the policy's training if the file beside it names one, else {_DEFAULTS.env}", _ENVS),
+    ] = None,
     ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads, _SYSTEMS)] = None,
     method: Annotated[str | None, _flag("NAME", _DEFAULTS.method, _methods())] = None,
     config: Annotated[str | None, _flag("FILE", None)] = None,
@@ -172,7 +176,8 @@ def _new_config(given: dict[str, Any], specs: Sequence[str], file: str | None) -
     values = {**(read_config(file) if file else {}), **given}
     if specs:
         values["specs"] = [*values.get("specs", ()), *specs]
-    return campaign_config(values)
+    trained = trained_in(values["ads"]) if isinstance(values.get("ads"), str) else None
+    return campaign_config({**({"env": trained} if trained else {}), **values})
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:

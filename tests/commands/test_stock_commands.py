@@ -4,13 +4,16 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+from gymnasium.spaces import Box, Discrete
 
 from behavexplor.campaign.store import Store
 from behavexplor.commands import main
 from behavexplor.data.trace import Trace
 from behavexplor.report.reading import stored
+from tests.ads.sb3.models import make_model
 
 ENV = ["--env", "merge-v0"]
 QUICK = ["--workers", "0", "--quiet"]
@@ -99,6 +102,16 @@ def test_rates_stand_beside_those_of_constant_drivers(capsys):
     assert heading == "6 scenarios of merge-v0, with 95 % intervals:"
     assert all(name in columns for name in ("constant:SLOWER", "always SLOWER", "always IDLE", "always FASTER"))
     assert "destination" not in table
+
+
+def test_a_policy_is_tested_where_it_was_trained(tmp_path, capsys):
+    make_model("PPO", Box(-np.inf, np.inf, (5, 5)), Discrete(5)).save(tmp_path / "model.zip")
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump({"env": "merge-v0", "config": {"policy_frequency": 2}}))
+    ads = ["--ads", str(tmp_path / "model.zip")]
+    assert main(["evaluate", *ads, "--scenarios", "3", "--no-controls", "--unconfined", *QUICK]) == 0
+    assert "3 scenarios of merge-v0" in capsys.readouterr().out
+    assert main(["fuzz", *ads, "--budget", "2", "--unconfined", "--out", str(tmp_path / "run"), *QUICK]) == 0
+    assert yaml.safe_load((tmp_path / "run/config.yaml").read_text())["env"] == "merge-v0"
 
 
 def test_a_rate_in_wide_traffic_stands_beside_the_one_in_default_traffic(tmp_path, capsys):

@@ -68,6 +68,20 @@ def find_model(path: Path) -> Path:
     return chosen[0]
 
 
+def trained_in(ads: str) -> str | None:
+    """Return the environment in which a policy was trained, if the files beside its model name it.
+
+    Args:
+        ads: name of a driving system, of any kind.
+    """
+    if not (ads.endswith(".zip") or Path(ads).is_dir()):
+        return None
+    try:
+        return describe(find_model(Path(ads))).env
+    except InputError:  # which is said when the policy is loaded
+        return None
+
+
 def describe(model: Path) -> Description:
     """Read the files beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and the statistics.
 
