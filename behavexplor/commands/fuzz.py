@@ -54,10 +54,7 @@ def _methods() -> str:
 
 def fuzz(  # noqa: PLR0913 - one argument for each flag
     *,
-    env: Annotated[
-        str | None,
-        _flag("NAME", f"that of the policy's training if the file beside it names one, else {_DEFAULTS.env}", _ENVS),
-    ] = None,
+    env: Annotated[str | None, _flag("NAME", f"the policy's own, or {_DEFAULTS.env}", _ENVS)] = None,
     ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads, _SYSTEMS)] = None,
     method: Annotated[str | None, _flag("NAME", _DEFAULTS.method, _methods())] = None,
     config: Annotated[str | None, _flag("FILE", None)] = None,
