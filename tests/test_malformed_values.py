@@ -33,6 +33,7 @@ from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.database import Row, connect, insert
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK
+from behavexplor.data.packed_arrays import unpack_arrays
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.making import environment_id
@@ -193,14 +194,15 @@ def begin(env):
 
 
 def of_trace(arrays, folder, capfd):
+    """Wrong values as a file of an earlier version, which can hold values of any type."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     Trace.from_bytes(buffer.getvalue())
 
 
 def trace_arrays():
-    with np.load(io.BytesIO(random_trace(0).to_bytes())) as arrays:
-        return dict(arrays)
+    trace = random_trace(0)
+    return unpack_arrays(trace.to_bytes()) | {"format": np.array(1), "end": np.array(trace.end)}
 
 
 def of_network(arrays, folder, capfd):
