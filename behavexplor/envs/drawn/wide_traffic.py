@@ -3,8 +3,8 @@
 An environment's own traffic always starts in the same way: on the highway, all vehicles are ahead of the ego. In wide
 traffic, the same number of vehicles is placed by draws of the lane, the station, the speed, the target speed and the
 parameters of the car-following and lane-change models, and the ego starts in another lane and at another speed. Every
-follower can avoid a collision with its leader by braking with `BRAKING`, and no vehicle drives slower than the ego
-can choose to drive, so no scene is lost from its start.
+follower starts at the distance that it wants, and no vehicle starts slower than the ego can choose to drive, so no
+scene is lost from its start.
 """
 
 import math
@@ -21,8 +21,6 @@ from highway_env.vehicle.kinematics import Vehicle
 from behavexplor.errors import InputError
 
 REACH: Final = 120.0  # least reach of the traffic, to both sides of the ego [m]
-BRAKING: Final = 4.0  # deceleration with which every follower can avoid a collision [m/s2]
-LEAST_GAP: Final = 2.0  # between two vehicles in one lane [m]
 ASIDE: Final = 1.0  # between two vehicles in different lanes, beyond half their lengths [m]
 ATTEMPTS: Final = 20  # places drawn for a vehicle before it is left out
 SPEED_SHARES: Final = (0.6, 1.3)  # of the speed in the environment's own traffic
@@ -143,6 +141,15 @@ def _has_room(vehicle: Vehicle, other: Vehicle) -> bool:
         return bool(apart > (vehicle.LENGTH + other.LENGTH) / 2 + ASIDE)
     stations = [vehicle.lane.local_coordinates(each.position)[0] for each in (vehicle, other)]
     follower, leader = (vehicle, other) if stations[0] < stations[1] else (other, vehicle)
+    return bool(abs(stations[0] - stations[1]) > _wanted_gap(follower, leader))
+
+
+def _wanted_gap(follower: Vehicle, leader: Vehicle) -> float:
+    """Return the distance of centers that a follower wants by highway-env's car-following model [m].
+
+    At a smaller one, it would brake at once, and soon be slower than the ego can choose to drive.
+    """
     closing = max(follower.speed - leader.speed, 0.0)
-    gap = abs(stations[0] - stations[1]) - (vehicle.LENGTH + other.LENGTH) / 2
-    return bool(gap > LEAST_GAP + closing**2 / (2 * BRAKING))
+    braking = 2 * math.sqrt(-IDMVehicle.COMFORT_ACC_MAX * IDMVehicle.COMFORT_ACC_MIN)
+    time = getattr(follower, "TIME_WANTED", IDMVehicle.TIME_WANTED)
+    return float(IDMVehicle.DISTANCE_WANTED + follower.speed * (time + closing / braking))
