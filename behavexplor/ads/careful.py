@@ -1,7 +1,7 @@
 """A careful driver for highway-env's own environments: keeps its distance, gives way, and never changes its lane.
 
-It follows the vehicle ahead by the Intelligent Driver Model (see `behavexplor.ads.idm`), and slows down for vehicles
-that come across its way if all go on as they do. It is a reference to compare a policy with, not a good driver.
+It follows the vehicle ahead by the Intelligent Driver Model (see `behavexplor.ads.idm`), and slows down for a vehicle
+ahead on another way that comes near soon. It is a reference to compare a policy with, not a good driver.
 """
 
 from collections.abc import Mapping
@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.constant import MANEUVERS, with_meta_actions
+from behavexplor.ads.constant import with_meta_actions
 from behavexplor.ads.idm import ACCELERATION, BRAKING, EXPONENT, JAM_GAP, TIME_GAP
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
 
@@ -30,7 +31,7 @@ HESITATION: Final = 0.5  # a smaller acceleration is no reason for another targe
 
 
 class CarefulDriver:
-    """The careful driver."""
+    """The careful driver, for environments in the configuration that `fitted` returns."""
 
     vectorized: bool = True
     _OBSERVATION: Final = MappingProxyType(
@@ -60,7 +61,7 @@ class CarefulDriver:
         episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002
         deterministic: bool = True,  # noqa: ARG002
     ) -> tuple[NDArray[np.int64], Any]:
-        """Decide for a batch of egos, whose observations have the shape (B, 15, 7); see `ADS`."""
+        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`. Observations have the shape (B, 15, 7)."""
         presence, x, y, vx, vy, cos, sin = np.moveaxis(np.asarray(observation, dtype=np.float64), -1, 0)
         present = presence[:, 1:] > 0
         apart = _turned(x[:, 1:] - x[:, :1], y[:, 1:] - y[:, :1], cos[:, :1], sin[:, :1])

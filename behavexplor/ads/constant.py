@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
 
 DEFAULT: Final = "2,0"
-MANEUVERS: Final = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's meta-actions by index
 
 
 class ConstantDriver:
@@ -62,7 +62,7 @@ class ConstantManeuver:
     """A driver that always chooses the same of highway-env's meta-actions.
 
     Args:
-        maneuver: name of the meta-action, one of `MANEUVERS`.
+        maneuver: name of the meta-action, one of `behavexplor.data.conventions.MANEUVERS`.
     """
 
     vectorized: bool = True

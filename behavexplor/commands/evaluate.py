@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from behavexplor.ads.sb3.description import trained_in
-from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.workers import chosen_workers, patience
@@ -29,7 +29,7 @@ from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 
 MOST_SCENARIOS = 1_000_000
-_ENV: Final = "intersection-straight"
+_ENV: Final = CampaignConfig.env
 _CONSTANT: Final = "constant:"
 _CONTROLS: Final = MappingProxyType(
     {

@@ -253,7 +253,6 @@ class _Worker:
     """
 
     def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
-        share_imports(recipe)
         context: Any = multiprocessing.get_context("forkserver" if _SHARES else "spawn")
         self.connection: Connection
         self.connection, theirs = context.Pipe()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.careful import CarefulDriver
-from behavexplor.ads.constant import MANEUVERS
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.envs.making import make_env, make_vector_env

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import write_durably
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
@@ -21,7 +22,6 @@ from behavexplor.judge.events import REQUIREMENTS
 Floats = NDArray[np.float64]
 
 FORMAT: Final = 1
-N_META_ACTIONS: Final = 5  # of highway-env
 TRIAGE, WITNESSES = "triage.json", "witnesses"
 
 
@@ -226,7 +226,7 @@ def witness_from(values: Mapping[str, Any]) -> Witness | OtherDriver:
     """
     if "actions" in values:
         actions = tuple(int(action) for action in values["actions"])
-        if not actions or not set(actions) <= set(range(N_META_ACTIONS)):
+        if not actions or not set(actions) <= set(range(len(MANEUVERS))):
             raise ValueError("it has no actions that can be driven")
         return OtherDriver(str(values["name"]), actions)
     commands = np.array(values["commands"], dtype=np.float64).reshape(-1, 2)

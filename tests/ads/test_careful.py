@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.careful import CarefulDriver, careful_driver
-from behavexplor.ads.constant import MANEUVERS
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 

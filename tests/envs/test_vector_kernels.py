@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
+from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
@@ -117,7 +118,7 @@ def test_maneuvers_are_highway_env_s(env):
         index = meta.changed_speed(speeds, 1, maneuver, vehicle.speed)
         lane, _ = meta.follow_road(network, done, target, x, y)
         lane = meta.changed_lane(network, lane, maneuver, x, y)
-        vehicle.act(meta.MANEUVERS[maneuver])
+        vehicle.act(MANEUVERS[maneuver])
         assert index == vehicle.speed_index
         assert road_network(env.logical.roadmap)._indexes[lane] == tuple(vehicle.target_lane_index)
         assert meta.throttle(speeds[index], vehicle.speed) == vehicle.action["acceleration"]

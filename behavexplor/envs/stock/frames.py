@@ -30,7 +30,7 @@ def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active:
         slots: the episodes, changed in place.
         scratch: memory that is used within a frame.
         commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the index
-            of the maneuver in `behavexplor.envs.vector.meta.MANEUVERS`.
+            of the maneuver in `behavexplor.data.conventions.MANEUVERS`.
         active: whether each slot is stepped, shape (B,).
         log: filled with the frames, as far as it has room for them.
     """

@@ -52,7 +52,7 @@ def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Rec
         speeds: the target speeds that the vehicle may have [m/s].
         vehicle: the vehicle, changed in place.
         route: its route.
-        maneuver: an index of `behavexplor.envs.vector.meta.MANEUVERS`.
+        maneuver: an index of `behavexplor.data.conventions.MANEUVERS`.
     """
     if maneuver in (FASTER, SLOWER):
         index = nearest_speed(speeds, vehicle.speed) + (1 if maneuver == FASTER else -1)

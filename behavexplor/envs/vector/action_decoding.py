@@ -10,7 +10,7 @@ from highway_env.envs.common.action import ActionType, DiscreteAction, DiscreteM
 from highway_env.utils import lmap
 from numpy.typing import NDArray
 
-from behavexplor.envs.vector.meta import MANEUVERS
+from behavexplor.data.conventions import MANEUVERS
 
 Floats = NDArray[np.float64]
 Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)

@@ -26,7 +26,6 @@ from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 
-MANEUVERS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's names; the code is the index
 LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(5)
 
 KP_SPEED: Final = float(ControlledVehicle.KP_A)  # [1/s]
