@@ -1,5 +1,7 @@
 """Tables on a terminal."""
 
+from collections.abc import Collection
+
 from rich.console import Console
 from rich.table import Table as Grid
 
@@ -13,18 +15,35 @@ def text(table: Table) -> str:
     """Return a table as plain text, with a star at the best value of each block."""
     best = marked(table)
     columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
-    grid = Grid(box=None, pad_edge=False)
+    lines = Grid(box=None, pad_edge=False)
     for i in columns:
         is_text = bool(table.rows) and isinstance(table.rows[0][i], str)
-        grid.add_column(table.columns[i].name, justify="left" if is_text else "right", no_wrap=True)
+        lines.add_column(table.columns[i].name, justify="left" if is_text else "right", no_wrap=True)
     ends = {sum(table.blocks[: i + 1]) for i in range(len(table.blocks) - 1)}
     for number, row in enumerate(table.rows, 1):
         cells = [f"{shown(row[i], table.columns[i])}{'*' * ((number - 1, i) in best)}" for i in columns]
-        grid.add_row(*cells, end_section=number in ends)
+        lines.add_row(*cells, end_section=number in ends)
         if number in ends:
-            grid.add_row()
+            lines.add_row()
+    return "\n".join([table.title, plain_text(lines), *table.notes])
+
+
+def grid(*columns: str, numbers: Collection[str] = ()) -> Grid:
+    """Return an empty table without lines.
+
+    Args:
+        columns: headings of the columns.
+        numbers: headings of those whose cells are aligned to the right.
+    """
+    made = Grid(box=None, pad_edge=False)
+    for column in columns:
+        made.add_column(column, justify="right" if column in numbers else "left", no_wrap=True)
+    return made
+
+
+def plain_text(table: Grid) -> str:
+    """Return a table as plain text, in which no line is broken."""
     console = Console(width=_WIDTH, highlight=False, no_color=True, markup=False, emoji=False)
     with console.capture() as captured:
-        console.print(grid)
-    lines = [table.title, *captured.get().splitlines(), *table.notes]
-    return "\n".join(line.rstrip() for line in lines)
+        console.print(table)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())

@@ -3,7 +3,6 @@
 import json
 import shlex
 import sys
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from behavexplor.campaign.campaign import ads_failure
@@ -20,11 +18,12 @@ from behavexplor.campaign.store import Execution, Store, write_durably
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.data.decision_log import UNKNOWN
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.lookahead import AHEAD, in_order
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import start_executor
 from behavexplor.triage.agreement import agreement
@@ -43,7 +42,7 @@ from behavexplor.triage.findings import (
 )
 
 WRITTEN_AFTER = 10  # findings after which the file is written, the most that an interruption can lose
-AHEAD = 4  # failures read ahead for each worker
+_NUMBERS = ("count", "first", "look at")  # columns of numbers
 TIME_LIMIT = 10.0  # time limit of one failure, in units of the time limit of an execution
 
 
@@ -119,23 +118,18 @@ def _examined(store: Store, config: CampaignConfig, waiting: Sequence[int], work
     executor = start_executor(
         target, min(workers, len(waiting)), recipe=recipe_for(Examiner, target, specs=config.specs)
     )
-    pending: deque[tuple[Execution, Future[bytes]]] = deque()
     try:
-        for number in waiting:
-            execution = store.execution(number)
-            pending.append((execution, _submitted(executor, execution, config.seed)))
-            if len(pending) > AHEAD * workers:
-                yield _finding(store.folder, *pending.popleft())
-        while pending:
-            yield _finding(store.folder, *pending.popleft())
+        calls = (_call(store.execution(number), config.seed) for number in waiting)
+        for number, future in zip(waiting, in_order(executor, calls, AHEAD * workers), strict=True):
+            yield _finding(store.folder, store.execution(number), future)
     finally:
         executor.shutdown(wait=False)
 
 
-def _submitted(pool: Executor, execution: Execution, seed: int) -> Future[bytes]:
+def _call(execution: Execution, seed: int) -> tuple[str, bytes]:
     if execution.record.error is not None:
-        return pool.submit(EXECUTE, execution.scenario.to_json().encode())
-    return pool.submit(EXAMINE, examination(execution.record, execution.trace, seed))
+        return EXECUTE, execution.scenario.to_json().encode()
+    return EXAMINE, examination(execution.record, execution.trace, seed)
 
 
 def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
@@ -161,7 +155,7 @@ def report(found: Triage) -> str:
         f"{len(found.findings)} failures in {found.executions} executions, in {class_count(len(found.classes))}; "
         + (f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"),
         "",
-        _plain(_class_table(found)),
+        plain_text(_class_table(found)),
         "",
         "A class groups failures that look alike. It begins with the violated requirement:",
         "R1 collision, R2 illegal line touched, R3 destination missed.",
@@ -171,7 +165,7 @@ def report(found: Triage) -> str:
             "Causes such as R2-2 are weaknesses of the rule planner, not requirements:",
             "R2-2 is the second weakness that leads to violations of R2.",
             "",
-            _plain(_weakness_table(found)),
+            plain_text(_weakness_table(found)),
             "",
             "reached: executions in which the weakness could matter",
             "triggered: executions in which it changed the planner's output",
@@ -182,7 +176,8 @@ def report(found: Triage) -> str:
 
 
 def _class_table(found: Triage) -> Table:
-    table = _grid("class", "count", "first", "look at", "fault", *(["cause"] if found.weaknesses else []))
+    columns = ("class", "count", "first", "look at", "fault", *(["cause"] if found.weaknesses else []))
+    table = grid(*columns, numbers=_NUMBERS)
     for class_id, findings in found.classes.items():
         shown = next((finding.id for finding in findings if finding.same_trace), findings[0].id)
         cells = [class_id, str(len(findings)), str(findings[0].id), str(shown), counted(f.fault for f in findings)]
@@ -191,7 +186,8 @@ def _class_table(found: Triage) -> Table:
 
 
 def _weakness_table(found: Triage) -> Table:
-    table = _grid("weakness", "reached", "first", "triggered", "first", "detected", "first")
+    columns = ("weakness", "reached", "first", "triggered", "first", "detected", "first")
+    table = grid(*columns, numbers=_NUMBERS)
     for name, record in found.weaknesses.items():
         sightings = (record.reached, record.triggered, record.detected)
         table.add_row(name, *(cell for sighting in sightings for cell in _cells(sighting)))
@@ -219,17 +215,3 @@ def _agreements(findings: Sequence[Finding]) -> list[str]:
         f"(1: equal, 0: chance): {signatures.adjusted_rand:.2f} for signatures "
         f"and {classes.adjusted_rand:.2f} for classes.",
     ]
-
-
-def _grid(*columns: str) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for column in columns:
-        table.add_column(column, justify="right" if column in ("count", "first", "look at") else "left", no_wrap=True)
-    return table
-
-
-def _plain(table: Table) -> str:
-    console = Console(width=240, highlight=False, no_color=True)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines())

@@ -1,7 +1,7 @@
 """Logical scenarios of stock environments: all the draws that an environment can make in one configuration."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Self
@@ -12,6 +12,7 @@ from scipy.special import ndtr, ndtri
 
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
 from behavexplor.data.logical import Mutations, Noise
+from behavexplor.data.parts import Part, Parts
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 
@@ -61,6 +62,7 @@ class DrawnLogicalScenario:
     roadmap: None = None
     line_kinds: tuple[str, ...] = ()
     mutations: Mutations = _MUTATIONS
+    removable: bool = False  # the environment decides how many vehicles there are
 
     def to_json(self) -> str:
         """Return the logical scenario as JSON, from which `from_json` restores it."""
@@ -220,14 +222,28 @@ class DrawnLogicalScenario:
         count = sum(len(values) for _, values in scenario.draws)
         return f"{count} draws in {len(self.blocks)} parts, {self.setup.traffic} traffic"
 
-    def simplify(self, scenario: DrawnScenario) -> Iterator[DrawnScenario]:
-        """Yield simpler scenarios: with all draws of a block, and then single draws, at their median."""
-        plain, forms = self._plain_forms, self.forms(scenario)
-        for indices in (*self.blocks, *(np.array([i]) for i in range(len(forms)))):
-            simpler = forms.copy()
-            simpler[indices] = plain[indices]
-            if not np.array_equal(simpler, forms):
-                yield replace(scenario, draws=self.scenario(scenario.seed, simpler).draws)
+    def parts(self, scenario: DrawnScenario) -> Parts:
+        """Return the blocks of a scenario's draws as parts. A draw is plain at its median."""
+        forms = self.forms(scenario).tolist()
+        values = [
+            None if form == _plain_form(draw.kind) else form for draw, form in zip(self.draws, forms, strict=True)
+        ]
+        return tuple(Part(str(i), tuple(values[j] for j in block)) for i, block in enumerate(self.blocks))
+
+    def with_parts(self, scenario: DrawnScenario, parts: Parts) -> DrawnScenario:
+        """Return a scenario with other draws.
+
+        Raises:
+            InputError: if the draws are not valid.
+        """
+        forms = self._plain_forms.copy()
+        for block, part in zip(self.blocks, parts, strict=True):
+            for j, value in zip(block, part.values, strict=True):
+                if value is not None:
+                    forms[j] = value
+        changed = replace(scenario, draws=self.scenario(scenario.seed, forms).draws)
+        self.check(changed)
+        return changed
 
     @cached_property
     def _plain_forms(self) -> Floats:

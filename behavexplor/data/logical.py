@@ -4,13 +4,13 @@ There are two kinds: scripted vehicles (`behavexplor.data.scripted_logical`), an
 (`behavexplor.data.drawn_logical`).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.parts import Parts
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -160,6 +160,19 @@ class LogicalScenario(Protocol):
         """Return a short description of a scenario for people."""
         ...
 
-    def simplify(self, scenario: Any) -> Iterator[Scenario]:
-        """Yield scenarios that are simpler by one step."""
+    @property
+    def removable(self) -> bool:
+        """Whether a scenario is valid without some of its parts."""
+        ...
+
+    def parts(self, scenario: Any) -> Parts:
+        """Return the parts of a scenario, from which `with_parts` makes it again."""
+        ...
+
+    def with_parts(self, scenario: Any, parts: Parts) -> Scenario:
+        """Return a scenario with other parts.
+
+        Raises:
+            InputError: if such a scenario is not in the set.
+        """
         ...

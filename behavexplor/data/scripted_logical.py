@@ -3,7 +3,6 @@
 Source: paper section 2.2, for the parameters that are searched (the NPCs' routes and waypoints).
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Final
@@ -11,9 +10,11 @@ from typing import Final
 import numpy as np
 
 from behavexplor.data.logical import Mutations, Noise
-from behavexplor.data.scripted import NPC, ScriptedScenario
+from behavexplor.data.parts import Parts
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_encoding import ScriptedEncoding
 from behavexplor.data.scripted_mutation import mutate_routes, mutate_waypoints
+from behavexplor.data.scripted_parts import part_of, vehicle_of
 from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.data.trace import Trace
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
@@ -34,6 +35,11 @@ class ScriptedLogicalScenario(ScriptedRanges):
             InputError: if a scenario has no NPCs.
         """
         return ScriptedEncoding(self)
+
+    @property
+    def removable(self) -> bool:
+        """True: a scenario may have fewer vehicles."""
+        return True
 
     @property
     def mutations(self) -> Mutations:
@@ -94,14 +100,19 @@ class ScriptedLogicalScenario(ScriptedRanges):
         listed = ", ".join(f"{routes.count(route)} on {route}" for route in dict.fromkeys(routes))
         return f"{len(routes)} NPCs: {listed}" if routes else "no NPCs"
 
-    def simplify(self, scenario: ScriptedScenario) -> Iterator[ScriptedScenario]:
-        """Yield simpler scenarios: without one of the NPCs, then with constant speed for one of them."""
-        for i in range(len(scenario.npcs)):
-            yield replace(scenario, npcs=scenario.npcs[:i] + scenario.npcs[i + 1 :])
-        for i, npc in enumerate(scenario.npcs):
-            steady = _steady(npc)
-            if steady != npc:
-                yield replace(scenario, npcs=(*scenario.npcs[:i], steady, *scenario.npcs[i + 1 :]))
+    def parts(self, scenario: ScriptedScenario) -> Parts:
+        """Return the vehicles of a scenario as parts; see `behavexplor.data.scripted_parts`."""
+        return tuple(part_of(npc, self) for npc in scenario.npcs)
+
+    def with_parts(self, scenario: ScriptedScenario, parts: Parts) -> ScriptedScenario:
+        """Return a scenario with other vehicles.
+
+        Raises:
+            InputError: if the vehicles are not valid.
+        """
+        changed = replace(scenario, npcs=tuple(vehicle_of(part, self) for part in parts))
+        self.check(changed)
+        return changed
 
 
 def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
@@ -117,10 +128,3 @@ def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
     if not isinstance(logical, ScriptedLogicalScenario):
         raise InputError(f"{what} needs one of the environments with scripted vehicles, such as intersection-straight")
     return logical
-
-
-def _steady(npc: NPC) -> NPC:
-    """Return an NPC with its first speed at all waypoints but the last one."""
-    speed = npc.waypoints[0].speed
-    waypoints = [replace(waypoint, speed=speed) for waypoint in npc.waypoints[:-1]]
-    return replace(npc, waypoints=(*waypoints, npc.waypoints[-1]))

@@ -168,7 +168,11 @@ def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Sc
     Raises:
         ADSError: if the ADS fails, or its answer is not a valid action of the environment.
     """
-    episodes = LockStep(envs, ads)
+    yield from run_episodes(LockStep(envs, ads), scenarios)
+
+
+def run_episodes(episodes: LockStep, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
+    """Run scenarios to their ends in episodes that have no scenario yet; see `rollout_all`."""
     waiting = enumerate(scenarios)
     while True:
         for number, scenario in islice(waiting, episodes.free):

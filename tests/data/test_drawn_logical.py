@@ -121,15 +121,20 @@ def test_it_survives_json():
     assert DrawnLogicalScenario.from_json(LOGICAL.to_json()) == LOGICAL
 
 
-def test_simpler_scenarios_have_more_draws_at_their_median():
-    def plain(scenario):
-        return int((LOGICAL.shares(LOGICAL.forms(scenario)) == 0.5).sum())
+def test_parts_make_the_scenario_again_and_leave_out_medians():
+    assert LOGICAL.with_parts(sampled(), LOGICAL.parts(sampled())) == sampled()
+    assert sum(part.free for part in LOGICAL.parts(sampled())) == len(LOGICAL.draws)
+    plain = LOGICAL.scenario(0, np.array([0.5, 0.0, 0.5, 0.0, 0.5]))
+    assert all(part.free == 0 for part in LOGICAL.parts(plain))
+    assert LOGICAL.with_parts(plain, LOGICAL.parts(plain)) == plain
 
-    simpler = list(LOGICAL.simplify(sampled()))
-    assert len(simpler) == 3 + 5
-    assert all(plain(scenario) > plain(sampled()) for scenario in simpler)
-    simplest = LOGICAL.scenario(0, np.array([0.5, 0.0, 0.5, 0.0, 0.5]))
-    assert list(LOGICAL.simplify(simplest)) == []
+
+def test_parts_out_of_range_are_refused():
+    parts = LOGICAL.parts(sampled())
+    uniform = [[draw.kind for draw in LOGICAL.draws][j] == "uniform" for j in LOGICAL.blocks[0]]
+    values = tuple(1.0 if is_uniform else None for is_uniform in uniform)
+    with pytest.raises(InputError, match="not in"):
+        LOGICAL.with_parts(sampled(), (parts[0]._replace(values=values), *parts[1:]))
 
 
 def test_a_failed_driver_leaves_a_trace_of_one_frame():

@@ -1,0 +1,128 @@
+"""`behavexplor minimize`: the simplest scenario in which a failure still happens."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from statistics import median
+from typing import Annotated
+
+import tyro
+
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.store import Store
+from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.meter import Meter
+from behavexplor.commands.terminal_tables import grid, plain_text
+from behavexplor.commands.workers import chosen_workers
+from behavexplor.errors import InputError, sentence
+from behavexplor.triage.findings import TRIAGE, Finding, Triage
+from behavexplor.triage.minimization import minimize_failures
+from behavexplor.triage.minimized import Minimized, read_minimized
+
+
+def minimize(
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    numbers: Annotated[tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]")] = (),
+    *,
+    every: Annotated[bool, tyro.conf.arg(name="all")] = False,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    afresh: bool = False,
+    quiet: bool = False,
+) -> int:
+    """Find the simplest scenario in which a failure still happens: the fewest vehicles, and the plainest values.
+
+    The class of the failure and the fault for it stay the same. After `triage`, the cause stays the same, too. The
+    results are kept in the run folder, in minimized/, and shown by `report`.
+
+    Args:
+        run: The run folder.
+        numbers: Numbers of failed executions; by default the first failure of each class.
+        every: Minimize all failures.
+        workers: Number of worker processes; 0 uses this process. The results do not depend on it.
+        afresh: Minimize failures again that have been minimized before.
+        quiet: Print only the table.
+    """
+    count = chosen_workers(workers)
+    with closing(Store.read(run)) as store:
+        failures = {number: kind or "" for number, _, kind in store.failures()}
+        chosen = chosen_failures(run, failures, numbers, every=every)
+        known = {} if afresh else read_minimized(run)
+        found = {number: known[number] for number in chosen if number in known}
+        waiting = [number for number in chosen if number not in found]
+        try:
+            with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
+                config = stored_config(run)
+                for minimal in minimize_failures(store, config, waiting, triaged(run), count) if waiting else ():
+                    found[minimal.id] = minimal
+                    meter.show(len(found) - len(chosen) + len(waiting))
+        except OSError as error:
+            raise InputError(f"The run folder {run} cannot be written: {error.strerror}") from None
+        except RuntimeError as error:
+            print(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
+            return EXECUTION_FAILED
+    print(table([found[number] for number in chosen]))
+    return OK
+
+
+def triaged(run: Path) -> dict[int, Finding]:
+    """Return the findings of triage by the numbers of the executions; none if the run has not been triaged."""
+    if not (run / TRIAGE).is_file():
+        return {}
+    return {finding.id: finding for finding in Triage.read(run).findings}
+
+
+def chosen_failures(run: Path, failures: Mapping[int, str], numbers: Sequence[int], *, every: bool) -> list[int]:
+    """Return the failures to minimize, in order.
+
+    Args:
+        run: the run folder.
+        failures: the class of each failure by the number of its execution.
+        numbers: numbers that the user has given.
+        every: whether the user wants all failures.
+
+    Raises:
+        InputError: if there is no failure of a given number.
+    """
+    for number in numbers:
+        if number not in failures:
+            raise InputError(f"Execution {number} of {run} has no failure: `behavexplor records {run}` lists them")
+    if every or numbers:
+        return sorted(set(numbers) or failures)
+    first = {kind: number for number, kind in sorted(failures.items(), reverse=True)}
+    return sorted(first.values())
+
+
+def table(found: Sequence[Minimized]) -> str:
+    """Return the table for the terminal, and what it says in sum."""
+    if not found:
+        return "The run has no failures, so there is nothing to minimize."
+    lost = [minimal for minimal in found if not minimal.reproduced]
+    kept = [minimal for minimal in found if minimal.reproduced]
+    lines = [
+        f"Execution {minimal.id} did not fail in the same way when it was repeated, so it was not minimized"
+        for minimal in lost
+    ]
+    if kept:
+        made = grid("class", "fault", "id", *_NUMBERS, numbers=("id", *_NUMBERS))
+        for one in kept:
+            sizes = (f"{one.found.parts} -> {one.minimal.parts}", f"{one.found.values} -> {one.minimal.values}")
+            fault = (one.fault or "").replace("_", " ")
+            made.add_row(one.class_id, fault, str(one.id), *sizes, str(one.executions))
+        parts, values = (
+            (median(one.found[i] for one in kept), median(one.minimal[i] for one in kept)) for i in range(2)
+        )
+        lines += [
+            plain_text(made),
+            "",
+            f"{len(kept)} failures; in the median, vehicles {parts[0]:g} -> {parts[1]:g}, "
+            f"free values {values[0]:g} -> {values[1]:g}",
+        ]
+        unfinished = sum(not one.is_minimal for one in kept)
+        lines += (
+            [f"{unfinished} of them may have an even simpler scenario: the limit was reached"] if unfinished else []
+        )
+    return "\n".join(lines)
+
+
+_NUMBERS = ("vehicles", "free values", "executions")

@@ -1,0 +1,153 @@
+"""Minimization of failures: the simplest scenario in which the same failure still happens."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any, Final
+
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.record import Record
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.trace import Trace
+from behavexplor.data.validation import checked
+from behavexplor.execution.evaluator import LOCK_STEP, Evaluator, recipe_for
+from behavexplor.execution.lookahead import AHEAD, in_order
+from behavexplor.execution.rollout import ADSError, LockStep
+from behavexplor.execution.start import start_executor
+from behavexplor.judge.robustness import load_specs
+from behavexplor.judge.specs import Spec
+from behavexplor.triage.examination import STREAM
+from behavexplor.triage.findings import Finding
+from behavexplor.triage.minimized import MINIMIZED, Minimized
+from behavexplor.triage.same_failure import ManyScenarios, SameFailure, recorded_signature, signature
+from behavexplor.triage.shrinking import shrink, size_of
+
+LIMIT: Final = 500  # executions of candidates for one failure
+TIME_LIMIT: Final = 100.0  # time limit of one failure, in units of the time limit of an execution
+MINIMIZE: Final = "minimize"  # function of the service
+
+
+class Minimizer(Evaluator):
+    """An evaluator that also minimizes failures.
+
+    Args:
+        specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
+        target: the fields of a `behavexplor.data.target.Target`.
+    """
+
+    def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
+        super().__init__(**target)
+        self.functions = {**self.functions, MINIMIZE: self.minimize}
+        self._specs = tuple(specs)
+        self._episodes: LockStep | None = None
+
+    def begin(self) -> None:
+        """Load the ADS and make its environment. The candidates for one failure run in lock-step."""
+        super().begin()
+        self.batch = None
+        self._episodes = self.simulation.lock_step(LOCK_STEP)
+
+    def minimize(self, request: bytes) -> bytes:
+        """Minimize a failure.
+
+        Args:
+            request: the failure, as encoded by `minimization`.
+
+        Returns:
+            The minimized failure as a line of JSON, and the trace of its scenario.
+        """
+        head, data = request.split(b"\n", 1)
+        values = json.loads(head)
+        record, seed = Record.from_json(json.dumps(values["record"])), values["seed"]
+        known = None if values["finding"] is None else Finding(**values["finding"])
+        driven = ManyScenarios(self.simulation, self._episodes)
+        found, trace = minimized(driven, load_specs(self._specs), record, Trace.from_bytes(data), known, seed)
+        return json.dumps(found.to_dict()).encode() + b"\n" + trace.to_bytes()
+
+
+def minimization(record: Record, trace: bytes, seed: int, known: Finding | None) -> bytes:
+    """Return the request for `Minimizer.minimize` about a stored execution.
+
+    Args:
+        record: the record of the execution.
+        trace: its trace as bytes.
+        seed: the seed of the campaign.
+        known: the finding of triage about it; None without triage.
+    """
+    values = {"record": record.to_dict(), "seed": seed, "finding": None if known is None else asdict(known)}
+    return json.dumps(values).encode() + b"\n" + trace
+
+
+def minimized(
+    driven: ManyScenarios, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None, seed: int
+) -> tuple[Minimized, Trace]:
+    """Minimize a failure. Its class stays the same, and its fault and cause as far as they are known.
+
+    Args:
+        driven: the driver of the failed execution.
+        specs: the specs of the campaign.
+        record: the record of the failed execution.
+        trace: its trace.
+        known: the finding of triage about it; None without triage.
+        seed: the seed of the campaign.
+
+    Returns:
+        The minimized failure and the trace of its scenario.
+    """
+    logical, scenario = driven.simulation.logical, record.load_scenario()
+    parts, removable = logical.parts(scenario), logical.removable
+    sought = recorded_signature(record, trace, specs)
+    same = SameFailure(driven, specs, scenario, sought, known, (STREAM, seed, record.id))
+    shrunk = shrink(parts, same, removable=removable, limit=LIMIT if same.held_by([parts]) == [True] else 0)
+    minimal = logical.with_parts(scenario, shrunk.parts)
+    again = driven.run(minimal)
+    reproduced = signature(again, specs) == sought  # no, if it is flaky, or the compiled engine found it alone
+    if not reproduced:
+        minimal, again = scenario, trace
+    return Minimized(
+        id=record.id,
+        class_id=sought.class_id,
+        fault=known.fault if known else sought.fault,
+        cause=known.cause if known else None,
+        reproduced=reproduced,
+        is_minimal=reproduced and shrunk.is_minimal,
+        found=size_of(parts, removable=removable),
+        minimal=size_of(logical.parts(minimal), removable=removable),
+        executions=shrunk.executions,
+        scenario=minimal.to_dict(),
+    ), trace if isinstance(again, ADSError) else again
+
+
+def minimize_failures(
+    store: Store, config: CampaignConfig, failures: Sequence[int], known: Mapping[int, Finding], workers: int
+) -> Iterator[Minimized]:
+    """Minimize failures of a run in parallel, write the results into its folder, and yield them in order.
+
+    Args:
+        store: the executions of the run.
+        config: configuration of the run.
+        failures: numbers of failed executions.
+        known: findings of triage by the numbers of the executions.
+        workers: number of worker processes; 0 uses this process.
+
+    Raises:
+        InputError: if the driver cannot be loaded, or the run folder cannot be written.
+        RuntimeError: if a failure could not be minimized.
+    """
+    target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
+    recipe = recipe_for(Minimizer, target, specs=config.specs)
+    executor = start_executor(target, min(workers, len(failures)), recipe=recipe)
+    try:
+        (store.folder / MINIMIZED).mkdir(exist_ok=True)
+        calls = (_call(store.execution(number), config.seed, known.get(number)) for number in failures)
+        for future in in_order(executor, calls, AHEAD * workers):
+            head, trace = future.result().split(b"\n", 1)
+            minimal = checked(Minimized, json.loads(head), "the minimized failure")
+            minimal.write(store.folder, trace)
+            yield minimal
+    finally:
+        executor.shutdown(wait=False)
+
+
+def _call(execution: Execution, seed: int, known: Finding | None) -> tuple[str, bytes]:
+    return MINIMIZE, minimization(execution.record, execution.trace, seed, known)

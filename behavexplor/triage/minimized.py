@@ -1,0 +1,93 @@
+"""Minimized failures of runs as plain data: `minimized/` in the run folder."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+from behavexplor.campaign.store import write_durably
+from behavexplor.data.parts import Size
+from behavexplor.data.scenario import Scenario, read_scenario
+from behavexplor.data.validation import checked
+from behavexplor.errors import InputError
+
+FORMAT: Final = 1
+MINIMIZED: Final = "minimized"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimized:
+    """A minimized failure.
+
+    Attributes:
+        id: number of the execution in which the failure was found.
+        class_id: class of the failure.
+        fault: fault for a collision, by triage where the run has been triaged, otherwise by the trace alone.
+        cause: weakness of the rule planner that caused the failure; None without triage.
+        reproduced: whether the failure happened again. Only then it was minimized.
+        is_minimal: whether the scenario cannot be simplified by one more step; False if `LIMIT` was reached before.
+        found: size of the found scenario.
+        minimal: size of the minimized scenario.
+        executions: number of candidates that were executed.
+        scenario: the minimized scenario.
+    """
+
+    id: int
+    class_id: str
+    fault: str | None
+    cause: str | None
+    reproduced: bool
+    is_minimal: bool
+    found: Size
+    minimal: Size
+    executions: int
+    scenario: dict[str, Any]
+
+    def load_scenario(self) -> Scenario:
+        """Return the minimized scenario."""
+        return read_scenario(dict(self.scenario))
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a minimized failure from its file.
+
+        Raises:
+            InputError: if the file cannot be read, or is not one of a minimized failure.
+        """
+        try:
+            values = json.loads(path.read_bytes())
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(
+                f"{path} cannot be read: {error}; delete it and run `behavexplor minimize` again"
+            ) from None
+        found = values.pop("format", None) if isinstance(values, dict) else None
+        if found != FORMAT:
+            raise InputError(f"{path} has format {found}, but this version reads format {FORMAT}: delete the file")
+        return checked(cls, values, str(path))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON values."""
+        return {**asdict(self), "found": list(self.found), "minimal": list(self.minimal)}
+
+    def write(self, folder: Path, trace: bytes) -> None:
+        """Write the minimized failure and the trace of its scenario into a run folder."""
+        trace_path(folder, self.id).write_bytes(trace)
+        write_durably(
+            minimized_path(folder, self.id), json.dumps({"format": FORMAT, **self.to_dict()}, indent=1) + "\n"
+        )
+
+
+def minimized_path(folder: Path, number: int) -> Path:
+    """Return the file of a minimized failure in a run folder."""
+    return folder / MINIMIZED / f"{number:06d}.json"
+
+
+def trace_path(folder: Path, number: int) -> Path:
+    """Return the file with the trace of a minimized failure in a run folder."""
+    return minimized_path(folder, number).with_suffix(".trace")
+
+
+def read_minimized(folder: Path) -> dict[int, Minimized]:
+    """Return the minimized failures of a run by the numbers of their executions."""
+    found = (Minimized.read(path) for path in sorted((folder / MINIMIZED).glob("*.json")))
+    return {one.id: one for one in found}
