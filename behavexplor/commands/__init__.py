@@ -24,6 +24,8 @@ COMMANDS = (
     "records",
     "triage",
     "minimize",
+    "suite",
+    "check",
     "report",
     "evaluate",
     "bench",

@@ -113,6 +113,17 @@ class DrawnLogicalScenario:
                 value = values[draw.position]
                 raise InputError(f"draws[{draw.name!r}][{draw.position}]: {value} is not in [0, 1)")
 
+    def adopted(self, scenario: Any) -> DrawnScenario:
+        """Return the scenario of another driver as one of this set: the same draws in the same scene.
+
+        Raises:
+            InputError: if the scenes differ; the message names the difference.
+        """
+        same_scene = isinstance(scenario, DrawnScenario) and scenario.setup.scene == self.setup.scene
+        adopted: DrawnScenario = replace(scenario, setup=self.setup) if same_scene else scenario
+        self.check(adopted)
+        return adopted
+
     def sample(self, rng: np.random.Generator) -> DrawnScenario:
         """Draw a scenario with the environment's own distribution."""
         return self.scenario(int(rng.integers(SEEDS)), self._fresh(rng))

@@ -15,6 +15,7 @@ from behavexplor.errors import InputError, brief
 DEFAULT: Final = "default"  # kinds of traffic
 WIDE: Final = "wide"
 TRAFFIC: Final = (DEFAULT, WIDE)
+DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency")  # by a driver
 MAX_DRAWS: Final = 20_000  # draws of one episode; highway-v0 with 50 vehicles has about 300
 MAX_SEED: Final = 2**63
 _FIELDS: Final = ("functional", "traffic", "highway-env", "config", "seed", "draws")
@@ -56,6 +57,16 @@ class Setup:
     config: str
     traffic: str
     highway_env: str
+
+    @property
+    def scene(self) -> tuple[str, str, str, str]:
+        """What is the same for all drivers: this setup without the keys that a driver declares."""
+        return self.env, config_text(self.scene_config), self.traffic, self.highway_env
+
+    @property
+    def scene_config(self) -> dict[str, Any]:
+        """The configuration without the keys that a driver declares."""
+        return {key: value for key, value in json.loads(self.config).items() if key not in DECLARED}
 
     def difference(self, other: "Setup") -> str | None:
         """Return how another setup differs from this one, for an error message; None if they are equal."""

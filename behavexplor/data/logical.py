@@ -127,6 +127,14 @@ class LogicalScenario(Protocol):
         """
         ...
 
+    def adopted(self, scenario: Any) -> Scenario:
+        """Return the scenario of another driver as one of this set, in which everything but the driver is the same.
+
+        Raises:
+            InputError: if there is none; the message names the difference.
+        """
+        ...
+
     def sample(self, rng: np.random.Generator) -> Scenario:
         """Draw a scenario."""
         ...

@@ -51,6 +51,15 @@ class ScriptedLogicalScenario(ScriptedRanges):
         """The kinds of the illegal lines in a trace."""
         return tuple(self.roadmap.line_kinds)
 
+    def adopted(self, scenario: ScriptedScenario) -> ScriptedScenario:
+        """Return the scenario of another driver, which is the same for every driver.
+
+        Raises:
+            InputError: if it is not valid here.
+        """
+        self.check(scenario)
+        return scenario
+
     def mutate_little(self, scenario: ScriptedScenario, rng: np.random.Generator, noise: Noise) -> ScriptedScenario:
         """Return a mutant by noise on the waypoints of some NPCs; see `mutate_waypoints`."""
         return mutate_waypoints(

@@ -11,7 +11,7 @@ import behavexplor
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
-from behavexplor.data.drawn_scenario import DEFAULT
+from behavexplor.data.drawn_scenario import DECLARED, DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
@@ -20,7 +20,6 @@ from behavexplor.envs.making import check_keys, default_config, environment_id, 
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
-_DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency")
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
 
 
@@ -61,7 +60,7 @@ class Simulation:
         self._is_stock = stock = is_stock(env)
         roadmap = None if stock else logical_scenario(env).roadmap
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
-        declared = {key: _plain(getattr(self.ads, key)) for key in _DECLARED if hasattr(self.ads, key)}
+        declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
         given = dict(env_config or {})
         if stock:

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from typing import Any, Final
 
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.record import Record
+from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
@@ -115,7 +115,7 @@ def minimized(
         minimal=size_of(logical.parts(minimal), removable=removable),
         executions=shrunk.executions,
         scenario=minimal.to_dict(),
-    ), trace if isinstance(again, ADSError) else again
+    ), logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
 
 
 def minimize_failures(

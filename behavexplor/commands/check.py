@@ -1,0 +1,86 @@
+"""`behavexplor check`: drive the scenarios of a regression suite."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from junitparser import Failure, JUnitXml, TestCase, TestSuite
+
+from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
+from behavexplor.commands.terminal_tables import grid, plain_text
+from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.errors import InputError, sentence
+from behavexplor.regression.checking import Outcome, opened_driver
+from behavexplor.regression.suite import Suite
+
+
+def check(
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
+    *,
+    ads: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")
+    ] = None,
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
+    unconfined: bool = False,
+    junit: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    quiet: bool = False,
+) -> int:
+    """Drive every scenario of a regression suite. The exit code is 1 if one of them fails.
+
+    Args:
+        folder: Folder of the suite.
+        ads: Driving system under test, as for fuzz.
+        workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
+            a driver that is not shipped with behavexplor then needs --unconfined.
+        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
+        junit: Also write the results to this file as JUnit XML, which CI systems show.
+        quiet: Print only the number of failures.
+    """
+    suite = Suite.read(folder)
+    count = min(chosen_workers(workers), len(suite.cases))
+    settings = {"trust": (trust,) if trust else (), "unconfined": unconfined}
+    waiting = patience(lambda note: None if quiet else print(note, file=sys.stderr))
+    try:
+        with waiting, opened_driver(suite, ads or suite.driver, count, **settings) as drive:
+            outcomes = list(drive.all_of(suite.cases))
+    except RuntimeError as error:
+        print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
+        return EXECUTION_FAILED
+    if junit is not None:
+        _write(junit, suite, outcomes)
+    failed = sum(not outcome.passed for outcome in outcomes)
+    if not quiet:
+        print(_table(outcomes), end="\n\n")
+    print(f"{failed} of {len(outcomes)} scenarios fail" if failed else f"All {len(outcomes)} scenarios pass")
+    return CHECK_FAILED if failed else OK
+
+
+def _table(outcomes: Sequence[Outcome]) -> str:
+    table = grid("scenario", "", "what happened")
+    for outcome in outcomes:
+        table.add_row(outcome.case.name, "pass" if outcome.passed else "FAIL", outcome.words)
+    return plain_text(table)
+
+
+def _write(path: Path, suite: Suite, outcomes: Sequence[Outcome]) -> None:
+    """Write results as JUnit XML.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    tests = TestSuite(f"behavexplor {suite.env}")
+    for outcome in outcomes:
+        test = TestCase(outcome.case.name, classname=suite.env)
+        if not outcome.passed:
+            test.result = [Failure(outcome.words, ", ".join(outcome.violated))]
+        tests.add_testcase(test)
+    document = JUnitXml()
+    document.add_testsuite(tests)
+    try:
+        document.write(str(path), pretty=True)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None

@@ -1,0 +1,97 @@
+"""`behavexplor suite`: a regression suite from the failures of runs."""
+
+import shlex
+import sys
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.store import Store
+from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.meter import Meter
+from behavexplor.commands.minimize import triaged
+from behavexplor.commands.workers import chosen_workers
+from behavexplor.errors import InputError, sentence
+from behavexplor.regression.selection import candidates, case_of, check_same_driving
+from behavexplor.regression.suite import TEST, Case, Suite
+from behavexplor.triage.minimization import minimize_failures
+from behavexplor.triage.minimized import Minimized, read_minimized
+
+TRIES = 3  # failures of one class that are tried, in case the first ones cannot be reproduced
+
+
+def suite(
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(name="run", metavar="RUN [RUN ...]")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    quiet: bool = False,
+) -> int:
+    """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
+
+    Only failures count for which the driver was at fault, as far as the trace can tell, or as triage has found.
+
+    Args:
+        runs: Run folders of one environment.
+        out: Folder of the suite, new or empty.
+        workers: Number of worker processes; 0 uses this process. The suite does not depend on it.
+        quiet: Print only the summary.
+    """
+    if not runs:
+        raise InputError("Give at least one run folder, such as runs/my-run")
+    count = chosen_workers(workers)
+    configs = [(run, stored_config(run)) for run in runs]
+    check_same_driving(configs[0], configs[1:])
+    cases: dict[str, Case] = {}
+    try:
+        for run, config in configs:
+            for case in _cases(run, config, cases, count, quiet=quiet):
+                cases.setdefault(case.class_id, case)
+    except RuntimeError as error:
+        print(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
+        return EXECUTION_FAILED
+    if not cases:
+        raise InputError("None of the failures is reproducible and the driver's fault, so there is nothing to check")
+    first = configs[0][1]
+    Suite(
+        env=first.env,
+        driver=first.ads,
+        specs=first.specs,
+        env_config=first.env_config,
+        traffic=first.traffic,
+        cases=tuple(cases.values()),
+    ).write(out)
+    folder = shlex.quote(str(out))
+    print(f"{len(cases)} scenarios, one of each class of failures, are in {folder}")
+    print(f"Check a driver with: {program()} check {folder} --ads NAME")
+    print(f"The same as tests: ADS=NAME pytest {folder}/{TEST}")
+    return OK
+
+
+def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], workers: int, *, quiet: bool) -> list[Case]:
+    """Return a case for each class of a run that is not yet taken. Failures are minimized if they have not been."""
+    with closing(Store.read(run)) as store:
+        findings = triaged(run)
+        left = {kind: ids for kind, ids in candidates(store.records(), findings).items() if kind not in taken}
+        known, made = read_minimized(run), []
+        for attempt in range(TRIES):
+            chosen = [ids[attempt] for ids in left.values() if len(ids) > attempt]
+            waiting = [number for number in chosen if number not in known]
+            with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
+                for done, minimal in enumerate(
+                    minimize_failures(store, config, waiting, findings, workers) if waiting else (), 1
+                ):
+                    known[minimal.id] = minimal
+                    meter.show(done)
+            good = _reproduced(known, chosen)
+            made += [case_of(store, config, minimal) for minimal in good]
+            left = {kind: ids for kind, ids in left.items() if kind not in {minimal.class_id for minimal in good}}
+    return made
+
+
+def _reproduced(known: Mapping[int, Minimized], numbers: list[int]) -> list[Minimized]:
+    return [known[number] for number in numbers if known[number].reproduced]

@@ -1,0 +1,109 @@
+"""Checks of a driver against a suite."""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.trace import Trace
+from behavexplor.errors import sentence
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.start import check_loading, logical_of_target, start_executor
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.fault import contact_fault, is_at_fault
+from behavexplor.judge.robustness import load_specs
+from behavexplor.judge.specs import SPECS, Spec, judge
+from behavexplor.regression.suite import Case, Suite
+
+COLLISION = SPECS[0].name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a driver did in the scenario of a case.
+
+    Attributes:
+        case: the case.
+        violated: names of the specs that had to hold and did not.
+        words: what happened, as a sentence.
+    """
+
+    case: Case
+    violated: tuple[str, ...]
+    words: str
+
+    @property
+    def passed(self) -> bool:
+        """True if everything held that had to hold, and the driver did not fail."""
+        return not self.violated
+
+
+class Checker:
+    """Drives the cases of a suite.
+
+    Args:
+        executor: executor of the driver.
+        logical: logical scenario of its environment.
+        specs: the specs of the suite.
+    """
+
+    def __init__(self, executor: Executor, logical: LogicalScenario, specs: Sequence[Spec]) -> None:
+        self._executor = executor
+        self._logical = logical
+        self._specs = specs
+
+    def __call__(self, case: Case) -> Outcome:
+        """Drive one case.
+
+        Raises:
+            InputError: if its scenario does not belong to the environment.
+            RuntimeError: if it could not be executed.
+        """
+        return self._outcome(case, self._begun(case))
+
+    def all_of(self, cases: Sequence[Case]) -> Iterator[Outcome]:
+        """Drive many cases at a time, and yield their outcomes in order; see `__call__`."""
+        begun = [self._begun(case) for case in cases]
+        for case, future in zip(cases, begun, strict=True):
+            yield self._outcome(case, future)
+
+    def _begun(self, case: Case) -> "Future[bytes]":
+        scenario = self._logical.adopted(case.load_scenario())
+        return self._executor.submit(EXECUTE, scenario.to_json().encode())
+
+    def _outcome(self, case: Case, future: "Future[bytes]") -> Outcome:
+        try:
+            trace = Trace.from_bytes(future.result())
+        except ADSError as error:
+            return Outcome(case, ("error",), sentence(str(error)))
+        violated = judge(trace, self._specs).violated
+        if not is_at_fault(contact_fault(trace)):
+            violated = tuple(name for name in violated if name != COLLISION)
+        kind = violation_class(trace, violated)
+        words = kind.words if kind else "Violated " + ", ".join(violated) if violated else "Passed"
+        return Outcome(case, tuple(name for name in violated if name in case.holds), words)
+
+
+@contextmanager
+def opened_driver(suite: Suite, ads: str, workers: int = 1, **settings: Any) -> Iterator[Checker]:
+    """Load a driver, and return what drives the cases of a suite with it.
+
+    Args:
+        suite: the suite.
+        ads: name of the driver.
+        workers: number of worker processes; 0 uses this process.
+        settings: further fields of the `behavexplor.data.target.Target`.
+
+    Raises:
+        InputError: if the driver cannot be loaded, or does not fit the environment.
+    """
+    executor = start_executor(suite.target(ads, **settings), workers)
+    try:
+        check_loading(executor)
+        yield Checker(executor, logical_of_target(executor, suite.env), load_specs(suite.specs))
+    finally:
+        executor.shutdown(wait=False)

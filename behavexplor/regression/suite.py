@@ -1,0 +1,195 @@
+"""Suites and their cases as plain data: a folder with `suite.yaml` and one YAML file for each case."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final, Self
+
+import yaml
+
+from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.store import write_durably
+from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario
+from behavexplor.data.scenario import Scenario, read_scenario
+from behavexplor.data.target import Target
+from behavexplor.data.validation import checked
+from behavexplor.errors import InputError
+from behavexplor.judge.robustness import load_specs
+
+FORMAT: Final = 1
+SUITE: Final = "suite.yaml"
+CASES: Final = "scenarios"
+TEST: Final = "test_scenarios.py"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A scenario in which a driver failed once.
+
+    Attributes:
+        words: what happened, as a sentence.
+        class_id: class of the failure.
+        run: name of the run in which it was found.
+        execution: number of the execution in which it was found.
+        fault: fault for a collision; None for another failure.
+        cause: weakness of the rule planner that caused the failure, if triage has found it.
+        holds: names of the specs that must hold. A collision that another vehicle caused violates none of them.
+        scenario: the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it.
+    """
+
+    words: str
+    class_id: str
+    run: str
+    execution: int
+    fault: str | None = None
+    cause: str | None = None
+    holds: tuple[str, ...]
+    scenario: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of the case and of its file."""
+        return re.sub(r"[^\w-]+", "-", f"{self.class_id}-{self.execution}")
+
+    def load_scenario(self) -> Scenario:
+        """Return the scenario.
+
+        Raises:
+            InputError: if it is not valid; the message names the field.
+        """
+        return read_scenario(dict(self.scenario))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """Scenarios in which a driver failed once, and where they are driven.
+
+    Attributes:
+        env: name of the environment.
+        driver: name of the driver that failed.
+        specs: names of the user's specs.
+        env_config: configuration of the environment, as far as it differs from what a driver declares.
+        traffic: kind of traffic in a stock environment.
+        cases: the cases in the order of their names.
+    """
+
+    env: str
+    driver: str
+    specs: tuple[str, ...] = ()
+    env_config: Mapping[str, Any] = field(default_factory=dict)
+    traffic: str = DEFAULT
+    cases: tuple[Case, ...] = ()
+
+    def target(self, ads: str, **settings: Any) -> Target:
+        """Return the target that drives the cases with a driver.
+
+        Args:
+            ads: name of the driver.
+            settings: further fields of the target.
+        """
+        config = dict(self.env_config)
+        first = self.cases[0].load_scenario() if self.cases else None
+        if isinstance(first, DrawnScenario):
+            config |= first.setup.scene_config
+        return Target(self.env, ads, env_config=config, traffic=self.traffic, **settings)
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read a suite from its folder.
+
+        Raises:
+            InputError: if a file is missing or wrong; the message names it.
+        """
+        if not (folder / SUITE).is_file():
+            raise InputError(f"{folder} is not a suite: it has no {SUITE}; `behavexplor suite` writes one from a run")
+        values = dict(read_yaml(folder / SUITE))
+        found = values.pop("format", None)
+        if found != FORMAT:
+            raise InputError(f"{folder / SUITE} has format {found}, but this version reads format {FORMAT}")
+        paths = sorted((folder / CASES).glob("*.yaml"))
+        if not paths:
+            raise InputError(f"{folder / CASES} has no scenarios")
+        cases = [checked(Case, read_yaml(path), str(path)) for path in paths]
+        suite = checked(cls, values, str(folder / SUITE))
+        names = {spec.name for spec in load_specs(suite.specs)}
+        for path, case in zip(paths, cases, strict=True):
+            _check(path, case, names)
+        return cls(**{**asdict(suite), "cases": tuple(cases)})
+
+    def write(self, folder: Path) -> None:
+        """Write the suite and its test file into a new or empty folder.
+
+        Raises:
+            InputError: if the folder is not empty, or cannot be written.
+        """
+        try:
+            (folder / CASES).mkdir(parents=True, exist_ok=True)
+            if any((folder / CASES).iterdir()) or (folder / SUITE).exists():
+                raise InputError(f"{folder} already has a suite: give another --out, or delete it")
+            for case in self.cases:
+                write_durably(folder / CASES / f"{case.name}.yaml", _case_text(case))
+            write_durably(folder / TEST, test_text(self.driver))
+            values = {"env": self.env, "driver": self.driver, "specs": list(self.specs), "traffic": self.traffic}
+            config = {"env_config": dict(self.env_config)} if self.env_config else {}
+            write_durably(folder / SUITE, _yaml({"format": FORMAT, **values, **config}))
+        except OSError as error:
+            raise InputError(f"{folder} cannot be written: {error.strerror}") from None
+
+
+def _check(path: Path, case: Case, names: Sequence[str] | set[str]) -> None:
+    """Check what the fields of a case say.
+
+    Raises:
+        InputError: if the scenario is not valid, or a spec is unknown.
+    """
+    try:
+        case.load_scenario()
+    except InputError as error:
+        raise InputError(f"{path}: scenario: {error}") from None
+    unknown = [name for name in case.holds if name not in names]
+    if unknown or not case.holds:
+        raise InputError(f"{path}: holds: expected one or more of {', '.join(sorted(names))}, got {list(case.holds)}")
+
+
+def _case_text(case: Case) -> str:
+    """Return a case as YAML: what happened and what must hold, then the scenario."""
+    values = {name: value for name, value in asdict(case).items() if value is not None}
+    head = {name: value for name, value in values.items() if name != "scenario"}
+    return _yaml({**head, "holds": list(case.holds)}) + _yaml({"scenario": case.scenario})
+
+
+def _yaml(values: Mapping[str, Any]) -> str:
+    """Return YAML in which lists and mappings without further ones in them take one line."""
+    return yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None)
+
+
+def test_text(driver: str) -> str:
+    """Return the source of the test file of a suite."""
+    return f'''"""Every scenario of this folder as a test. The driver is {driver}, or the one that ADS names:
+
+    ADS=my_driver:MyDriver pytest {TEST}
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from behavexplor.regression.checking import opened_driver
+from behavexplor.regression.suite import Suite
+
+SUITE = Suite.read(Path(__file__).parent)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    with opened_driver(SUITE, os.environ.get("ADS", SUITE.driver)) as drive:
+        yield drive
+
+
+@pytest.mark.parametrize("case", SUITE.cases, ids=lambda case: case.name)
+def test_scenario(case, drive):
+    outcome = drive(case)
+    assert outcome.passed, outcome.words
+'''

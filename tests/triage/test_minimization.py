@@ -1,0 +1,114 @@
+"""Minimized failures: what the command finds, keeps and says."""
+
+import json
+
+import pytest
+
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.store import Store
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.data.parts import Size
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
+from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import SPECS
+from behavexplor.triage.minimized import Minimized, minimized_path, read_minimized, trace_path
+from behavexplor.triage.same_failure import ManyScenarios, signature
+from tests.triage.test_triage import fuzz
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("minimize") / "run"
+    fuzz(folder, "tests.drivers:Timid", 25)
+    assert main(["minimize", str(folder), "--workers", "0", "--quiet"]) == OK
+    return folder
+
+
+def test_the_first_failure_of_each_class_is_minimized(run):
+    first = {}
+    for number, _, kind in Store.read(run).failures():
+        first.setdefault(kind, number)
+    assert sorted(first.values()) == sorted(read_minimized(run))
+    assert len(first) > 1
+
+
+def test_a_minimized_failure_happens_again_alone_and_in_lock_step(run):
+    config = stored_config(run)
+    simulation = Simulation(config.env, config.ads)
+    together = ManyScenarios(simulation, simulation.lock_step(4))
+    for found in read_minimized(run).values():
+        scenario = found.load_scenario()
+        assert found.reproduced
+        assert found.is_minimal
+        assert {signature(one, SPECS).class_id for one in (together.run(scenario), *together.run_all([scenario]))} == {
+            found.class_id
+        }
+
+
+def test_vehicles_and_values_that_do_not_matter_are_gone(run):
+    for found in read_minimized(run).values():
+        assert found.found.parts == 5
+        assert found.minimal.parts <= 2
+        assert found.minimal.values < found.found.values / 3
+        assert found.executions <= 500
+        assert len(found.load_scenario().npcs) == found.minimal.parts
+
+
+def test_without_any_one_vehicle_the_failure_is_another_one(run):
+    config = stored_config(run)
+    driven = ManyScenarios(Simulation(config.env, config.ads), None)
+    logical = driven.simulation.logical
+    for found in read_minimized(run).values():
+        scenario = found.load_scenario()
+        parts = logical.parts(scenario)
+        for i in range(len(parts)):
+            fewer = logical.with_parts(scenario, parts[:i] + parts[i + 1 :])
+            assert signature(driven.run(fewer), SPECS).class_id != found.class_id
+
+
+def test_the_trace_is_that_of_the_minimized_scenario(run):
+    for found in read_minimized(run).values():
+        trace = Trace.from_bytes(trace_path(run, found.id).read_bytes())
+        assert trace.position.shape[1] == 1 + found.minimal.parts
+
+
+def test_what_has_been_minimized_is_not_minimized_again(run, capsys):
+    before = {path: path.stat().st_mtime_ns for path in (run / "minimized").iterdir()}
+    assert main(["minimize", str(run), "--workers", "0", "--quiet"]) == OK
+    assert before == {path: path.stat().st_mtime_ns for path in (run / "minimized").iterdir()}
+    out = capsys.readouterr().out
+    assert "in the median, vehicles 5 -> " in out
+    assert all(found.class_id in out for found in read_minimized(run).values())
+
+
+def test_an_execution_that_passed_cannot_be_minimized(run, capsys):
+    passed = next(record.id for record in Store.read(run).records() if not record.failed)
+    assert main(["minimize", str(run), str(passed)]) == BAD_INPUT
+    assert f"Execution {passed} of {run} has no failure" in capsys.readouterr().err
+
+
+def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
+    folder = tmp_path / "run"
+    fuzz(folder, "tests.triage.test_triage:Wavering", 3)
+    number = next(number for number, _, _ in Store.read(folder).failures())
+    assert main(["minimize", str(folder), str(number), "--workers", "0", "--quiet"]) == OK
+    assert f"Execution {number} did not fail in the same way" in capsys.readouterr().out
+    found = read_minimized(folder)[number]
+    assert not found.reproduced
+    assert found.load_scenario() == Store.read(folder).execution(number).scenario
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"format": 9}', '{"format": 1}', '{"format": 1, "id": "x"}'])
+def test_a_damaged_file_is_one_sentence(tmp_path, text):
+    path = tmp_path / "000001.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=str(path)):
+        Minimized.read(path)
+
+
+def test_the_file_is_plain_json(run):
+    number = min(read_minimized(run))
+    values = json.loads(minimized_path(run, number).read_text())
+    assert values["scenario"]["functional"] == "intersection-straight"
+    assert Size(*values["found"]).parts == 5
