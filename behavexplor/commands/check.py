@@ -12,16 +12,14 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
+from behavexplor.regression.cases import Suite
 from behavexplor.regression.checking import Outcome, opened_driver
-from behavexplor.regression.suite import Suite
 
 
 def check(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
     *,
-    ads: Annotated[
-        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")
-    ] = None,
+    ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
     unconfined: bool = False,

@@ -17,7 +17,7 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import contact_fault, is_at_fault
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec, judge
-from behavexplor.regression.suite import Case, Suite
+from behavexplor.regression.cases import Case, Suite
 
 COLLISION = SPECS[0].name
 

@@ -11,6 +11,7 @@ from tests.strategies import scenarios
 
 LOGICAL = IntersectionStraightEnv.logical
 ROUTE = LOGICAL.roadmap.npc_routes[0].name
+PLAIN = (None,) * (2 * len(LOGICAL.position_ranges(LOGICAL.roadmap.routes[ROUTE])))
 
 
 @given(scenarios(LOGICAL))
@@ -33,7 +34,7 @@ def test_a_part_without_values_is_a_plain_vehicle(route):
     [
         (Part("nowhere", ()), "there is no route 'nowhere'"),
         (Part(ROUTE, (None,)), "a vehicle on this route has"),
-        (Part(ROUTE, ("tractor", *[None] * (2 * len(LOGICAL.position_ranges(LOGICAL.roadmap.routes[ROUTE])) - 1))), "type"),
+        (Part(ROUTE, ("tractor", *PLAIN[1:])), "type"),
     ],
 )
 def test_other_parts_are_refused(part, message):

@@ -177,7 +177,7 @@ from pathlib import Path
 import pytest
 
 from behavexplor.regression.checking import opened_driver
-from behavexplor.regression.suite import Suite
+from behavexplor.regression.cases import Suite
 
 SUITE = Suite.read(Path(__file__).parent)
 
