@@ -1,6 +1,8 @@
 """The gallery: a card with replays for each class of violations."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -11,10 +13,10 @@ from behavexplor.data.geometry import box_corners
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, R2, ViolationEvent, violation_event
-from behavexplor.report.behavior_map import Behaviors
 from behavexplor.report.packing import pack
 from behavexplor.report.reading import Run
 from behavexplor.triage.findings import Finding, counted
+from behavexplor.triage.minimized import Minimized
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +36,8 @@ class Card:
         first: first of these executions.
         look_at: first execution with an exact second execution if triage found one, otherwise the first execution.
         facts: names and values of further facts.
-        replays: executions with their replays in the page.
+        replays: executions with their replays in the page, or what `minimal_name` returns.
+        is_minimal: whether this card shows a minimized failure.
     """
 
     class_id: str
@@ -44,7 +47,13 @@ class Card:
     first: int
     look_at: int
     facts: tuple[tuple[str, str], ...] = ()
-    replays: tuple[int, ...] = ()
+    replays: tuple[int | str, ...] = ()
+    is_minimal: bool = False
+
+
+def minimal_name(number: int) -> str:
+    """Return the name of the replay of a minimized failure."""
+    return f"{number}-minimized"
 
 
 def cards(run: Run, limit: int) -> tuple[Card, ...]:
@@ -56,7 +65,7 @@ def cards(run: Run, limit: int) -> tuple[Card, ...]:
     """
     classes = run.classes
     found = [_card(class_id, findings, run.examined) for class_id, findings in classes.items()]
-    queues = [
+    queues: list[list[int | str]] = [
         [card.look_at, *(f.id for f in findings if f.id != card.look_at)]
         for card, findings in zip(found, classes.values(), strict=True)
     ]
@@ -65,10 +74,32 @@ def cards(run: Run, limit: int) -> tuple[Card, ...]:
         found.append(nearest)
         queues.append(list(nearest.replays))
     turns = sorted((turn, i) for i, queue in enumerate(queues) for turn in range(len(queue)))
-    chosen: list[list[int]] = [[] for _ in found]
+    chosen: list[list[int | str]] = [[] for _ in found]
     for turn, i in turns[:limit]:
         chosen[i].append(queues[i][turn])
-    return tuple(replace(card, replays=tuple(numbers)) for card, numbers in zip(found, chosen, strict=True))
+    full = [replace(card, replays=tuple(numbers)) for card, numbers in zip(found, chosen, strict=True)]
+    shown: list[Card] = []
+    for card in full:
+        alike = (one for one in run.minimized.values() if one.class_id == card.class_id and one.reproduced)
+        shown += [card, *(_minimal_card(card, one) for one in islice(alike, 1))]
+    return tuple(shown)
+
+
+def _minimal_card(card: Card, minimal: Minimized) -> Card:
+    """Return the card beside that of a class, with one of its failures in the simplest scenario."""
+    sizes = zip(("vehicles", "free values"), minimal.found, minimal.minimal, strict=True)
+    facts = tuple((name, f"{before} \N{RIGHTWARDS ARROW} {after}") for name, before, after in sizes)
+    return Card(
+        class_id=card.class_id,
+        spec=card.spec,
+        words=f"The failure of execution {minimal.id} in the simplest scenario in which it still happens",
+        count=1,
+        first=minimal.id,
+        look_at=minimal.id,
+        facts=facts,
+        replays=(minimal_name(minimal.id),),
+        is_minimal=True,
+    )
 
 
 def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> Card:
@@ -96,13 +127,13 @@ def _nearest(run: Run) -> Card | None:
     return Card(PASSED, PASSED, words, len(passed), passed[0].id, numbers[0], replays=numbers)
 
 
-def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, Any]:
+def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]]) -> dict[str, Any]:
     """Return a replay as JSON values.
 
     Args:
         trace: trace of the execution.
         record: record of the execution.
-        found: behaviors, including that of the execution.
+        states: its abstract trace, see `behavexplor.report.behavior_map.Behaviors.stretches`.
 
     Raises:
         InputError: if the record holds no valid scenario.
@@ -123,7 +154,7 @@ def replay_values(trace: Trace, record: Record, found: Behaviors) -> dict[str, A
         "mark": mark and [round(value, 2) for value in mark],
         "moment": packed.frames - 1 if event is None else int(np.searchsorted(packed.kept, event.frame)),
         "partner": event.partner if event and event.spec == R1 else 0,
-        "states": found.stretches(record.id),
+        "states": list(states),
     }
 
 

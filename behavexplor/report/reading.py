@@ -22,6 +22,7 @@ from behavexplor.triage.findings import (
     error_finding,
     trace_finding,
 )
+from behavexplor.triage.minimized import Minimized, read_minimized
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class Run:
         findings: one finding for each failure, in order.
         examined: numbers of the failures that triage has examined; only the classes of other failures are known.
         weaknesses: coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`.
+        minimized: minimized failures by the numbers of their executions.
         digests: SHA-256 of the read data, by name.
     """
 
@@ -84,6 +86,7 @@ class Run:
     findings: tuple[Finding, ...]
     examined: frozenset[int]
     weaknesses: Mapping[str, WeaknessRecord]
+    minimized: Mapping[int, Minimized]
     digests: Mapping[str, str]
 
     @property
@@ -156,7 +159,8 @@ def read_run(folder: Path) -> Run:
         digests[TRIAGE] = _digest(folder / TRIAGE)
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
-    return Run(folder, config, tuple(entries), tuple(findings), examined, weaknesses, digests)
+    minimized = read_minimized(folder)
+    return Run(folder, config, tuple(entries), tuple(findings), examined, weaknesses, minimized, digests)
 
 
 def stored(folder: Path) -> Iterator[Execution]:

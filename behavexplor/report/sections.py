@@ -15,9 +15,10 @@ from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart
-from behavexplor.report.gallery import PASSED, Card, cards, replay_values
+from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.reading import Run, stored
 from behavexplor.report.road_shapes import known_road, road_values
+from behavexplor.triage.minimized import trace_path
 
 Floats = NDArray[np.float64]
 
@@ -139,8 +140,9 @@ def section(number: int, run: Run, limit: int) -> Section:
         InputError: if the run is damaged.
     """
     gallery = cards(run, limit)
-    replayed = {name for card in gallery for name in card.replays}
-    strips = [(card.look_at, card.class_id) for card in gallery if card.class_id != PASSED][:_CLASS_RIBBONS]
+    replayed = {name for card in gallery for name in card.replays if isinstance(name, int)}
+    classes = [card for card in gallery if card.class_id != PASSED and not card.is_minimal]
+    strips = [(card.look_at, card.class_id) for card in classes][:_CLASS_RIBBONS]
     new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
     strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
     compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
@@ -161,7 +163,7 @@ def section(number: int, run: Run, limit: int) -> Section:
         has_road=shape is not None,
         values={
             "road": road_values(shape, next(iter(traces.values()))),
-            "replays": _replays(run, traces, records, found),
+            "replays": _replays(run, traces, records, found) | _minimal_replays(run, gallery),
         },
     )
 
@@ -185,9 +187,23 @@ def _replays(run: Run, traces: Mapping[int, Trace], records: Mapping[int, Record
     replays = {}
     for number, record in records.items():
         try:
-            replays[str(number)] = replay_values(traces[number], record, found)
+            replays[str(number)] = replay_values(traces[number], record, found.stretches(number))
         except InputError as error:
             raise InputError(f"{run.folder}: execution {number} has no valid scenario: {error}") from None
+    return replays
+
+
+def _minimal_replays(run: Run, gallery: Sequence[Card]) -> dict[str, Any]:
+    """Return the replays of minimized failures by their names."""
+    replays = {}
+    for number in (card.look_at for card in gallery if card.is_minimal):
+        minimal, path = run.minimized[number], trace_path(run.folder, number)
+        try:
+            trace = Trace.from_bytes(path.read_bytes())
+            record = Record(id=number, end=trace.end, violated=minimal.violated, scenario=minimal.scenario)
+            replays[minimal_name(number)] = replay_values(trace, record, ())
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path} cannot be read: {error}; delete it and minimize again") from None
     return replays
 
 

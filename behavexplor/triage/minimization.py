@@ -15,7 +15,7 @@ from behavexplor.execution.lookahead import AHEAD, in_order
 from behavexplor.execution.rollout import ADSError, LockStep
 from behavexplor.execution.start import start_executor
 from behavexplor.judge.robustness import load_specs
-from behavexplor.judge.specs import Spec
+from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.examination import STREAM
 from behavexplor.triage.findings import Finding
 from behavexplor.triage.minimized import MINIMIZED, Minimized
@@ -114,6 +114,7 @@ def minimized(
         found=size_of(parts, removable=removable),
         minimal=size_of(logical.parts(minimal), removable=removable),
         executions=shrunk.executions,
+        violated=(ERROR,) if isinstance(again, ADSError) else judge(again, specs).violated,
         scenario=minimal.to_dict(),
     ), logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
 

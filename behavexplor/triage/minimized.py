@@ -29,6 +29,7 @@ class Minimized:
         found: size of the found scenario.
         minimal: size of the minimized scenario.
         executions: number of candidates that were executed.
+        violated: names of the specs that the minimized scenario violates, the most severe first.
         scenario: the minimized scenario.
     """
 
@@ -41,6 +42,7 @@ class Minimized:
     found: Size
     minimal: Size
     executions: int
+    violated: tuple[str, ...]
     scenario: dict[str, Any]
 
     def load_scenario(self) -> Scenario:

@@ -112,3 +112,12 @@ def test_the_file_is_plain_json(run):
     values = json.loads(minimized_path(run, number).read_text())
     assert values["scenario"]["functional"] == "intersection-straight"
     assert Size(*values["found"]).parts == 5
+
+
+def test_a_report_shows_it_beside_the_failure_that_was_found(run):
+    assert main(["report", str(run)]) == OK
+    text = (run / "report.html").read_text()
+    for found in read_minimized(run).values():
+        if not found.class_id.startswith("error/"):
+            assert f'data-replays="{found.id}-minimized"' in text
+            assert f"<dt>vehicles</dt><dd>5 &#8594; {found.minimal.parts}</dd>" in text
