@@ -28,6 +28,7 @@ COMMANDS = (
     "check",
     "report",
     "evaluate",
+    "compare",
     "bench",
     "train",
 )  # also the module names

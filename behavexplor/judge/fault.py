@@ -6,6 +6,7 @@ reported next to the raw count and never change it.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from behavexplor.data.conventions import STANDING_SPEED, is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
+from behavexplor.judge.specs import Collision, Destination
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +28,8 @@ NOT_AT_FAULT: Final = NPC_CAUSED | {"unpreventable"}
 CUT_IN_TIME: Final = 3.0  # time after its lane change in which the ego is at fault for a rear-end collision [s]
 LATERAL_SPEED: Final = 0.3  # an ego that moves faster than this across its route is changing lanes [m/s]
 
+_ENDED_BY_COLLISION: Final = frozenset({Collision().name, Destination().name})
+
 
 def is_at_fault(fault: str | None) -> bool:
     """Return whether the driving system is at fault for a failure.
@@ -37,6 +41,18 @@ def is_at_fault(fault: str | None) -> bool:
         fault: verdict on the collision; None for another failure.
     """
     return fault not in NOT_AT_FAULT
+
+
+def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
+    """Return the violations of a trace without a collision that another vehicle caused, which also ended the drive.
+
+    Args:
+        trace: the trace of an episode.
+        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
+    """
+    if is_at_fault(contact_fault(trace)):
+        return tuple(violated)
+    return tuple(name for name in violated if name not in _ENDED_BY_COLLISION)
 
 
 def contact_fault(trace: Trace) -> Fault | None:

@@ -14,12 +14,10 @@ from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import check_loading, logical_of_target, start_executor
 from behavexplor.judge.classes import violation_class
-from behavexplor.judge.fault import contact_fault, is_at_fault
+from behavexplor.judge.fault import own_violations
 from behavexplor.judge.robustness import load_specs
-from behavexplor.judge.specs import SPECS, Spec, judge
+from behavexplor.judge.specs import Spec, judge
 from behavexplor.regression.cases import Case, Suite
-
-COLLISION = SPECS[0].name
 
 
 @dataclass(frozen=True)
@@ -80,9 +78,7 @@ class Checker:
             trace = Trace.from_bytes(future.result())
         except ADSError as error:
             return Outcome(case, ("error",), sentence(str(error)))
-        violated = judge(trace, self._specs).violated
-        if not is_at_fault(contact_fault(trace)):
-            violated = tuple(name for name in violated if name != COLLISION)
+        violated = own_violations(trace, judge(trace, self._specs).violated)
         kind = violation_class(trace, violated)
         words = kind.words if kind else "Violated " + ", ".join(violated) if violated else "Passed"
         return Outcome(case, tuple(name for name in violated if name in case.holds), words)

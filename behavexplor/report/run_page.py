@@ -8,6 +8,8 @@ from behavexplor.report.reading import Run
 from behavexplor.report.rendering import rendered
 from behavexplor.report.sections import curves, section
 
+Paired = tuple[Sequence[str], Sequence[Sequence[str]]]
+
 _NOT_EXAMINED: Final = "not examined"
 
 _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
@@ -28,12 +30,13 @@ _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
 }
 
 
-def page(runs: Sequence[Run], replays: int) -> str:
+def page(runs: Sequence[Run], replays: int, paired: Paired = ((), ())) -> str:
     """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
 
     Args:
         runs: runs, at least one.
         replays: greatest number of replays of each run.
+        paired: headings and rows of a table on the same scenarios in both runs, see `behavexplor.comparison.pairs`.
 
     Raises:
         InputError: if a run is damaged.
@@ -47,6 +50,7 @@ def page(runs: Sequence[Run], replays: int) -> str:
         comparison=comparison(runs) if several else (),
         overlaid=curves(runs) if several else (),
         class_rows=class_rows(runs) if several else (),
+        paired=paired,
         values={"runs": [part.values for part in sections]},
         PASSED=PASSED,
     )

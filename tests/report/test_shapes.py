@@ -119,7 +119,7 @@ def test_a_collision_is_marked_where_both_vehicles_are(executions, found):
     assert collisions
     for execution in collisions:
         trace = execution.load_trace()
-        values = replay_values(trace, execution.record, found)
+        values = replay_values(trace, execution.record, found.stretches(execution.id))
         for vehicle in (0, values["partner"]):
             gap = np.array(values["mark"]) - trace.position[-1, vehicle]
             cos, sin = np.cos(trace.heading[-1, vehicle]), np.sin(trace.heading[-1, vehicle])

@@ -1,0 +1,197 @@
+"""`behavexplor compare`: two drivers in the same scenarios."""
+
+import json
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from behavexplor.ads.sb3.description import trained_in
+from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
+from behavexplor.campaign.store import write_durably
+from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.meter import Meter
+from behavexplor.commands.terminal_tables import grid, plain_text
+from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.comparison.campaigns import (
+    DIFFERENCES,
+    FIRST,
+    GIVEN,
+    SECOND,
+    compared,
+    differences,
+    driven,
+    second_config,
+)
+from behavexplor.comparison.pairs import AT_FAULT, COLUMNS, Pairs, rows
+from behavexplor.errors import InputError, sentence
+from behavexplor.report.reading import read_run
+from behavexplor.report.run_page import page
+
+PAGE, TABLE, SEARCH = "comparison.html", "comparison.json", "search"
+_REPLAYS = 100
+_DEFAULTS = CampaignConfig()
+
+
+def compare(  # noqa: PLR0913 - one argument for each flag
+    first: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A")],
+    second: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")],
+    *,
+    env: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint=f"(default: that of A, or {_DEFAULTS.env})")
+    ] = None,
+    scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    search: bool = False,
+    method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "nsga2",
+    budget: Annotated[int, tyro.conf.arg(metavar="N")] = 750,
+    spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:NAME")] = (),
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    trust: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")] = (),
+    env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    traffic: Literal["default", "wide"] = "default",
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: in runs/)")] = None,
+    unconfined: bool = False,
+    quiet: bool = False,
+) -> int:
+    """Drive the same scenarios with two drivers, and report what the second one fixes and what it breaks.
+
+    The folder has a page, comparison.html, and a run folder for each driver, for replay, triage, minimize and suite.
+
+    Args:
+        first: The first driving system, as for --ads of fuzz: for example, a policy before it was trained further.
+        second: The second driving system.
+        env: Environment, as for fuzz.
+        scenarios: Number of uniformly sampled scenarios.
+        seed: Seed of the scenarios and of the search.
+        search: Also search for scenarios in which one driver fails and the other does not.
+        method: Search method of that search.
+        budget: Number of scenarios of that search.
+        spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
+        workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the drivers;
+            a driver that is not shipped with behavexplor then needs --unconfined.
+        trust: Allow the policy file with this digest ("sha256:...") to execute code on load. May be repeated.
+        env_config: YAML file with highway-env's configuration of the environment, as in the first policy's training.
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        out: Folder for the results, new or empty.
+        unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
+        quiet: Print only the tables.
+    """
+    count = chosen_workers(workers)
+    config = campaign_config(
+        {
+            "env": env or trained_in(first) or _DEFAULTS.env,
+            "ads": first,
+            "method": "uniform",
+            "budget": str(scenarios),
+            "seed": seed,
+            "batch": 32,
+            "specs": spec,
+            "trust": trust,
+            "env_config": read_yaml(env_config) if env_config else {},
+            "traffic": traffic,
+            "unconfined": unconfined,
+        }
+    )
+    folder = out or Path("runs") / f"compare-{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        _drive(config, folder / FIRST, count, quiet=quiet)
+        other = second_config(config, second, folder / FIRST)
+        _drive(other, folder / SECOND, count, quiet=quiet)
+        pairs = compared(folder)
+        print(table(pairs, config.env, first, second))
+        pages = [folder]
+        if search:
+            searching = replace(config, method=method, budget=str(budget), batch=_DEFAULTS.batch)
+            if _searched(searching, other, folder / SEARCH, count, quiet=quiet):
+                pages.append(folder / SEARCH)
+    except (ExecutionError, RuntimeError) as error:
+        print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
+        return EXECUTION_FAILED
+    _write(folder, pairs, pages)
+    print(f"Page: {folder / PAGE}")
+    print(f"Replay a scenario that only one of them fails: {program()} replay {shlex.quote(str(folder / FIRST))} ID")
+    return OK
+
+
+def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> None:
+    """Run one campaign, and say what its driver's check has found."""
+
+    def say(line: str) -> None:
+        if not quiet:
+            print(line, file=sys.stderr)
+
+    with patience(say), Meter(sys.stderr, int(config.budget), f"scenarios with {config.ads}", quiet=quiet) as meter:
+        warnings = driven(config, folder, workers, meter.show)
+    for warning in warnings:
+        say(f"Warning: {config.ads}: {warning}")
+
+
+def _searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
+    """Search for differences, drive those that were found again, and return whether there are any."""
+    with Meter(sys.stderr, int(config.budget), "scenarios with both", quiet=quiet) as meter:
+        found = differences(config, other, folder, max(1, workers // 2) if workers else 0, meter.show)
+    print(f"\nSearch with {config.method}: {len(found)} of {config.budget} scenarios in which only one driver fails")
+    if not found:
+        return False
+    options: dict[str, Any] = {"file": str((folder / DIFFERENCES).resolve())}
+    for name, one in ((FIRST, config), (SECOND, other)):
+        again = replace(one, method=GIVEN, options=options, budget=str(len(found)))
+        _drive(again, folder / name, workers, quiet=True)
+    fault = next(row for row in compared(folder) if row.outcome == AT_FAULT)
+    for name, numbers in ((config.ads, fault.only_first), (other.ads, fault.only_second)):
+        print(f"  only {name} fails in {len(numbers)}" + (f": executions {_listed(numbers)}" if numbers else ""))
+    return True
+
+
+def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
+    """Return the paired statistics as a table."""
+    made = grid(*COLUMNS, numbers=COLUMNS[1:])
+    for cells in rows(pairs):
+        made.add_row(*cells)
+    fault = next(row for row in pairs if row.outcome == AT_FAULT)
+    lines = [
+        f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:",
+        plain_text(made),
+        "fixed: only A; broken: only B; p: McNemar's exact test, adjusted by Holm's method",
+    ]
+    for name, numbers in (("Fixed", fault.only_first), ("Broken", fault.only_second)):
+        lines += [f"{name} failures at fault: executions {_listed(numbers)}"] if numbers else []
+    return "\n".join(lines)
+
+
+def _listed(numbers: Sequence[int], most: int = 8) -> str:
+    return ", ".join(map(str, numbers[:most])) + (", ..." if len(numbers) > most else "")
+
+
+def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
+    """Write the paired statistics as JSON, and the page.
+
+    Raises:
+        InputError: if the files cannot be written.
+    """
+    values = [
+        {
+            "outcome": row.outcome,
+            "n": row.n,
+            "fixed": row.only_first,
+            "broken": row.only_second,
+            "both": row.both,
+            "neither": row.neither,
+            "difference": row.difference,
+            "p": row.p,
+        }
+        for row in pairs
+    ]
+    runs = [read_run(place / name) for place in pages for name in (FIRST, SECOND)]
+    try:
+        write_durably(folder / TABLE, json.dumps(values, indent=1) + "\n")
+        write_durably(folder / PAGE, page(runs, _REPLAYS, (COLUMNS, rows(pairs))))
+    except OSError as error:
+        raise InputError(f"{folder} cannot be written: {error.strerror}") from None

@@ -1,0 +1,1 @@
+"""Comparison of two drivers on the same scenarios."""

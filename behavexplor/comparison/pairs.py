@@ -1,0 +1,127 @@
+"""Paired statistics of two drivers: what each of them did in the same scenarios."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from scipy.stats import binomtest, norm
+
+from behavexplor.bench.statistics import holm
+from behavexplor.campaign.record import Record
+from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.errors import InputError
+from behavexplor.judge.specs import SPECS
+
+CONFIDENCE: Final = 0.95
+COLUMNS: Final = ("", "A", "B", "fixed", "broken", "both", "change (95 %)", "p")
+FAILED, AT_FAULT = "any failure", "failure at fault"
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """How often two drivers showed one outcome in the same scenarios.
+
+    Attributes:
+        outcome: name of the outcome.
+        only_first: numbers of the scenarios in which only the first driver showed it: what the second one fixed.
+        only_second: numbers of the scenarios in which only the second driver showed it: what it broke.
+        both: number of scenarios in which both showed it.
+        neither: number of scenarios in which neither showed it.
+    """
+
+    outcome: str
+    only_first: tuple[int, ...]
+    only_second: tuple[int, ...]
+    both: int
+    neither: int
+
+    @property
+    def n(self) -> int:
+        """Number of scenarios."""
+        return len(self.only_first) + len(self.only_second) + self.both + self.neither
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Shares of the scenarios in which the first and the second driver showed the outcome."""
+        return (len(self.only_first) + self.both) / self.n, (len(self.only_second) + self.both) / self.n
+
+    @property
+    def p(self) -> float:
+        """P-value of McNemar's exact test: whether both drivers show the outcome equally often."""
+        fixed, broken = len(self.only_first), len(self.only_second)
+        return float(binomtest(fixed, fixed + broken, 0.5).pvalue) if fixed + broken else 1.0
+
+    @property
+    def difference(self) -> tuple[float, float, float]:
+        """Rate of the second driver minus that of the first, and its interval at `CONFIDENCE`.
+
+        The interval is Wald's after half a scenario has been added to each of the four cells (Agresti and Min, "Simple
+        improved confidence intervals for comparing matched proportions", Statistics in Medicine 2005).
+        """
+        n, fixed, broken = self.n + 2, len(self.only_first) + 0.5, len(self.only_second) + 0.5
+        middle = (broken - fixed) / n
+        deviation = math.sqrt(max(fixed + broken - (broken - fixed) ** 2 / n, 0.0)) / n
+        half = float(norm.ppf(0.5 + CONFIDENCE / 2)) * deviation
+        first, second = self.rates
+        return second - first, max(middle - half, -1.0), min(middle + half, 1.0)
+
+
+def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:
+    """Compare the records of two drivers, one by one.
+
+    Returns:
+        The pairs of each outcome: any failure, failures at fault, and violations of each spec.
+
+    Raises:
+        InputError: if the scenarios are not the same.
+    """
+    records = list(zip(first, second, strict=True))
+    for one, other in records:
+        if _scene(one) != _scene(other):
+            raise InputError(f"Execution {one.id} is another scenario in the other run, so they cannot be compared")
+    names = dict.fromkeys([*(spec.name for spec in SPECS), *(name for pair in records for name in _judged(pair))])
+    outcomes: dict[str, Callable[[Record], bool]] = {
+        FAILED: lambda record: record.failed,
+        AT_FAULT: lambda record: record.at_fault,
+    }
+    outcomes |= {name: _violation_of(name) for name in names}
+    return [_pairs(outcome, records, shown) for outcome, shown in outcomes.items()]
+
+
+def rows(pairs: Sequence[Pairs]) -> list[tuple[str, ...]]:
+    """Return the rows of a table with the columns `COLUMNS`. The p-values are adjusted by Holm's method."""
+    made = []
+    for one, p in zip(pairs, holm([one.p for one in pairs]), strict=True):
+        rates = [f"{rate:.1%}" for rate in one.rates]
+        counts = map(str, (len(one.only_first), len(one.only_second), one.both))
+        change, low, high = (f"{value:+.1%}" for value in one.difference)
+        made.append((one.outcome, *rates, *counts, f"{change} ({low} to {high})", f"{p:.2g}"))
+    return made
+
+
+def _pairs(outcome: str, records: Sequence[tuple[Record, Record]], shown: Callable[[Record], bool]) -> Pairs:
+    found = [(one.id, shown(one), shown(other)) for one, other in records]
+    return Pairs(
+        outcome,
+        only_first=tuple(number for number, a, b in found if a and not b),
+        only_second=tuple(number for number, a, b in found if b and not a),
+        both=sum(a and b for _, a, b in found),
+        neither=sum(not a and not b for _, a, b in found),
+    )
+
+
+def _judged(pair: tuple[Record, Record]) -> list[str]:
+    return [name for record in pair for name in (*record.degrees, *record.violated)]
+
+
+def _violation_of(name: str) -> Callable[[Record], bool]:
+    return lambda record: name in record.violated
+
+
+def _scene(record: Record) -> object:
+    """Return what is the same in the scenarios of two drivers."""
+    scenario = record.load_scenario()
+    if isinstance(scenario, DrawnScenario):
+        return scenario.setup.scene, scenario.seed, scenario.draws
+    return scenario

@@ -1,0 +1,74 @@
+"""Given scenarios, one after the other: no search, for repeating what was found with another driver."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.trace import Trace
+from behavexplor.data.validation import validated
+from behavexplor.errors import InputError
+from behavexplor.fuzz.search import Candidate, SearchExhausted
+from behavexplor.judge.specs import Verdict
+
+GIVEN: Final = "given"  # origin of candidates
+
+
+@validated
+class GivenOptions:
+    """Options of `Given`.
+
+    Attributes:
+        file: file with one scenario as JSON in each line.
+    """
+
+    file: str
+
+
+class Given:
+    """Given scenarios: every scenario of a file, in order."""
+
+    Options: ClassVar[type] = GivenOptions
+
+    def __init__(self, logical: LogicalScenario, seed: int, options: GivenOptions) -> None:  # noqa: ARG002
+        self._scenarios = read_scenarios(Path(options.file), logical)
+        self._asked = 0
+
+    def ask(self) -> Candidate:
+        """Return the next scenario."""
+        if self._asked == len(self._scenarios):
+            raise SearchExhausted(f"All {self._asked} given scenarios have been executed.")
+        self._asked += 1
+        return Candidate(self._asked - 1, self._scenarios[self._asked - 1], GIVEN, None)
+
+    def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:  # noqa: ARG002
+        """Ignore the execution, since nothing is learned."""
+        return {}
+
+    def status(self) -> Mapping[str, float]:
+        """Return no figures."""
+        return {}
+
+
+def read_scenarios(path: Path, logical: LogicalScenario) -> list[Scenario]:
+    """Return the scenarios of a file as scenarios of a logical scenario.
+
+    Args:
+        path: file with one scenario as JSON in each line.
+        logical: the logical scenario, in which another driver may drive.
+
+    Raises:
+        InputError: if the file cannot be read, or a scenario is not valid; the message names the line.
+    """
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"The scenarios in {path} cannot be read: {error}") from None
+    scenarios = []
+    for number, line in enumerate(lines, 1):
+        try:
+            scenarios.append(logical.adopted(parse_scenario(line)))
+        except InputError as error:
+            raise InputError(f"{path}, line {number}: {error}") from None
+    return scenarios

@@ -1,0 +1,79 @@
+"""The command `compare`, and its search for scenarios in which only one of two drivers fails."""
+
+import json
+
+import pytest
+
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.store import Store
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.comparison.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference
+from behavexplor.judge.specs import Verdict
+
+SWERVER, CRUISER = "tests.drivers:Swerver", "tests.drivers:Cruiser"
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare") / "out"
+    arguments = ["compare", SWERVER, CRUISER, "--scenarios", "12", "--search", "--budget", "12", "--method", "random"]
+    assert main([*arguments, "--workers", "0", "--unconfined", "--quiet", "--out", str(folder)]) == OK
+    return folder
+
+
+def records(folder):
+    store = Store.read(folder)
+    found = list(store.records())
+    store.close()
+    return found
+
+
+def test_both_drive_the_same_scenarios(compared):
+    first, second = records(compared / "first"), records(compared / "second")
+    assert [one.scenario for one in first] == [one.scenario for one in second]
+    assert [stored_config(compared / name).ads for name in ("first", "second")] == [SWERVER, CRUISER]
+
+
+def test_the_table_counts_what_only_one_of_them_fails(compared):
+    rows = {row["outcome"]: row for row in json.loads((compared / "comparison.json").read_text())}
+    first, second = records(compared / "first"), records(compared / "second")
+    only = [one.id for one, other in zip(first, second, strict=True) if one.failed and not other.failed]
+    assert rows["any failure"]["fixed"] == only != []
+    assert rows["any failure"]["n"] == 12
+
+
+def test_every_difference_that_the_search_found_is_one_when_it_is_repeated(compared):
+    first, second = records(compared / "search" / "first"), records(compared / "search" / "second")
+    assert len(first) == len(second) > 0
+    assert all(one.at_fault != other.at_fault for one, other in zip(first, second, strict=True))
+
+
+def test_the_page_has_both_runs_and_the_pairs(compared):
+    text = (compared / "comparison.html").read_text()
+    assert "The same scenarios with both drivers" in text
+    assert "any failure" in text
+    assert text.count('class="run"') == 4
+
+
+def test_a_driver_that_does_not_exist_is_one_sentence(tmp_path, capsys):
+    assert main(["compare", "rule", "rules", "--scenarios", "1", "--workers", "0", "--out", str(tmp_path)]) == BAD_INPUT
+    assert "rules" in capsys.readouterr().err
+
+
+def verdict(degree, *violated):
+    return Verdict({"collision": degree, "lines": 5.0}, violated)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "degrees", "violated"),
+    [
+        (verdict(0.0, "collision"), verdict(2.0), (0.0, 2.0 + BOTH_FAIL), (ONLY_FIRST,)),
+        (verdict(2.0), verdict(0.0, "collision"), (2.0 + BOTH_FAIL, 0.0), (ONLY_SECOND,)),
+        (verdict(0.0, "collision"), verdict(0.0, "collision"), (BOTH_FAIL, BOTH_FAIL), ()),
+        (verdict(3.0), verdict(4.0), (3.0, 4.0), ()),
+    ],
+)
+def test_the_difference_of_verdicts(first, second, degrees, violated):
+    found = difference(first, second)
+    assert tuple(found.degrees.values()) == degrees
+    assert found.violated == violated
