@@ -66,6 +66,30 @@ class ADS(Protocol):
 
 
 @runtime_checkable
+class StochasticADS(Protocol):
+    """An ADS that chooses the most probable actions in `predict`, and can also draw its actions.
+
+    Attributes:
+        noise: number of random numbers that an action needs; 0 if the ADS cannot draw its actions.
+    """
+
+    noise: int
+
+    def draw(
+        self, observation: Any, state: Any, episode_start: NDArray[np.bool_] | None, noise: NDArray[np.float64]
+    ) -> tuple[NDArray[Any], Any]:
+        """Draw the actions of a batch of egos; see `ADS.predict`.
+
+        Args:
+            observation: see `ADS.predict`.
+            state: see `ADS.predict`.
+            episode_start: see `ADS.predict`.
+            noise: independent uniform numbers in [0, 1), shape (B, `noise`). The same numbers give the same actions.
+        """
+        ...
+
+
+@runtime_checkable
 class DecisionLog(Protocol):
     """An ADS that also reports its latest decisions, which become part of the trace."""
 

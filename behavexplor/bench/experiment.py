@@ -66,6 +66,7 @@ class Experiment:
             `unconfined`.
         specs: user-defined requirements, as in a campaign's `specs`.
         traffic: kind of traffic in stock environments, as in a campaign's `traffic`.
+        stochastic: whether the driving systems draw their actions, as in a campaign's `stochastic`.
         confirm: whether highway-env itself confirms failures in stock environments, as in a campaign's `confirm`.
         reference: method that is compared with each other method; by default the first one.
         baseline: method that each other method is compared with; empty for none.
@@ -92,6 +93,7 @@ class Experiment:
     specs: tuple[str, ...] = ()
     traffic: Literal["default", "wide"] = DEFAULT
     confirm: bool = True
+    stochastic: bool = False
     reference: str = ""
     baseline: str = ""
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -144,7 +146,7 @@ class Experiment:
     def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
         """Return the configuration of a method's campaigns in one environment with one ADS, with the default seed."""
         values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
-        of_all = ("budget", "batch", "trust", "unconfined", "specs", "traffic", "confirm")
+        of_all = ("budget", "batch", "trust", "unconfined", "specs", "traffic", "confirm", "stochastic")
         return campaign_config({**values, **{key: getattr(self, key) for key in of_all}})
 
     def to_yaml(self) -> str:

@@ -74,6 +74,7 @@ class CampaignConfig:
         env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
             highway-env, see docs/highway-env.md.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        stochastic: whether the ADS draws its actions instead of choosing the most probable ones.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
         options: options of the search method; see its `Options`.
         revision: revision of the search methods, the environments and the judgment. The same campaign has the same
@@ -100,6 +101,7 @@ class CampaignConfig:
     env_config: dict[str, Any] = field(default_factory=dict)
     traffic: Literal["default", "wide"] = DEFAULT
     confirm: bool = True
+    stochastic: bool = False
     options: dict[str, Any] = field(default_factory=dict)
     revision: int = REVISION
 
@@ -129,6 +131,7 @@ class CampaignConfig:
             self.env_config,
             self.traffic,
             self.confirm,
+            self.stochastic,
         )
 
     def to_yaml(self) -> str:

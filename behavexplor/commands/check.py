@@ -22,6 +22,7 @@ def check(
     ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
+    stochastic: bool = False,
     unconfined: bool = False,
     junit: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
     quiet: bool = False,
@@ -34,13 +35,14 @@ def check(
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        stochastic: Draw the actions of a stochastic policy, as in its training.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         junit: Also write the results to this file as JUnit XML, which CI systems show.
         quiet: Print only the number of failures.
     """
     suite = Suite.read(folder)
     count = min(chosen_workers(workers), len(suite.cases))
-    settings = {"trust": (trust,) if trust else (), "unconfined": unconfined}
+    settings = {"trust": (trust,) if trust else (), "unconfined": unconfined, "stochastic": stochastic}
     waiting = patience(lambda note: None if quiet else print(note, file=sys.stderr))
     try:
         with waiting, opened_driver(suite, ads or suite.driver, count, **settings) as drive:

@@ -57,6 +57,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
     traffic: Literal["default", "wide"] = "default",
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: in runs/)")] = None,
+    stochastic: bool = False,
     unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
@@ -80,6 +81,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         env_config: YAML file with highway-env's configuration of the environment, as in the first policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         out: Folder for the results, new or empty.
+        stochastic: Draw the actions of both policies, as in their training, instead of taking the most probable ones.
         unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
         quiet: Print only the tables.
     """
@@ -97,6 +99,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             "env_config": read_yaml(env_config) if env_config else {},
             "traffic": traffic,
             "unconfined": unconfined,
+            "stochastic": stochastic,
         }
     )
     folder = out or Path("runs") / f"compare-{time.strftime('%Y%m%d-%H%M%S')}"

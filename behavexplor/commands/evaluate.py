@@ -13,6 +13,7 @@ from typing import Annotated, Final, Literal, NamedTuple
 import tyro
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import fisher_exact
 
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.config import CampaignConfig, read_yaml
@@ -25,11 +26,14 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
+from behavexplor.execution.evaluator import DRAWS
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 
 MOST_SCENARIOS = 1_000_000
 _ENV: Final = CampaignConfig.env
+DRAWN: Final = "drawn actions"  # heading of a column
+DIFFERENT: Final = 0.01  # level of significance
 _CONSTANT: Final = "constant:"
 _CONTROLS: Final = MappingProxyType(
     {
@@ -55,6 +59,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
     env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
     traffic: Literal["default", "wide"] = "default",
+    stochastic: bool = False,
     controls: bool = True,
     unconfined: bool = False,
     quiet: bool = False,
@@ -72,6 +77,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         json_file: Also write the counts to this JSON file.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        stochastic: Draw the actions of a stochastic policy, as in its training. By default, it takes the most probable
+            ones, and the rates with drawn actions are shown beside.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
@@ -83,13 +90,20 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     env = env or trained_in(ads) or _ENV
     run = _Run(scenarios, seed, chosen_workers(workers), quiet)
     settings = read_yaml(env_config) if env_config else {}
-    target = Target(env, ads, (trust,) if trust else (), unconfined, env_config=settings, traffic=traffic)
+    target = Target(
+        env,
+        ads,
+        (trust,) if trust else (),
+        unconfined,
+        env_config=settings,
+        traffic=traffic,
+        stochastic=stochastic,
+    )
     found: dict[str, Evaluation] = {}
     try:
-        logical, found[Path(ads).name] = _evaluated(target, run)
-        if isinstance(logical, DrawnLogicalScenario):
-            for name, beside in _beside(target, logical, controls=controls).items():
-                _, found[name] = _evaluated(beside, run)
+        logical, found[Path(ads).name], draws = _evaluated(target, run)
+        for name, beside in _beside(target, logical, draws=draws, controls=controls).items():
+            _, found[name], _ = _evaluated(beside, run)
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
         print(f"{program()}: {sentence(failure)}", file=sys.stderr)
@@ -102,6 +116,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
         _write(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
     print(table(env, found))
+    if DRAWN in found:
+        print(_gap(found[Path(ads).name], found[DRAWN]))
     return OK
 
 
@@ -114,8 +130,8 @@ class _Run(NamedTuple):
     quiet: bool
 
 
-def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation]:
-    """Evaluate a target, after a check of its driver."""
+def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation, bool]:
+    """Evaluate a target, after a check of its driver, and return whether the driver could draw its actions."""
     say = partial(_say, quiet=run.quiet)
     with ExitStack() as stack:
         with patience(say):
@@ -126,21 +142,40 @@ def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation]:
         for warning in warnings if not target.ads.startswith(_CONSTANT) else ():
             say(f"Warning: {warning}")
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
-            return logical, estimate_rates(executor, logical, run.scenarios, run.seed, meter.show)
+            rates = estimate_rates(executor, logical, run.scenarios, run.seed, meter.show)
+        return logical, rates, bool(executor.submit(DRAWS, b"").result())
 
 
-def _beside(target: Target, logical: DrawnLogicalScenario, *, controls: bool) -> dict[str, Target]:
-    """Return what a rate in a stock environment is compared with, by the heading of its column.
+def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
+    """Return a sentence on whether a policy drives otherwise when its actions are drawn."""
+    cells = {
+        name: [[found.counts.get(name, 0), found.n - found.counts.get(name, 0)] for found in (chosen, drawn)]
+        for name in {**chosen.counts, **drawn.counts}
+    }
+    cells = {name: table for name, table in cells.items() if ": " not in name}  # faults are part of collisions
+    differing = [name for name, table in cells.items() if fisher_exact(table).pvalue < DIFFERENT]
+    if not differing:
+        return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."
+    return (
+        f"With drawn actions, as in training, other rates differ significantly (Fisher's exact test, 1 %): "
+        f"{', '.join(differing)}.\nSo the driven policy is not the trained one, which --stochastic tests."
+    )
 
-    These are the environment's own traffic, if the rate is one in wide traffic, and simple drivers in the configuration
-    of the policy.
+
+def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: bool) -> dict[str, Target]:
+    """Return what a rate is compared with, by the heading of its column.
+
+    This is a stochastic policy with drawn actions. In a stock environment, it is also the environment's own traffic, if
+    the rate is one in wide traffic, and simple drivers in the configuration of the policy.
     """
-    columns = {}
+    columns = {DRAWN: replace(target, stochastic=True)} if draws and not target.stochastic else {}
+    if not isinstance(logical, DrawnLogicalScenario):
+        return columns
     if target.traffic != DEFAULT:
         columns["in default traffic"] = replace(target, traffic=DEFAULT)
     config = json.loads(logical.setup.config)
     for heading, ads in _CONTROLS.items() if controls else ():
-        columns[heading] = replace(target, ads=ads, trust=(), env_config=config)
+        columns[heading] = replace(target, ads=ads, trust=(), env_config=config, stochastic=False)
     return columns
 
 

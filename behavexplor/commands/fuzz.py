@@ -70,6 +70,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, _flag("RUN", None)] = None,
     unconfined: bool = False,
+    stochastic: bool = False,
     confirm: bool = True,
     quiet: bool = False,
     fail_on_violation: bool = False,
@@ -94,13 +95,20 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
         unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network.
+        stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of taking the most
+            probable ones.
         confirm: Repeat each failure in highway-env's own environments with highway-env itself, which takes longer than
             all else if the driver fails often.
         quiet: Print only the summary.
         fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
-    flags |= {"trust": (trust,) if trust else None, "unconfined": unconfined or None, "traffic": traffic}
+    flags |= {
+        "trust": (trust,) if trust else None,
+        "unconfined": unconfined or None,
+        "stochastic": stochastic or None,
+        "traffic": traffic,
+    }
     flags["confirm"] = None if confirm else False
     flags["env_config"] = read_yaml(env_config) if env_config else None
     given = {name: value for name, value in flags.items() if value is not None}

@@ -23,6 +23,7 @@ class Target:
         memory_limit: limit of one worker process [GiB], where the system can set it.
         env_config: configuration of the environment, as far as it differs from what the driving system declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        stochastic: whether the driving system draws its actions instead of choosing the most probable ones.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
     """
 
@@ -35,6 +36,7 @@ class Target:
     env_config: Mapping[str, Any] = field(default_factory=dict)
     traffic: str = DEFAULT
     confirm: bool = True
+    stochastic: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only

@@ -28,6 +28,7 @@ EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
 PREFLIGHT: Final = "preflight"
 LOGICAL: Final = "logical"
 ROAD: Final = "road"
+DRAWS: Final = "draws"
 
 
 class Evaluator(Service):
@@ -52,6 +53,7 @@ class Evaluator(Service):
             PREFLIGHT: self.preflight,
             LOGICAL: self.logical,
             ROAD: self.road,
+            DRAWS: self.draws,
             FINGERPRINT: fingerprint,
         }
         self.batch: ScenarioBatch | None = None
@@ -116,6 +118,10 @@ class Evaluator(Service):
         """Return the shape of a stock environment's road as JSON; nothing for an environment of another kind."""
         road: Any = getattr(self.simulation.env, "road_shape", None)
         return road().to_json().encode() if road is not None else b""
+
+    def draws(self, _: bytes) -> bytes:
+        """Return whether the ADS could draw its actions: one byte if so, none otherwise."""
+        return b"1" if getattr(self.simulation.ads, "noise", 0) else b""
 
     def preflight(self, _: bytes) -> bytes:
         """Return warnings about the ADS as a JSON list of sentences.
@@ -183,7 +189,9 @@ def simulation_of(target: Target) -> Simulation:
     Raises:
         InputError: see `behavexplor.execution.simulation.Simulation`.
     """
-    return Simulation(target.env, target.ads, target.trust, target.env_config, target.traffic)
+    return Simulation(
+        target.env, target.ads, target.trust, target.env_config, target.traffic, stochastic=target.stochastic
+    )
 
 
 def evaluator_recipe(target: Target) -> Recipe:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from behavexplor.data.observations import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
+from behavexplor.execution.drawing import DrawnActions
 
 
 class ADSError(Exception):
@@ -49,6 +50,7 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
         ADSError: if the ADS fails, or its answer is not a valid action of the environment.
     """
     observation, info = env.reset(options={"scenario": scenario})
+    _begin(ads, 0, scenario)
     state, start, log = None, np.ones(1, dtype=bool), _Log(ads)
     done = False
     while not done:
@@ -59,6 +61,12 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
         done = terminated or truncated
     trace: Trace = info["trace"]
     return log.completed(trace, 0)
+
+
+def _begin(ads: Any, row: int, scenario: Scenario | None) -> None:
+    """Begin the random numbers of an episode, if the ADS draws its actions."""
+    if isinstance(ads, DrawnActions) and scenario is not None:
+        ads.begin(row, scenario)
 
 
 def _batch_of_one(array: Any) -> NDArray[Any]:
@@ -150,6 +158,8 @@ class LockStep:
             observation, _ = self._envs.reset(options={"scenarios": fresh, "reset_mask": self._start})
         else:
             observation = self._observation
+        for slot in np.flatnonzero(self._start).tolist():
+            _begin(self._ads, slot, self._scenarios[slot])
         self._log.begin(self._start, self._running)
         return mapped(np.asarray, observation)
 

@@ -18,6 +18,7 @@ from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.making import check_keys, default_config, environment_id, is_stock, make_env, make_vector_env
 from behavexplor.errors import InputError
+from behavexplor.execution.drawing import DrawnActions
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
@@ -37,6 +38,7 @@ class Simulation:
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        stochastic: whether the ADS draws its actions instead of choosing the most probable ones.
 
     Attributes:
         env: the environment.
@@ -56,6 +58,8 @@ class Simulation:
         trust: Collection[str] = (),
         env_config: Mapping[str, Any] | None = None,
         traffic: str = DEFAULT,
+        *,
+        stochastic: bool = False,
     ) -> None:
         self._is_stock = stock = is_stock(env)
         roadmap = None if stock else logical_scenario(env).roadmap
@@ -70,12 +74,15 @@ class Simulation:
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
         self.logical = logical_of(self.env, env)
         self.plain = ""
+        self._stochastic = stochastic
+        if stochastic and not getattr(self.ads, "noise", 0):
+            raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
         self.is_configured = not stock or bool(trained or env_config or not hasattr(self.ads, "observation_space"))
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
         """Run a scenario to its end, and return its trace."""
-        return rollout(self.env, self.ads, scenario)
+        return rollout(self.env, self._driver(1), scenario)
 
     def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
         """Run scenarios to their ends, in lock-step if the ADS and the vector environment support it.
@@ -91,7 +98,7 @@ class Simulation:
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
-        yield from rollout_all(envs, self.ads, scenarios)
+        yield from rollout_all(envs, self._driver(envs.num_envs), scenarios)
         envs.close()
 
     def lock_step(self, count: int) -> LockStep | None:
@@ -101,7 +108,11 @@ class Simulation:
             count: number of episodes at a time. It is 1 if the ADS takes one observation at a time.
         """
         envs = self.compiled(count)
-        return None if envs is None else LockStep(envs, self.ads)
+        return None if envs is None else LockStep(envs, self._driver(envs.num_envs))
+
+    def _driver(self, count: int) -> Any:
+        """Return what drives a number of episodes in lock-step."""
+        return DrawnActions(self.ads, count) if self._stochastic else self.ads
 
     def close(self) -> None:
         """Release the resources of the environment."""

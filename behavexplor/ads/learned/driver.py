@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.mlp import as_network, decide_batch
+from behavexplor.ads.learned.mlp import as_network, decide_batch, draw_batch
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
 from behavexplor.ads.learned.tracker import (
@@ -39,6 +39,7 @@ class LearnedDriver:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: decisions per second, 5 Hz.
+        noise: see `behavexplor.ads.interface.StochasticADS`.
 
     Args:
         roadmap: road map with the ego's route.
@@ -53,6 +54,7 @@ class LearnedDriver:
     action: Mapping[str, Any] = ACTION
     policy_frequency: int = POLICY_FREQUENCY
     vectorized: bool = True
+    noise: int = 1
 
     def __init__(self, roadmap: RoadMap, layers: list[tuple[Floats, Floats]]) -> None:
         self._course = make_course(roadmap)
@@ -68,7 +70,7 @@ class LearnedDriver:
         observation: Floats,
         state: Floats | None = None,
         episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,  # noqa: ARG002
+        deterministic: bool = True,  # noqa: ARG002 - `draw` draws
     ) -> tuple[Floats, Floats]:
         """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
@@ -76,7 +78,7 @@ class LearnedDriver:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
             state: state returned by the last call, shape (B, 3); None at first.
             episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            deterministic: ignored; the driver is always deterministic.
+            deterministic: ignored; the actions are always the most probable ones.
 
         Returns:
             Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
@@ -87,6 +89,15 @@ class LearnedDriver:
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
         actions = decide_batch(self._network, see_batch(self._course, scenes, memory))
+        return track_batch(self._course, scenes, actions, memory), memory
+
+    def draw(
+        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, noise: Floats
+    ) -> tuple[Floats, Floats]:
+        """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
+        scenes = as_scenes(observation)
+        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
+        actions = draw_batch(self._network, see_batch(self._course, scenes, memory), noise[:, 0])
         return track_batch(self._course, scenes, actions, memory), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:

@@ -53,26 +53,48 @@ def decide_batch(network: DenseNetwork, seen: Floats) -> Ints:
     return decisions
 
 
+def draw_batch(network: DenseNetwork, seen: Floats, shares: Floats) -> Ints:
+    """Draw an index for each row of inputs, with the softmax of the outputs as probabilities.
+
+    Args:
+        network: network to evaluate.
+        seen: inputs, shape (B, inputs).
+        shares: numbers in [0, 1), shape (B,): the share of the cumulative probabilities at which the index lies.
+    """
+    decisions = np.zeros(len(seen), dtype=np.int64)
+    room = np.empty((2, int(network.widths.max())))
+    _draw_all(network, seen, shares, room, decisions)
+    return decisions
+
+
 @kernel_in_place
 def _decide_all(network: DenseNetwork, seen: Floats, room: Floats, decisions: Ints) -> None:
     for i in range(len(seen)):
-        decisions[i] = _decide(network, seen[i], room)
+        row = _fill_outputs(network, seen[i], room)
+        decisions[i] = _greatest(room[row], network.widths[-1])
 
 
 @kernel_in_place
-def _decide(network: DenseNetwork, seen: Floats, room: Floats) -> int:
-    values, sums = room[0], room[1]
+def _draw_all(network: DenseNetwork, seen: Floats, shares: Floats, room: Floats, decisions: Ints) -> None:
     for i in range(len(seen)):
-        values[i] = seen[i]
+        row = _fill_outputs(network, seen[i], room)
+        decisions[i] = _at_share(room[row], network.widths[-1], shares[i])
+
+
+@kernel_in_place
+def _fill_outputs(network: DenseNetwork, seen: Floats, room: Floats) -> int:
+    """Compute the outputs, and return the row of `room` that has them."""
+    row = 0
+    for i in range(len(seen)):
+        room[0, i] = seen[i]
     weight, bias = 0, 0
     for layer in range(len(network.widths) - 1):
         before, width = network.widths[layer], network.widths[layer + 1]
         if layer > 0:
-            _squash(values, before)
-        _add_up(network, weight, bias, values, before, sums, width)
-        weight, bias = weight + before * width, bias + width
-        values, sums = sums, values
-    return _greatest(values, network.widths[-1])
+            _squash(room[row], before)
+        _add_up(network, weight, bias, room[row], before, room[1 - row], width)
+        weight, bias, row = weight + before * width, bias + width, 1 - row
+    return row
 
 
 @kernel_in_place
@@ -93,6 +115,21 @@ def _add_up(
         value, weights = values[i], network.weights[weight + i * width : weight + (i + 1) * width]
         for j in range(len(sums)):
             sums[j] += weights[j] * value
+
+
+@kernel_in_place
+def _at_share(values: Floats, count: int, share: float) -> int:
+    """Return the index at a share of the cumulative softmax of some values."""
+    top = values[_greatest(values, count)]
+    total = 0.0
+    for i in range(count):
+        total += math.exp(values[i] - top)
+    left = share * total
+    for i in range(count - 1):
+        left -= math.exp(values[i] - top)
+        if left < 0.0:
+            return i
+    return count - 1
 
 
 @kernel_in_place

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from torch.nn.functional import pad
 
+from behavexplor.ads.sb3.drawing_actions import drawn_by
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
 ROWS: Final = 64  # rows in a block
@@ -68,7 +69,7 @@ def ask_in_blocks(
     observation: Observation,
     memory: Memory | None,
     episode_start: NDArray[np.bool_] | None,
-    deterministic: bool,
+    noise: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[Any], Memory | None]:
     """Call `network.predict` block by block.
 
@@ -78,7 +79,8 @@ def ask_in_blocks(
         observation: observations, arrays of shape (B, ...).
         memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
         episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-        deterministic: see `predict` of Stable-Baselines3.
+        noise: numbers in [0, 1) by which actions are drawn, shape (B, n), see `behavexplor.ads.sb3.drawing_actions`;
+            None for the most probable actions.
 
     Returns:
         The actions, shape (B, ...), and the memory. The memory is None if the network has none.
@@ -91,7 +93,8 @@ def ask_in_blocks(
             block = slice(begin, begin + rows)
             remembered = None if memory is None else tuple(_filled(array[:, block], rows, 1) for array in memory)
             shown = mapped(partial(_block_of, block=block, rows=rows), observation)
-            answers.append(network.predict(shown, remembered, _filled(start[block], rows, 0), deterministic))
+            with _drawing(network, None if noise is None else _filled(noise[block], rows, 0)):
+                answers.append(network.predict(shown, remembered, _filled(start[block], rows, 0), deterministic=True))
     actions = np.concatenate([action for action, _ in answers])[:count]
     memories: list[Memory | None] = [own for _, own in answers]
     if any(own is None for own in memories):
@@ -111,6 +114,19 @@ def _filled(array: NDArray[Any], rows: int, axis: int) -> NDArray[Any]:
     filled = np.zeros(shape, dtype=array.dtype)
     filled[(slice(None),) * axis + (slice(count),)] = array
     return filled
+
+
+@contextmanager
+def _drawing(network: BasePolicy, noise: NDArray[np.float64] | None) -> Iterator[None]:
+    """Let a network draw its actions; `predict` then scales and clips them as always."""
+    if noise is None:
+        yield
+        return
+    network._predict = drawn_by(network, noise)  # type: ignore[method-assign] # noqa: SLF001 - its documented hook
+    try:
+        yield
+    finally:
+        del network._predict  # noqa: SLF001
 
 
 @contextmanager

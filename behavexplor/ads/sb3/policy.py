@@ -16,6 +16,7 @@ from behavexplor.ads.sb3.arrays import as_arrays
 from behavexplor.ads.sb3.blocks import ask_in_blocks, prepare_blocks
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
+from behavexplor.ads.sb3.drawing_actions import noise_of
 from behavexplor.ads.sb3.normalization import Moments, Statistics
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, sentence
@@ -31,6 +32,7 @@ class SB3Policy:
     Attributes:
         observation_space: space of one observation from the environment, before scaling and stacking.
         action_space: space of one action.
+        noise: see `behavexplor.ads.interface.StochasticADS`.
         last_trained_on: observations at the end of training, arrays of shape (n, ...); None if the file has none.
 
     The policy drives in lock-step: its answer to an observation does not depend on the rest of the batch. The
@@ -44,6 +46,7 @@ class SB3Policy:
         self.vectorized = True
         self._network = network
         self._rows = prepare_blocks(network)
+        self.noise = noise_of(network)
         self._statistics = statistics
         self._stack = description.frame_stack
         self.observation_space = _unstacked(network.observation_space, self._stack)
@@ -67,17 +70,28 @@ class SB3Policy:
         observation: Observation,
         state: Any = None,
         episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+        deterministic: bool = True,  # noqa: ARG002 - `draw` draws
     ) -> tuple[NDArray[Any], Any]:
-        """Decide for a batch of egos; see `behavexplor.ads.interface.ADS`.
+        """Choose the most probable actions of a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         The state is a pair: the observations stacked so far, and the state of a recurrent network.
         """
+        return self._decide(observation, state, episode_start, None)
+
+    def draw(
+        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats
+    ) -> tuple[NDArray[Any], Any]:
+        """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
+        return self._decide(observation, state, episode_start, noise)
+
+    def _decide(
+        self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats | None
+    ) -> tuple[NDArray[Any], Any]:
         frames, memory = (None, None) if state is None else state
         prepared = self.prepare(mapped(np.asarray, observation))
         if self._stack > 1:
             prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
-        actions, memory = ask_in_blocks(self._network, self._rows, prepared, memory, episode_start, deterministic)
+        actions, memory = ask_in_blocks(self._network, self._rows, prepared, memory, episode_start, noise)
         return actions, (frames, memory)
 
 

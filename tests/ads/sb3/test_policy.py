@@ -101,7 +101,7 @@ def test_a_network_of_other_than_linear_layers_is_asked_for_one_row_at_a_time(la
     network = Counting(BOX, BOX)
     network.layer = torch.nn.Sequential(layer, torch.nn.Tanh())
     Counting.__module__ = module
-    actions, memory = ask_in_blocks(network, prepare_blocks(network), seen, None, None, True)
+    actions, memory = ask_in_blocks(network, prepare_blocks(network), seen, None, None)
     assert asked == [rows] * (3 // rows or 1)
     assert actions[:, 0].tolist() == [0, 4, 8]
     assert memory is None
