@@ -7,7 +7,7 @@ uninterrupted one.
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -133,17 +133,19 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
         InputError: if the environment does not support training, or the last model cannot be read.
     """
     torch.set_num_threads(1)  # more threads change the last bits
-    venv = _environment(config)
+    venv = training_env(config)
     (folder / MODELS).mkdir(parents=True, exist_ok=True)
     first, model = _last_model(folder, config, venv)
-    model.set_logger(configure(str(folder / LOGS / f"stage-{first + 1:04d}"), _log_formats()))
-    watch = _Watch(observe)
+    model.set_logger(configure(str(folder / LOGS / f"stage-{first + 1:04d}"), log_formats()))
+    watch = Watch(observe)
     try:
         for stage in range(first, config.n_stages):
-            _begin_stage(model, venv, config, stage)
+            begin_stage(
+                model, venv, (config.seed, stage), _RATES[config.algo] * max(1 - stage / config.n_stages, _LAST_RATE)
+            )
             steps = min(config.stage, config.steps - stage * config.stage)
             model.learn(steps, callback=watch, reset_num_timesteps=False)
-            _save(model, folder / MODELS / f"stage-{stage + 1:04d}.pt")
+            save_model(model, folder / MODELS / f"stage-{stage + 1:04d}.pt")
     finally:
         model.logger.close()
         venv.close()
@@ -151,7 +153,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     return folder / NETWORK
 
 
-def _save(model: OnPolicyAlgorithm, path: Path) -> None:
+def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
     """Save the learned state of a model atomically."""
     part = path.with_suffix(".part")
     learned = {
@@ -164,7 +166,7 @@ def _save(model: OnPolicyAlgorithm, path: Path) -> None:
     part.replace(path)
 
 
-def _restore(model: OnPolicyAlgorithm, path: Path) -> None:
+def restore_model(model: OnPolicyAlgorithm, path: Path) -> None:
     """Load a saved state into a new model. Only numbers are read from the file, never code.
 
     Raises:
@@ -188,7 +190,8 @@ def network_layers(model: OnPolicyAlgorithm) -> list[tuple[Floats, Floats]]:
     return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in linear]
 
 
-def _environment(config: TrainingConfig) -> LearningVecEnv:
+def training_env(config: TrainingConfig) -> LearningVecEnv:
+    """Return the vector environment in which a policy is trained."""
     settings = {"observation": dict(OBSERVATION), "action": dict(ACTION), "policy_frequency": POLICY_FREQUENCY}
     envs: Any = gymnasium.make_vec(
         environment_id(config.env),
@@ -200,8 +203,8 @@ def _environment(config: TrainingConfig) -> LearningVecEnv:
     return LearningVecEnv(DrivingVecEnv(envs), envs.logical.roadmap)
 
 
-def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> tuple[int, OnPolicyAlgorithm]:
-    """Return the number of finished stages and the model after them; a new model before the first stage."""
+def new_model(config: TrainingConfig, venv: LearningVecEnv) -> OnPolicyAlgorithm:
+    """Return an untrained model."""
     algorithm: Any = ALGORITHMS[config.algo]
     settings = dict(_SETTINGS[config.algo])
     if "batch_size" in settings:
@@ -209,24 +212,37 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
     network = {"net_arch": list(config.layers), "activation_fn": torch.nn.Tanh}
     set_random_seed(config.seed % 2**32)
     model: OnPolicyAlgorithm = algorithm("MlpPolicy", venv, policy_kwargs=network, device="cpu", **settings)
+    return model
+
+
+def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> tuple[int, OnPolicyAlgorithm]:
+    """Return the number of finished stages and the model after them; a new model before the first stage."""
+    model = new_model(config, venv)
     saved = sorted(path for path in (folder / MODELS).glob("stage-*.pt") if re.fullmatch(r"stage-\d{4,}", path.stem))
     if not saved:
         return 0, model
-    _restore(model, saved[-1])
+    restore_model(model, saved[-1])
     return int(saved[-1].stem.removeprefix("stage-")), model
 
 
-def _begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, config: TrainingConfig, stage: int) -> None:
-    """Set new episodes, random generators and the learning rate, each a function of the stage's number."""
-    networks, episodes = np.random.SeedSequence([config.seed, stage]).generate_state(2)
+def begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, seed: Sequence[int], rate: float) -> None:
+    """Set new episodes, random generators and the learning rate.
+
+    Args:
+        model: the model that is trained.
+        venv: its environment.
+        seed: seed of the stage, such as the seed of the training and the number of the stage.
+        rate: learning rate of the stage.
+    """
+    networks, episodes = np.random.SeedSequence(seed).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))
     model._last_obs = None  # noqa: SLF001 - so that `learn` resets the environment
-    model.learning_rate = _RATES[config.algo] * max(1 - stage / config.n_stages, _LAST_RATE)
+    model.learning_rate = rate
     model._setup_lr_schedule()  # noqa: SLF001 - the only way to change the learning rate of a model
 
 
-class _Watch(BaseCallback):
+class Watch(BaseCallback):
     """Callback that reports the ends of the latest episodes after each batch of experience."""
 
     def __init__(self, observe: Callable[[Learned], None]) -> None:
@@ -255,5 +271,6 @@ class _Watch(BaseCallback):
         self._observe(Learned(self.num_timesteps, reward, shares))
 
 
-def _log_formats() -> list[str]:
+def log_formats() -> list[str]:
+    """Return the formats of the logs, with TensorBoard's if it is installed."""
     return ["csv", "tensorboard"] if find_spec("tensorboard") else ["csv"]

@@ -31,6 +31,7 @@ COMMANDS = (
     "compare",
     "bench",
     "train",
+    "retrain",
 )  # also the module names
 
 _DESCRIPTION = "Find out how a driving policy fails."

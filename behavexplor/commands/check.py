@@ -12,8 +12,8 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
-from behavexplor.regression.cases import Suite
-from behavexplor.regression.checking import Outcome, opened_driver
+from behavexplor.repair.cases import Suite
+from behavexplor.repair.checking import Outcome, opened_driver
 
 
 def check(

@@ -19,7 +19,8 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
-from behavexplor.comparison.campaigns import (
+from behavexplor.errors import InputError, sentence
+from behavexplor.repair.pair_campaigns import (
     DIFFERENCES,
     FIRST,
     GIVEN,
@@ -29,8 +30,7 @@ from behavexplor.comparison.campaigns import (
     driven,
     second_config,
 )
-from behavexplor.comparison.pairs import AT_FAULT, COLUMNS, Pairs, rows
-from behavexplor.errors import InputError, sentence
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 

@@ -16,8 +16,8 @@ from behavexplor.commands.meter import Meter
 from behavexplor.commands.minimize import triaged
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
-from behavexplor.regression.cases import TEST, Case, Suite
-from behavexplor.regression.selection import candidates, case_of, check_same_driving
+from behavexplor.repair.cases import TEST, Case, Suite
+from behavexplor.repair.selection import candidates, case_of, check_same_driving
 from behavexplor.triage.minimization import minimize_failures
 from behavexplor.triage.minimized import Minimized, read_minimized
 

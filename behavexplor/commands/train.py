@@ -20,6 +20,7 @@ from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.simulation import logical_scenario
 
 if TYPE_CHECKING:
+    from behavexplor.repair.retraining import RetrainingConfig
     from behavexplor.training import Learned, TrainingConfig
 
 CARD = "policy.yaml"  # file beside the network
@@ -65,10 +66,10 @@ def train(
     else:
         config = training.TrainingConfig(env=env, algo=algo, steps=steps, seed=seed, envs=envs)
         folder = out or Path("runs") / f"{env}-{algo}-{seed}"
-        _begin(folder, training.CONFIG, config)
+        begin_training(folder, training.CONFIG, config)
     try:
         with Meter(sys.stderr, config.steps, "steps", quiet=quiet) as meter:
-            network = training.train(config, folder, lambda learned: meter.show(learned.steps, _line(learned)))
+            network = training.train(config, folder, lambda learned: meter.show(learned.steps, progress_line(learned)))
         with Meter(sys.stderr, EVALUATED, "scenarios", quiet=quiet) as meter:
             executor = start_judge(Target(config.env, str(network)), 0)  # the network is plain numbers
             found = estimate_rates(executor, logical_scenario(config.env), EVALUATED, 0, meter.show)
@@ -82,7 +83,7 @@ def train(
     return OK
 
 
-def _begin(folder: Path, name: str, config: "TrainingConfig") -> None:
+def begin_training(folder: Path, name: str, config: "TrainingConfig | RetrainingConfig") -> None:
     """Create the folder of a training with its configuration.
 
     Raises:
@@ -97,7 +98,8 @@ def _begin(folder: Path, name: str, config: "TrainingConfig") -> None:
         raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None
 
 
-def _line(learned: "Learned") -> str:
+def progress_line(learned: "Learned") -> str:
+    """Return the progress of a training in words."""
     ends = ", ".join(f"{end} {share:.0%}" for end, share in sorted(learned.ends.items(), key=lambda end: -end[1]))
     return f"reward {learned.reward:6.2f}, {ends}"
 

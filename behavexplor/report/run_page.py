@@ -36,7 +36,7 @@ def page(runs: Sequence[Run], replays: int, paired: Paired = ((), ())) -> str:
     Args:
         runs: runs, at least one.
         replays: greatest number of replays of each run.
-        paired: headings and rows of a table on the same scenarios in both runs, see `behavexplor.comparison.pairs`.
+        paired: headings and rows of a table on the same scenarios in both runs, see `behavexplor.repair.pairs`.
 
     Raises:
         InputError: if a run is damaged.

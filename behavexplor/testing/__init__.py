@@ -7,8 +7,12 @@ which promise is broken::
 
     def test_my_search():
         check_search_method("my_package.search:MySearch")
+
+`Suite` and `opened_driver` are for the tests that `behavexplor suite` writes.
 """
 
+from behavexplor.repair.cases import Suite
+from behavexplor.repair.checking import opened_driver
 from behavexplor.testing.contract import ContractError
 from behavexplor.testing.driving_system import check_ads
 from behavexplor.testing.environment import check_env
@@ -16,4 +20,13 @@ from behavexplor.testing.search_method import check_search_method
 from behavexplor.testing.spec import check_spec
 from behavexplor.testing.synthetic import synthetic_trace
 
-__all__ = ["ContractError", "check_ads", "check_env", "check_search_method", "check_spec", "synthetic_trace"]
+__all__ = [
+    "ContractError",
+    "Suite",
+    "check_ads",
+    "check_env",
+    "check_search_method",
+    "check_spec",
+    "opened_driver",
+    "synthetic_trace",
+]

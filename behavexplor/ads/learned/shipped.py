@@ -6,6 +6,7 @@ from behavexplor.ads.learned.driver import LearnedDriver, read_layers
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import unknown_name
 
+PREFIX = "learned:"
 FOLDER = Path(__file__).parent / "policies"
 
 
@@ -19,7 +20,22 @@ def learned_driver(roadmap: RoadMap, variant: str = "") -> LearnedDriver:
     Raises:
         InputError: if no policy has that name.
     """
+    return LearnedDriver(roadmap, read_layers(policy_file(f"{PREFIX}{variant}")))
+
+
+def policy_file(name: str) -> Path:
+    """Return the file of a policy's network.
+
+    Args:
+        name: "learned:NAME" for a policy that comes with this package, or a path.
+
+    Raises:
+        InputError: if there is no such policy.
+    """
+    if not name.startswith(PREFIX):
+        return Path(name)
+    variant = name.removeprefix(PREFIX)
     names = [path.stem for path in sorted(FOLDER.glob("*.npz"))]
     if variant not in names:
         raise unknown_name("policy, as in learned:NAME,", variant, names)
-    return LearnedDriver(roadmap, read_layers(FOLDER / f"{variant}.npz"))
+    return FOLDER / f"{variant}.npz"

@@ -176,8 +176,7 @@ from pathlib import Path
 
 import pytest
 
-from behavexplor.regression.checking import opened_driver
-from behavexplor.regression.cases import Suite
+from behavexplor.testing import Suite, opened_driver
 
 SUITE = Suite.read(Path(__file__).parent)
 

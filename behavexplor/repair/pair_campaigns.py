@@ -10,12 +10,12 @@ from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
-from behavexplor.comparison.differential import Difference, Driven, search_differences
-from behavexplor.comparison.pairs import Pairs, paired
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.target import Target
 from behavexplor.execution.start import check_loading, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
+from behavexplor.repair.differential import Difference, Driven, search_differences
+from behavexplor.repair.pairs import Pairs, paired
 
 FIRST, SECOND = "first", "second"  # run folders of a comparison
 DIFFERENCES = "differences.jsonl"

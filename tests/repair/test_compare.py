@@ -7,8 +7,8 @@ import pytest
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.comparison.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference
 from behavexplor.judge.specs import Verdict
+from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference
 
 SWERVER, CRUISER = "tests.drivers:Swerver", "tests.drivers:Cruiser"
 

@@ -12,7 +12,7 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import is_at_fault
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
-from behavexplor.regression.cases import Case
+from behavexplor.repair.cases import Case
 from behavexplor.triage.findings import Finding
 from behavexplor.triage.minimized import Minimized, trace_path
 

@@ -10,7 +10,7 @@ import yaml
 
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.errors import InputError
-from behavexplor.regression.cases import CASES, SUITE, TEST, Suite
+from behavexplor.repair.cases import CASES, SUITE, TEST, Suite
 from tests.triage.test_triage import fuzz
 
 DRIVER = "tests.drivers:Swerver"

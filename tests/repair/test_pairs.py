@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from behavexplor.campaign.record import Record
-from behavexplor.comparison.pairs import AT_FAULT, COLUMNS, FAILED, Pairs, paired, rows
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, FAILED, Pairs, paired, rows
 
 
 def record(number, *violated, fault=None, scenario=None):

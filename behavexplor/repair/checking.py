@@ -17,7 +17,7 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import own_violations
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, judge
-from behavexplor.regression.cases import Case, Suite
+from behavexplor.repair.cases import Case, Suite
 
 
 @dataclass(frozen=True)

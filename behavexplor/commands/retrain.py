@@ -1,0 +1,124 @@
+"""`behavexplor retrain`: train a policy further on the scenarios in which it fails."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from behavexplor.campaign.campaign import ExecutionError
+from behavexplor.campaign.config import read_yaml
+from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.meter import Meter
+from behavexplor.commands.terminal_tables import grid, plain_text
+from behavexplor.commands.train import begin_training, progress_line
+from behavexplor.data.validation import checked
+from behavexplor.errors import InputError, missing_library, sentence
+
+if TYPE_CHECKING:
+    from behavexplor.repair.retraining import RetrainingConfig, Round
+
+
+def retrain(  # noqa: PLR0913 - one argument for each flag
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")] = "",
+    *,
+    env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
+    pool: Literal["none", "own", "found", "both"] = "both",
+    share: Annotated[float, tyro.conf.arg(metavar="P")] = 0.5,
+    rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
+    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 250_000,
+    rate: Annotated[float, tyro.conf.arg(metavar="RATE")] = 2.5e-4,
+    sharpen: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.3,
+    method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
+    budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    out: Annotated[
+        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ENV-retrain-SEED)")
+    ] = None,
+    resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None,
+    quiet: bool = False,
+) -> int:
+    """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
+
+    The best round is chosen by scenarios of its own. `compare` then shows on other ones what was fixed and broken.
+
+    Args:
+        policy: Policy that `train` made (policy.npz), or learned:NAME.
+        env: Functional scenario.
+        pool: Scenarios in which the policy fails: none; those of its own training; those that campaigns find; or both.
+        share: Probability that an episode is one of them.
+        rounds: Number of rounds. Each searches, trains and validates.
+        steps: Number of decisions in a round, including those of the campaign.
+        rate: Learning rate of the first round.
+        sharpen: Factor by which each round scales the preferences of the actions, so that the most probable actions,
+            which drive, come nearer to the drawn ones, which are trained.
+        method: Search method of the campaigns.
+        budget: Number of executions of each campaign.
+        seed: Random seed. The same seed gives the same policy on the same kind of machine.
+        out: Folder for rounds and logs, new or empty.
+        resume: Resume the retraining in this folder.
+        quiet: Print only the result.
+    """
+    try:
+        from behavexplor.repair import retraining  # noqa: PLC0415 - torch is heavy, and need not be installed
+    except ModuleNotFoundError as error:
+        raise missing_library("Retraining", error.name, "rl") from None
+    if resume:
+        folder, file = resume, resume / retraining.CONFIG
+        if policy or out:
+            raise InputError("A policy and --out cannot be given with --resume")
+        if not file.is_file():
+            raise InputError(f"{resume} is not the folder of a retraining: it has no {retraining.CONFIG}")
+        config = checked(retraining.RetrainingConfig, read_yaml(file), "retraining")
+    else:
+        if not policy:
+            raise InputError("Give a policy to train further, such as runs/lane-change-ppo-0/policy.npz")
+        config = retraining.RetrainingConfig(
+            env, policy, pool, share, rounds, steps, seed, rate=rate, sharpen=sharpen, method=method, budget=budget
+        )
+        folder = out or Path("runs") / f"{env}-retrain-{seed}"
+        _ = config.training  # the policy can be read
+        begin_training(folder, retraining.CONFIG, config)
+    return _run(config, folder, quiet=quiet)
+
+
+def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
+    """Retrain, and report every round."""
+    from behavexplor.repair import retraining  # noqa: PLC0415 - see `retrain`
+
+    def report(one: "Round") -> None:
+        if not quiet:
+            print(f"round {one.number} of {config.rounds}: {_words(one)}", file=sys.stderr)
+
+    total = config.steps * (config.rounds + 1)
+    try:
+        with Meter(sys.stderr, total, "steps", quiet=quiet) as meter:
+            rounds = retraining.retrain(
+                config, folder, lambda learned: meter.show(learned.steps, progress_line(learned)), report
+            )
+    except KeyboardInterrupt:
+        print(f"Interrupted; resume with: {program()} retrain --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        return INTERRUPTED
+    except ExecutionError as error:
+        print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
+        return EXECUTION_FAILED
+    print(_table(rounds))
+    name = shlex.quote(str(folder / retraining.NETWORK))
+    print(f"\nThe policy of round {retraining.best(rounds).number} is in {name}. What it fixed and what it broke:")
+    print(f"{program()} compare {shlex.quote(config.policy)} {name} --env {config.env}")
+    return OK
+
+
+def _words(one: "Round") -> str:
+    found = "" if one.found is None else f"; {one.found} failures found, {one.pool} scenarios in the pool"
+    return f"{one.at_fault:.1%} collisions at fault, {one.arrived:.1%} arrived{found}"
+
+
+def _table(rounds: "list[Round]") -> str:
+    columns = ("round", "decisions", "at fault", "arrived", "found", "pool")
+    made = grid(*columns, numbers=columns)
+    for one in rounds:
+        found = "" if one.found is None else str(one.found)
+        made.add_row(str(one.number), str(one.steps), f"{one.at_fault:.1%}", f"{one.arrived:.1%}", found, str(one.pool))
+    return plain_text(made)

@@ -1,1 +1,0 @@
-"""Comparison of two drivers on the same scenarios."""

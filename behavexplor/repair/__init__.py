@@ -1,0 +1,1 @@
+"""From failures to a better driver: regression suites, paired comparison, and retraining."""

@@ -1,0 +1,55 @@
+"""Failures of a policy that are worth training on: those for which it was at fault, and that could be avoided."""
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.opening import opened
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.execution.simulation import Simulation
+from behavexplor.triage.blame import blame
+from behavexplor.triage.examination import STREAM
+
+
+def found_failures(
+    env: str, network: Path, method: str, budget: int, seed: int, folder: Path
+) -> tuple[list[Any], float]:
+    """Run a campaign on a policy, or read it if its folder has it.
+
+    Args:
+        env: functional scenario.
+        network: file of the policy's network.
+        method: search method.
+        budget: number of executions.
+        seed: seed of the campaign.
+        folder: run folder.
+
+    Returns:
+        The scenarios of the failures for which the policy was at fault, without collisions that no driver could have
+        avoided; and the simulated time of the whole campaign [s].
+
+    Raises:
+        ExecutionError: if an execution could not be carried out.
+    """
+    config = CampaignConfig(env=env, ads=str(network), method=method, budget=str(budget), seed=seed, batch=32)
+    with opened(config, folder, 0, resume=folder.is_dir()) as ready:
+        ready.campaign.run(lambda _: None)
+    simulation = Simulation(env, "constant")  # any ADS will do: evasions drive
+    with closing(Store.read(folder)) as store:
+        executions = list(store.executions())
+    simulated = sum(execution.record.duration or 0.0 for execution in executions)
+    failures = [one.scenario for one in executions if one.record.at_fault and _preventable(simulation, one, seed)]
+    simulation.close()
+    return failures, simulated
+
+
+def _preventable(simulation: Simulation, execution: Execution, seed: int) -> bool:
+    """Return whether a failure is not a collision that no tried evasion avoids."""
+    if execution.record.fault is None:
+        return True
+    rng = np.random.default_rng([STREAM, seed, execution.id])
+    verdict = blame(simulation, execution.scenario, execution.load_trace(), rng)
+    return verdict is None or verdict.at_fault

@@ -1,0 +1,82 @@
+"""The pool of a retraining: scenarios in which the policy fails, from which some of the training episodes are drawn."""
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from behavexplor.campaign.store import write_durably
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+
+MOST: Final = 2000  # scenarios in a pool; the newest are kept
+
+
+class Pool:
+    """Scenarios in which a policy fails at present. It follows the policy.
+
+    A scenario enters when the policy fails in it, and leaves when an episode in it passes.
+
+    Args:
+        logical: logical scenario from which all other episodes are drawn.
+        share: probability that an episode is drawn from the pool, as long as it has any.
+        scenarios: the first scenarios.
+    """
+
+    def __init__(
+        self, logical: ScriptedLogicalScenario, share: float, scenarios: Iterable[ScriptedScenario] = ()
+    ) -> None:
+        self._logical = logical
+        self._share = share
+        self._scenarios: list[ScriptedScenario] = []
+        self._known: set[ScriptedScenario] = set()
+        for scenario in scenarios:
+            self.add(scenario)
+
+    def __len__(self) -> int:
+        """Return the number of scenarios."""
+        return len(self._scenarios)
+
+    def sample(self, rng: np.random.Generator) -> ScriptedScenario:
+        """Draw the scenario of an episode."""
+        if self._scenarios and rng.random() < self._share:
+            return self._scenarios[int(rng.integers(len(self._scenarios)))]
+        return self._logical.sample(rng)
+
+    def add(self, scenario: ScriptedScenario) -> None:
+        """Add a scenario in which the policy failed. The oldest one leaves a full pool."""
+        if scenario in self._known:
+            return
+        self._known.add(scenario)
+        self._scenarios.append(scenario)
+        if len(self._scenarios) > MOST:
+            self._known.discard(self._scenarios.pop(0))
+
+    def discard(self, scenario: ScriptedScenario) -> None:
+        """Remove a scenario in which the policy passed, if the pool has it."""
+        if scenario in self._known:
+            self._known.discard(scenario)
+            self._scenarios.remove(scenario)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the scenarios in their order."""
+        return hashlib.sha256(self._text().encode()).hexdigest()
+
+    def write(self, path: Path) -> None:
+        """Write the scenarios to a file, one as JSON in each line."""
+        write_durably(path, self._text())
+
+    def _text(self) -> str:
+        return "".join(f"{scenario.to_json()}\n" for scenario in self._scenarios)
+
+
+def read_pool(path: Path) -> list[ScriptedScenario]:
+    """Return the scenarios of a file that `Pool.write` wrote.
+
+    Raises:
+        InputError: if a scenario is not valid.
+    """
+    return [ScriptedScenario.from_json(line) for line in path.read_text().splitlines()]
