@@ -1,0 +1,110 @@
+"""Retraining: resumable, reproducible, and it keeps the best round."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from behavexplor.ads.learned.driver import read_layers
+from behavexplor.ads.learned.shipped import policy_file
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.errors import InputError
+from behavexplor.repair.retraining import NETWORK, ROUNDS, RetrainingConfig, Round, best, finished_rounds, retrain
+
+POLICY = "learned:lane-change"
+SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
+
+
+class CutError(Exception):
+    """Pulls the plug."""
+
+
+@pytest.fixture(scope="module")
+def retrained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("retrained")
+    seen = []
+    rounds = retrain(RetrainingConfig(policy=POLICY, **SMALL), folder, lambda _: None, seen.append)
+    assert rounds == seen
+    return folder
+
+
+def layers(path):
+    return [array for layer in read_layers(path) for array in layer]
+
+
+def test_a_retraining_that_was_cut_off_ends_as_if_it_had_not_been(retrained, tmp_path):
+    config = RetrainingConfig(policy=POLICY, **SMALL)
+
+    def cut(one):
+        if one.number == 1:
+            raise CutError
+
+    with pytest.raises(CutError):
+        retrain(config, tmp_path, lambda _: None, cut)
+    assert [one.number for one in finished_rounds(tmp_path)] == [0, 1]
+    rounds = retrain(config, tmp_path, lambda _: None, lambda _: None)
+    assert rounds == finished_rounds(retrained)
+    last = "rounds/round-0002.npz"
+    assert all(map(np.array_equal, layers(tmp_path / last), layers(retrained / last)))
+
+
+def test_the_first_round_is_the_policy_as_it_was(retrained):
+    assert all(map(np.array_equal, layers(retrained / "rounds/round-0000.npz"), layers(policy_file(POLICY))))
+    assert not np.array_equal(layers(retrained / "rounds/round-0002.npz")[0], layers(policy_file(POLICY))[0])
+
+
+def test_the_best_round_becomes_the_policy(retrained):
+    rounds = finished_rounds(retrained)
+    chosen = f"rounds/round-{best(rounds).number:04d}.npz"
+    assert all(map(np.array_equal, layers(retrained / NETWORK), layers(retrained / chosen)))
+    assert best([Round(0, 0, 0.2, 0.7), Round(1, 9, 0.1, 0.8), Round(2, 18, 0.1, 0.9)]).number == 2
+
+
+def test_every_round_keeps_its_campaign_and_its_pool(retrained):
+    for one in finished_rounds(retrained)[1:]:
+        assert (retrained / "campaigns" / f"{one.number:04d}" / "campaign.db").is_file()
+        lines = (retrained / "rounds" / f"round-{one.number:04d}.jsonl").read_text().splitlines()
+        assert len(lines) == one.pool
+
+
+def test_without_a_pool_there_are_no_campaigns(tmp_path):
+    rounds = retrain(
+        RetrainingConfig(policy=POLICY, pool="none", **{**SMALL, "rounds": 1}), tmp_path, lambda _: None, lambda _: None
+    )
+    assert not (tmp_path / "campaigns").exists()
+    assert (rounds[-1].found, rounds[-1].pool) == (None, 0)
+
+
+def test_a_damaged_list_of_rounds_is_named(retrained, tmp_path):
+    folder = shutil.copytree(retrained, tmp_path / "copy")
+    (folder / ROUNDS).write_text(json.dumps({"number": 0}))
+    with pytest.raises(InputError, match=r"rounds\.jsonl cannot be read"):
+        finished_rounds(folder)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "Give a policy"),
+        (["learned:nothing"], "learned:"),
+        (["missing.npz"], "missing.npz"),
+        (["--resume", "missing"], "has no retraining.yaml"),
+        (["learned:lane-change", "--share", "2"], "share 2.0 must lie between"),
+        (["learned:lane-change", "--env", "highway-v0"], "Unknown functional scenario"),
+    ],
+)
+def test_wrong_input_is_one_sentence(arguments, message, tmp_path, capsys):
+    more = [] if "--resume" in arguments else ["--out", str(tmp_path / "out")]
+    assert main(["retrain", *arguments, *more]) == BAD_INPUT
+    assert message in capsys.readouterr().err
+
+
+def test_the_command_says_what_every_round_brought(retrained, tmp_path, capsys):
+    folder = shutil.copytree(retrained, tmp_path / "copy")
+    config = RetrainingConfig(policy=POLICY, **SMALL)
+    (folder / "retraining.yaml").write_text(config.to_yaml())
+    assert main(["retrain", "--resume", str(folder), "--quiet"]) == OK
+    out = capsys.readouterr().out
+    assert "at fault" in out
+    assert "behavexplor compare" in out or "compare learned:lane-change" in out
