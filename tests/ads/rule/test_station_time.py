@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -26,11 +28,19 @@ STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
 MAPS = {"S1": STRAIGHT, "S2": LEFT, "S3": straight_road(2, 2, 10, 230), "S4": straight_road(1, 3, 10, 230)}
 
 
+path_of = cache(ego_path)
+
+
+@cache
+def lanes_of(roadmap):
+    return lane_graph(roadmap.npc_routes, roadmap.ego_route)
+
+
 def graph_of(roadmap, npcs, station=20.0):
     room = empty_station_time(max(len(npcs), 1))
-    graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
+    graph = lanes_of(roadmap)
     ego = (*roadmap.ego_route.pose(station), 5.0)
-    path = ego_path(roadmap)
+    path = path_of(roadmap)
     project_obstacles(path, KEEP, graph, scene(ego, npcs), station, -np.inf, numbers(Parameters()), room)
     return room
 
@@ -114,7 +124,7 @@ def test_in_a_lane_change_those_in_both_lanes_are_seen_and_those_behind_in_the_n
     def spans(station, lane, speed, profile):
         x, y, heading = roadmap.ego_route.pose(station)
         observation = scene((*roadmap.ego_route.pose(50.0), 8.0), [(x, y + 3.5 * lane, heading, speed, 0.0)])
-        path, graph = ego_path(roadmap), lane_graph(roadmap.npc_routes, roadmap.ego_route)
+        path, graph = path_of(roadmap), lanes_of(roadmap)
         room = empty_station_time(1)
         project_obstacles(path, profile, graph, observation, 50.0, -np.inf, numbers(Parameters()), room)
         return room
@@ -141,7 +151,7 @@ def test_those_ahead_lead_those_behind_are_left_out_and_those_far_aside_too():
 def test_an_absent_npc_takes_up_nothing():
     observation = scene((1.75, 85.0, -np.pi / 2, 5.0), [(*STRAIGHT.ego_route.pose(40.0), 0.0, 0.0)])
     room = empty_station_time(1)
-    graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT)
+    graph, path = lanes_of(STRAIGHT), path_of(STRAIGHT)
     project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.min() > 0
     observation[1, 0] = 0.0
