@@ -45,6 +45,11 @@ def graph_of(roadmap, npcs, station=20.0):
     return room
 
 
+def boxes_on_route(roadmap, stations):
+    poses = roadmap.ego_route.pose(stations)
+    return box_corners(poses[:, :2], poses[:, 2], np.array(EGO_SIZE))
+
+
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
 def test_the_path_is_the_center_line_of_the_route(roadmap):
     path = ego_path(roadmap)
@@ -76,6 +81,8 @@ def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
 def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
     rng = np.random.default_rng(1)
+    stations = np.arange(25.0, 190.0, 1.5)
+    egos = boxes_on_route(roadmap, stations)
     contacts = 0
     for _ in range(150):
         route = roadmap.npc_routes[rng.integers(len(roadmap.npc_routes))]
@@ -84,12 +91,9 @@ def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
         npc = route.pose(start + speed * time)
         room = graph_of(roadmap, [(*route.pose(start), speed, 0.0)])
         spans = room.spans[int(time / INTERVAL), : room.counts[int(time / INTERVAL)]]
-        for station in np.arange(25.0, 190.0, 1.5):
-            ego = roadmap.ego_route.pose(station)
-            boxes = [box_corners(pose[:2], pose[2], np.array(size)) for pose, size in ((ego, EGO_SIZE), (npc, SEDAN))]
-            if boxes_overlap(*boxes):
-                contacts += 1
-                assert any(span[HARD_LOW] < station < span[HARD_HIGH] for span in spans), (route.name, start)
+        for station in stations[boxes_overlap(egos, box_corners(npc[:2], npc[2], np.array(SEDAN)))]:
+            contacts += 1
+            assert any(span[HARD_LOW] < station < span[HARD_HIGH] for span in spans), (route.name, start)
     assert contacts > 50
 
 
@@ -98,9 +102,7 @@ def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
 def test_on_every_route_an_npc_in_the_way_is_seen_where_it_is(name, speed):
     roadmap = MAPS[name]
     stations = np.arange(roadmap.ego_start + 8, roadmap.ego_route.length, 2.0)
-    ego = box_corners(
-        roadmap.ego_route.pose(stations)[:, :2], roadmap.ego_route.pose(stations)[:, 2], np.array(EGO_SIZE)
-    )
+    ego = boxes_on_route(roadmap, stations)
     seen = 0
     for route in roadmap.npc_routes:
         for start in np.arange(3.0, route.length - 5, 7.0):
