@@ -21,6 +21,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.commands import INTERNAL_ERROR, main
 from behavexplor.errors import InputError
+from behavexplor.report import drawing
 
 ROOT = Path(__file__).parents[2]
 FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0", "--unconfined"]
@@ -113,7 +114,8 @@ def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
         assert picture.size == (600, 600)
 
 
-def test_a_replay_that_differs_is_said_to(finished, tmp_path):
+def test_a_replay_that_differs_is_said_to(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(drawing, "MAX_FRAMES", 2)
     folder, _ = finished
     copy = tmp_path / "copy"
     store = Store.read(folder)

@@ -137,8 +137,8 @@ def test_parents_are_not_mutated(name):
         records.append((candidate,))
         texts.append(candidate.scenario.to_json())
         search.tell(candidate, *driven(candidate.scenario, LOGICAL))
-    assert [candidate.scenario.to_json() for candidate, in records] == texts
-    for candidate, in records:
+    assert [candidate.scenario.to_json() for (candidate,) in records] == texts
+    for (candidate,) in records:
         if candidate.parent is not None:
             assert candidate.scenario != records[candidate.parent][0].scenario
 
