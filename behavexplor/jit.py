@@ -221,12 +221,13 @@ def _digest(path: Path, package: Path) -> str:
     return hashlib.sha256("".join(sources).encode()).hexdigest()
 
 
-def _imported(source: str, package: Path) -> set[Path]:
+@cache
+def _imported(source: str, package: Path) -> frozenset[Path]:
     found: set[Path] = set()
     for module, *names in _IMPORT.findall(source):
         path = package.joinpath(*module.split(".")[1:])
         found |= {path.with_suffix(".py"), *(path / f"{name}.py" for name in re.findall(r"\w+", " ".join(names)))}
-    return {path for path in found if path.is_file()}
+    return frozenset(path for path in found if path.is_file())
 
 
 def _drop(module: Path) -> None:

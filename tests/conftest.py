@@ -1,14 +1,27 @@
 """Settings of all tests."""
 
+from multiprocessing import set_forkserver_preload
+
 import pytest
 from hypothesis import settings
 
 from behavexplor.envs.drawn.vehicle_classes import parameters, set_parameters
+from behavexplor.execution import pool
+
+SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.drawn.vector_env"]
 
 settings.register_profile("untimed", deadline=None)  # machines are shared: the first call of a kernel compiles it
 settings.load_profile("untimed")
 
 VEHICLES = parameters()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def imports_of_workers():
+    """Let the workers of all tests share what any of them imports; the process that they are forked from is one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "set_forkserver_preload", lambda names: set_forkserver_preload([*names, *SLOW_IMPORTS]))
+        yield
 
 
 @pytest.fixture(autouse=True)

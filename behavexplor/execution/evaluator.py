@@ -217,7 +217,8 @@ def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Rec
 
 def _preloaded(target: Target) -> list[str]:
     """Return the slow modules that executing the scenarios of a target needs."""
-    modules = [] if target.env in behavexplor.FUNCTIONAL_SCENARIOS else ["behavexplor.envs.drawn.vector_env"]
+    entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(target.env, "behavexplor.envs.drawn.vector_env")
+    modules = [entry_point.partition(":")[0]]
     return [*modules, "behavexplor.ads.sb3.policy"] if target.ads.endswith(".zip") else modules
 
 

@@ -1,22 +1,28 @@
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tsfresh.feature_extraction import feature_calculators as tsfresh
 
 from behavexplor.behavior.features import ATTRIBUTES, N_FEATURES, STATISTICS, merged_states, state_matrix
 from tests.fakes import make_trace
 
-REFERENCES = {
-    "mean": tsfresh.mean,
-    "variance": tsfresh.variance,
-    "minimum": tsfresh.minimum,
-    "maximum": tsfresh.maximum,
-    "mean-change": lambda x: tsfresh.mean_change(x) if len(x) > 1 else 0.0,
-    "mean-abs-change": lambda x: tsfresh.mean_abs_change(x) if len(x) > 1 else 0.0,
-    "non-linearity": lambda x: tsfresh.c3(x, 1),
-    "complexity": lambda x: tsfresh.cid_ce(x, normalize=True) if np.std(x) > 1e-3 else 0.0,
-}
+
+@cache
+def references():
+    from tsfresh.feature_extraction import feature_calculators as tsfresh  # noqa: PLC0415 - it takes seconds
+
+    return {
+        "mean": tsfresh.mean,
+        "variance": tsfresh.variance,
+        "minimum": tsfresh.minimum,
+        "maximum": tsfresh.maximum,
+        "mean-change": lambda x: tsfresh.mean_change(x) if len(x) > 1 else 0.0,
+        "mean-abs-change": lambda x: tsfresh.mean_abs_change(x) if len(x) > 1 else 0.0,
+        "non-linearity": lambda x: tsfresh.c3(x, 1),
+        "complexity": lambda x: tsfresh.cid_ce(x, normalize=True) if np.std(x) > 1e-3 else 0.0,
+    }
 
 
 def column(states, attribute):
@@ -49,7 +55,7 @@ def test_statistics_equal_tsfresh(seed, rows, window, scale, tail):
     merged = merged_states(states, window, tail)
     padded = np.concatenate([states, np.repeat(states[-1:], window, axis=0)])
     for i in {0, len(merged) // 2, len(merged) - 1}:
-        expected = [REFERENCES[name](padded[i : i + window, a]) for a in range(8) for name in STATISTICS]
+        expected = [references()[name](padded[i : i + window, a]) for a in range(8) for name in STATISTICS]
         assert merged[i] == pytest.approx(np.array(expected), rel=1e-9, abs=1e-9)
 
 

@@ -3,6 +3,7 @@
 import sqlite3
 from collections import Counter
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import cache
 
 import pytest
 
@@ -61,22 +62,27 @@ def run(folder, executor=None, observe=lambda _: None, **config):
     return records
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """The records of an uninterrupted campaign, by search method."""
+    return cache(lambda method: run(tmp_path_factory.mktemp("whole") / "run", method=method))
+
+
 @pytest.mark.parametrize("method", METHODS)
-def test_the_same_seed_gives_the_same_records(tmp_path, method):
-    records = run(tmp_path / "a", method=method)
+def test_the_same_seed_gives_the_same_records(tmp_path, method, recorded):
+    records = recorded(method)
     assert [record["id"] for record in records] == list(range(40))
     assert run(tmp_path / "b", method=method) == records
-    assert run(tmp_path / "c", method=method, seed=4) != records
+    assert run(tmp_path / "c", method=method, seed=4, budget="10") != records[:10]
 
 
-def test_records_do_not_depend_on_the_executor(tmp_path):
-    records = run(tmp_path / "a")
+def test_records_do_not_depend_on_the_executor(tmp_path, recorded):
     with FakeThreads(4) as threads:
-        assert run(tmp_path / "b", threads) == records
+        assert run(tmp_path / "b", threads) == recorded("behavexplor")
 
 
-def test_each_record_says_what_happened(tmp_path):
-    for record in run(tmp_path / "a"):
+def test_each_record_says_what_happened(recorded):
+    for record in recorded("behavexplor"):
         assert {"id", "origin", "parent", "end", "violated", "degree", "degrees", "novelty", "novel"} <= record.keys()
         assert 0 <= record["novelty"] <= 1
         assert record["degree"] == pytest.approx(sum(record["degrees"].values()))
@@ -120,9 +126,8 @@ def test_an_error_is_a_class_of_its_own(tmp_path):
     assert [record["class"] for record in records if "error" in record] == ["error/invalid"] * 4
 
 
-def test_a_longer_budget_only_adds(tmp_path):
-    short = run(tmp_path / "a", budget="20")
-    assert run(tmp_path / "b", budget="40")[:20] == short
+def test_a_longer_budget_only_adds(tmp_path, recorded):
+    assert recorded("behavexplor")[:20] == run(tmp_path / "a", budget="20")
 
 
 def test_candidates_in_flight_are_bounded_by_the_batch(tmp_path):
@@ -166,27 +171,31 @@ def test_what_is_counted_is_stored(tmp_path):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("stop_after", [1, 11])
-def test_an_interrupted_campaign_goes_on_as_if_nothing_had_happened(tmp_path, method, stop_after):
-    whole = run(tmp_path / "whole", method=method)
+def test_an_interrupted_campaign_goes_on_as_if_nothing_had_happened(tmp_path, method, recorded):
     folder = tmp_path / "part"
     config = CampaignConfig(budget="40", seed=3, method=method)
-    store = Store.create(folder, config.to_yaml())
-    campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor())
+    for stop_after in (1, 11):
+        store = Store.reopen(folder) if folder.exists() else Store.create(folder, config.to_yaml())
+        campaign = Campaign(config, search_method(config, LOGICAL), LOGICAL, store, FakeExecutor())
+        stop_when_told(campaign, stop_after)
+        campaign.run(lambda _: None)
+        assert len(store) == stop_after
+        store.close()
+    executed = []
+    assert run(folder, FakeExecutor(executed), method=method) == recorded(method)
+    assert len(executed) == 40 - 11
+
+
+def stop_when_told(campaign, count):
+    """Stop a campaign as soon as its method has been told of so many executions."""
     tell = campaign._method.tell
 
     def tell_and_stop(candidate, *rest):
-        if candidate.number == stop_after - 1:
+        if candidate.number == count - 1:
             campaign.stop()
         return tell(candidate, *rest)
 
     campaign._method.tell = tell_and_stop
-    campaign.run(lambda _: None)
-    assert len(store) == stop_after
-    store.close()
-    executed = []
-    assert run(folder, FakeExecutor(executed), method=method) == whole
-    assert len(executed) == 40 - stop_after
 
 
 def test_resuming_holds_no_more_traces_than_are_in_flight(tmp_path, monkeypatch):

@@ -22,7 +22,7 @@ from tests.campaign.test_store import execution
 ROOT = Path(__file__).parents[2]
 OLD = ROOT / "tests" / "stored" / "format-1"
 CAMPAIGN = ["fuzz", "--ads", "constant:1", "--env", "lane-follow", "--method", "uniform", "--seed", "7", "--quiet"]
-CAMPAIGN_CONFIG = f"env: lane-follow\nrevision: {REVISION}\n"
+CAMPAIGN_CONFIG = f"ads: constant\nenv: lane-follow\nrevision: {REVISION}\n"
 COUNT = 120
 
 
@@ -302,10 +302,10 @@ def test_a_folder_that_cannot_be_written_can_be_read(tmp_path, whole):
     prefix = [*MOUNT, "sh", "-c", f'mount --bind -o ro {here} {here} && mount -o remount,ro,bind {here} && "$@"', "sh"]
     result = fuzz("records", here, prefix=prefix)
     assert (result.returncode, len(result.stdout.splitlines())) == (OK, COUNT)
-    resumed = fuzz("fuzz", "--resume", here, prefix=prefix)
+    resumed = fuzz("fuzz", "--resume", here, "--workers", 0, prefix=prefix)
     assert resumed.returncode == BAD_INPUT
     assert resumed.stderr.splitlines()[-1].endswith("cannot be written: Read-only file system")
-    begun = fuzz("fuzz", "--out", here / "new", prefix=prefix)
+    begun = fuzz("fuzz", "--ads", "constant", "--workers", 0, "--out", here / "new", prefix=prefix)
     assert begun.returncode == BAD_INPUT
     assert begun.stderr.splitlines()[-1].endswith("cannot be written: Read-only file system")
     assert [path.name for path in here.iterdir()] == [path.name for path in whole.iterdir()]

@@ -20,6 +20,7 @@ from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.judge.robustness import RobustnessSpec, as_spec, load_specs
 from behavexplor.judge.specs import NOTHING_NEAR, judge
+from behavexplor.report import drawing
 from behavexplor.testing import synthetic_trace
 
 LOGICAL: ScriptedLogicalScenario = LaneFollowEnv.logical
@@ -99,13 +100,17 @@ def test_it_is_scored_and_counted_in_classes_of_its_name(run):
     assert stored_config(run).specs == ("own_specs:keeps_below_9",)
 
 
-def test_the_summary_the_replay_triage_and_the_report_show_it(run, tmp_path, capsys):
+def test_the_summary_the_replay_triage_and_the_report_show_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(drawing, "MAX_FRAMES", 2)
+    run = tmp_path / "run"
+    assert fuzz(run, budget="12", workers="0") == OK
+    capsys.readouterr()
     first = next(record["id"] for record in records(run) if record["violated"][:1] == ["keeps_below_9"])
-    assert main(["fuzz", "--resume", str(run), "--quiet"]) == OK
+    assert main(["fuzz", "--resume", str(run), "--workers", "0", "--quiet"]) == OK
     assert "  keeps_below_9 " in capsys.readouterr().out
     assert main(["replay", str(run), str(first), "--out", str(tmp_path)]) == OK
     assert "violates keeps_below_9, ended by" in capsys.readouterr().out
-    assert main(["triage", str(run), "--workers", "1", "--quiet"]) == OK
+    assert main(["triage", str(run), "--workers", "0", "--quiet"]) == OK
     assert "keeps_below_9/" in capsys.readouterr().out
     assert main(["report", str(run), "--out", str(tmp_path / "page.html")]) == OK
     page = (tmp_path / "page.html").read_text()

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -20,12 +21,25 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.commands import INTERNAL_ERROR, main
 from behavexplor.errors import InputError
+from behavexplor.report import drawing
 
 ROOT = Path(__file__).parents[2]
 FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0", "--unconfined"]
 
 
-def run(*arguments, cwd=ROOT):
+def run(*arguments):
+    """A command in this process: its exit code and what it prints."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            code = main(list(map(str, arguments)))
+        except SystemExit as ended:  # as the parser of the flags ends the process
+            code = ended.code
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
+
+
+def run_apart(*arguments, cwd=ROOT):
+    """The program in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "behavexplor", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=120, check=False)
@@ -42,7 +56,7 @@ def finished(tmp_path_factory):
 
 def records(folder):
     result = run("records", folder)
-    assert result.returncode == 0
+    assert result.returncode == 0, result.stderr
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
@@ -100,7 +114,8 @@ def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
         assert picture.size == (600, 600)
 
 
-def test_a_replay_that_differs_is_said_to(finished, tmp_path):
+def test_a_replay_that_differs_is_said_to(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(drawing, "MAX_FRAMES", 2)
     folder, _ = finished
     copy = tmp_path / "copy"
     store = Store.read(folder)
@@ -200,7 +215,7 @@ def test_a_driver_in_the_working_directory_is_found(tmp_path):
 
 def test_a_driver_that_cannot_be_loaded_leaves_no_run_behind(tmp_path):
     (tmp_path / "own_driver.py").write_text("import os\nos._exit(3)\n")
-    result = run("fuzz", "--ads", "own_driver:driver", "--workers", "1", "--env", "lane-follow", cwd=tmp_path)
+    result = run_apart("fuzz", "--ads", "own_driver:driver", "--workers", "1", "--env", "lane-follow", cwd=tmp_path)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr.endswith("The ADS cannot be loaded: its process ended with exit code 3\n")
     assert not (tmp_path / "runs").exists()
@@ -282,37 +297,22 @@ def test_an_interruption_ends_cleanly_and_can_be_resumed(tmp_path, number, worke
     counted = int(out.split()[0])
     assert counted == stored(folder) >= 10
     assert f"fuzz --resume {folder}" in err
-    resumed = run("fuzz", "--resume", folder, "--workers", 1, "--budget", counted + 5)
+    resumed = run("fuzz", "--resume", folder, "--workers", 0, "--budget", counted + 5)
     assert resumed.returncode == 0, resumed.stderr
     assert len(records(folder)) == counted + 5
 
 
-def test_after_sigkill_nothing_counted_is_lost_and_the_campaign_goes_on(tmp_path):
-    folder = tmp_path / "killed"
-    process = start(folder)
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A campaign that was killed: its folder, what another said that wanted the folder, and its processes."""
+    folder = tmp_path_factory.mktemp("killed") / "run"
+    process = start(folder, "--workers", "2")
+    process.send_signal(signal.SIGSTOP)  # or it might be done before the other has begun
+    refused = run("fuzz", "--resume", folder)
+    descendants = _descendants(process.pid)
     process.kill()
     process.communicate()
-    kept = records(folder)
-    assert [record["id"] for record in kept] == list(range(len(kept)))
-    total = len(kept) + 10
-    assert run("fuzz", "--resume", folder, "--workers", 1, "--budget", total).returncode == 0
-    whole = tmp_path / "whole"
-    assert run(*FUZZ, "--budget", total, "--out", whole).returncode == 0
-    assert records(folder) == records(whole)
-
-
-def test_workers_end_with_the_campaign(tmp_path):
-    process = start(tmp_path / "a", "--workers", "2")
-    group = subprocess.run(["pgrep", "-f", str(tmp_path)], capture_output=True, text=True, check=False).stdout.split()
-    assert str(process.pid) in group
-    children = _descendants(process.pid)
-    assert len(children) >= 2
-    process.kill()
-    process.communicate()
-    deadline = time.monotonic() + 15
-    while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
-        time.sleep(0.2)
-    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+    return folder, refused, descendants
 
 
 def _descendants(pid):
@@ -320,15 +320,30 @@ def _descendants(pid):
     return [*listed, *(grandchild for child in listed for grandchild in _descendants(child))]
 
 
-def test_a_run_folder_belongs_to_one_campaign_at_a_time(tmp_path):
-    folder = tmp_path / "a"
-    process = start(folder)
-    process.send_signal(signal.SIGSTOP)  # or it might be done before the other has begun
-    result = run("fuzz", "--resume", folder)
-    process.kill()
-    process.communicate()
-    assert result.returncode == 2
-    assert "is in use by another campaign" in result.stderr
+def test_a_run_folder_belongs_to_one_campaign_at_a_time(killed):
+    _, refused, _ = killed
+    assert refused.returncode == 2
+    assert "is in use by another campaign" in refused.stderr
+
+
+def test_workers_end_with_the_campaign(killed):
+    _, _, descendants = killed
+    assert len(descendants) >= 3  # two workers, and the process that started them
+    deadline = time.monotonic() + 15
+    while any(Path(f"/proc/{pid}").exists() for pid in descendants) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not [pid for pid in descendants if Path(f"/proc/{pid}").exists()]
+
+
+def test_after_sigkill_nothing_counted_is_lost_and_the_campaign_goes_on(killed, tmp_path):
+    folder, *_ = killed
+    kept = records(folder)
+    assert [record["id"] for record in kept] == list(range(len(kept)))
+    total = len(kept) + 10
+    assert run("fuzz", "--resume", folder, "--workers", 0, "--budget", total).returncode == 0
+    whole = tmp_path / "whole"
+    assert run(*FUZZ, "--budget", total, "--out", whole).returncode == 0
+    assert records(folder) == records(whole)
 
 
 def test_a_smaller_budget_is_refused_on_resuming(finished):

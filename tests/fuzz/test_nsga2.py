@@ -3,16 +3,17 @@
 import sys
 from collections import deque
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymoo")
 
 from behavexplor.errors import InputError
 from behavexplor.fuzz.nsga2 import NSGA2, NSGA2Options
 from behavexplor.judge.specs import Verdict
 from tests.fakes import LOGICAL, make_trace
+
+pytestmark = pytest.mark.skipif(find_spec("pymoo") is None, reason="needs the extra search")
 
 TRACE = make_trace(np.zeros((1, 3)))
 

@@ -2,11 +2,10 @@
 
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
-
-pytest.importorskip("ribs")
 
 from behavexplor.errors import InputError
 from behavexplor.fuzz.map_elites import MAPElites, MAPElitesOptions
@@ -14,6 +13,8 @@ from behavexplor.fuzz.novelty_search import NoveltySearch, NoveltySearchOptions
 from behavexplor.fuzz.variation import VariationOptions
 from behavexplor.judge.specs import Verdict
 from tests.fakes import LOGICAL, make_trace
+
+pytestmark = pytest.mark.skipif(find_spec("ribs") is None, reason="needs the extra search")
 
 
 def drive(speed, seconds=10.0):

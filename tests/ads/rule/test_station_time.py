@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -26,13 +28,26 @@ STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
 MAPS = {"S1": STRAIGHT, "S2": LEFT, "S3": straight_road(2, 2, 10, 230), "S4": straight_road(1, 3, 10, 230)}
 
 
+path_of = cache(ego_path)
+
+
+@cache
+def lanes_of(roadmap):
+    return lane_graph(roadmap.npc_routes, roadmap.ego_route)
+
+
 def graph_of(roadmap, npcs, station=20.0):
     room = empty_station_time(max(len(npcs), 1))
-    graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
+    graph = lanes_of(roadmap)
     ego = (*roadmap.ego_route.pose(station), 5.0)
-    path = ego_path(roadmap)
+    path = path_of(roadmap)
     project_obstacles(path, KEEP, graph, scene(ego, npcs), station, -np.inf, numbers(Parameters()), room)
     return room
+
+
+def boxes_on_route(roadmap, stations):
+    poses = roadmap.ego_route.pose(stations)
+    return box_corners(poses[:, :2], poses[:, 2], np.array(EGO_SIZE))
 
 
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
@@ -66,6 +81,8 @@ def test_a_box_takes_up_the_stations_where_it_overlaps_the_strip(size):
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
 def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
     rng = np.random.default_rng(1)
+    stations = np.arange(25.0, 190.0, 1.5)
+    egos = boxes_on_route(roadmap, stations)
     contacts = 0
     for _ in range(150):
         route = roadmap.npc_routes[rng.integers(len(roadmap.npc_routes))]
@@ -74,12 +91,9 @@ def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
         npc = route.pose(start + speed * time)
         room = graph_of(roadmap, [(*route.pose(start), speed, 0.0)])
         spans = room.spans[int(time / INTERVAL), : room.counts[int(time / INTERVAL)]]
-        for station in np.arange(25.0, 190.0, 1.5):
-            ego = roadmap.ego_route.pose(station)
-            boxes = [box_corners(pose[:2], pose[2], np.array(size)) for pose, size in ((ego, EGO_SIZE), (npc, SEDAN))]
-            if boxes_overlap(*boxes):
-                contacts += 1
-                assert any(span[HARD_LOW] < station < span[HARD_HIGH] for span in spans), (route.name, start)
+        for station in stations[boxes_overlap(egos, box_corners(npc[:2], npc[2], np.array(SEDAN)))]:
+            contacts += 1
+            assert any(span[HARD_LOW] < station < span[HARD_HIGH] for span in spans), (route.name, start)
     assert contacts > 50
 
 
@@ -88,9 +102,7 @@ def test_no_contact_with_an_npc_of_constant_speed_is_missed(roadmap):
 def test_on_every_route_an_npc_in_the_way_is_seen_where_it_is(name, speed):
     roadmap = MAPS[name]
     stations = np.arange(roadmap.ego_start + 8, roadmap.ego_route.length, 2.0)
-    ego = box_corners(
-        roadmap.ego_route.pose(stations)[:, :2], roadmap.ego_route.pose(stations)[:, 2], np.array(EGO_SIZE)
-    )
+    ego = boxes_on_route(roadmap, stations)
     seen = 0
     for route in roadmap.npc_routes:
         for start in np.arange(3.0, route.length - 5, 7.0):
@@ -114,7 +126,7 @@ def test_in_a_lane_change_those_in_both_lanes_are_seen_and_those_behind_in_the_n
     def spans(station, lane, speed, profile):
         x, y, heading = roadmap.ego_route.pose(station)
         observation = scene((*roadmap.ego_route.pose(50.0), 8.0), [(x, y + 3.5 * lane, heading, speed, 0.0)])
-        path, graph = ego_path(roadmap), lane_graph(roadmap.npc_routes, roadmap.ego_route)
+        path, graph = path_of(roadmap), lanes_of(roadmap)
         room = empty_station_time(1)
         project_obstacles(path, profile, graph, observation, 50.0, -np.inf, numbers(Parameters()), room)
         return room
@@ -141,7 +153,7 @@ def test_those_ahead_lead_those_behind_are_left_out_and_those_far_aside_too():
 def test_an_absent_npc_takes_up_nothing():
     observation = scene((1.75, 85.0, -np.pi / 2, 5.0), [(*STRAIGHT.ego_route.pose(40.0), 0.0, 0.0)])
     room = empty_station_time(1)
-    graph, path = lane_graph(STRAIGHT.npc_routes, STRAIGHT.ego_route), ego_path(STRAIGHT)
+    graph, path = lanes_of(STRAIGHT), path_of(STRAIGHT)
     project_obstacles(path, KEEP, graph, observation, 20.0, -np.inf, numbers(Parameters()), room)
     assert room.counts.min() > 0
     observation[1, 0] = 0.0

@@ -17,7 +17,6 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
-from stable_baselines3 import PPO
 
 import behavexplor
 from behavexplor.envs.stock import StockVectorEnv
@@ -48,9 +47,15 @@ def original(env_id, config, num_envs, mode):
     return SyncVectorEnv([single] * num_envs, autoreset_mode=mode), limit
 
 
+def loaded(policy):
+    from stable_baselines3 import PPO  # noqa: PLC0415 - most comparisons need no torch
+
+    return PPO.load(policy, device="cpu")
+
+
 def compare(env_id, config=None, *, mode="NextStep", num_envs=2, decisions=20, episodes=10**9, seed=0, policy=None):
     """Drive both with the same actions: random ones, or those of a stored policy."""
-    model = None if policy is None else PPO.load(policy, device="cpu")
+    model = None if policy is None else loaded(policy)
     theirs, limit = original(env_id, config, num_envs, mode)
     env_class = type(theirs.envs[0].unwrapped)
     ours = StockVectorEnv(env_class, num_envs, config, autoreset_mode=mode, max_episode_steps=limit)
