@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from behavexplor.campaign.config import stored_config
@@ -12,9 +13,13 @@ from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
+from behavexplor.triage.blame import blame
+from behavexplor.triage.counterfactual import find_cause
+from behavexplor.triage.examination import STREAM
 from behavexplor.triage.minimized import Minimized, minimized_path, read_minimized, trace_path
 from behavexplor.triage.same_failure import ManyScenarios, signature
 from tests.triage.test_triage import fuzz
+from tests.triage.test_triage import run as triaged  # noqa: F401 - a fixture
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +126,17 @@ def test_a_report_shows_it_beside_the_failure_that_was_found(run):
         if not found.class_id.startswith("error/"):
             assert f'data-replays="{found.id}-minimized"' in text
             assert f"<dt>vehicles</dt><dd>5 &#8594; {found.minimal.parts}</dd>" in text
+
+
+@pytest.mark.slow
+def test_after_triage_fault_and_cause_stay_the_same(triaged):  # noqa: F811
+    assert main(["minimize", str(triaged), "0", "--workers", "0", "--quiet"]) == OK
+    found = read_minimized(triaged)[0]
+    assert (found.fault, found.cause) == ("preventable", "R1-1")
+    config = stored_config(triaged)
+    simulation = Simulation(config.env, config.ads)
+    scenario = found.load_scenario()
+    trace = simulation.run(scenario)
+    assert find_cause(simulation, scenario, trace).primary == "R1-1"
+    assert blame(simulation, scenario, trace, np.random.default_rng([STREAM, config.seed, 0])).kind == "preventable"
+    assert found.minimal.parts < found.found.parts
