@@ -17,11 +17,11 @@ from behavexplor.ads.loading import SYSTEMS
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import Campaign, ExecutionError, run_folder
 from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
+from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Display, summary
-from behavexplor.commands.interrupts import stopped_by_signals
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
