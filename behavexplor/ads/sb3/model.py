@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
+from io import BytesIO
 from typing import Any
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
-from behavexplor.ads.sb3.description import Description
+from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description
 from behavexplor.ads.sb3.normalization import Moments, Statistics
 from behavexplor.ads.sb3.policy import SB3Policy
 
@@ -20,14 +22,23 @@ def policy_of(model: BaseAlgorithm) -> SB3Policy:
     Statistics of `VecNormalize`, stacked frames and the configuration of highway-env are those of the model's
     environment.
     """
-    network = deepcopy(model.policy).to(torch.device("cpu"))
-    for parameter in network.parameters():
-        parameter.requires_grad_(False)
+    network = _copied(model.policy)
     wrappers = list(_wrappers(model.get_env()))
     stacks = [wrapper.stacked_obs.n_stack for wrapper in wrappers if isinstance(wrapper, VecFrameStack)]
     scaling = [wrapper for wrapper in wrappers if isinstance(wrapper, VecNormalize) and wrapper.norm_obs]
-    description = Description(config=training_env(model)[1], frame_stack=stacks[0] if stacks else 1)
+    config = training_env(model)[1] or {}
+    declared = {name: config[name] for name in ENVIRONMENT_KEYS if name in config}
+    description = Description(config=config or None, frame_stack=stacks[0] if stacks else 1, **declared)
     return SB3Policy(network, description, _statistics(scaling[0]) if scaling else None, None)
+
+
+def _copied(policy: BasePolicy) -> BasePolicy:
+    """Return a copy of a policy. Its tensors from the last update cannot be copied, so it is saved and loaded."""
+    file: Any = BytesIO()  # torch writes to it as to a path
+    policy.save(file)
+    file.seek(0)
+    with torch.random.fork_rng(devices=[]):  # a new network draws its first weights
+        return type(policy).load(file, device="cpu")
 
 
 def training_env(model: BaseAlgorithm) -> tuple[str | None, Mapping[str, Any] | None]:
