@@ -113,7 +113,7 @@ class Campaign:
         try:
             while not self.stopping:
                 if self._has_enough():
-                    ended = f"Stopped after {self._failures} failures, as many as were asked for"
+                    ended = f"Stopped after {self._failures} failure{'s' * (self._failures > 1)}, as asked for"
                     break
                 ended = self._ask_all()
                 if not self._pending:

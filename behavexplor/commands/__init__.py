@@ -18,7 +18,19 @@ from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-COMMANDS = ("fuzz", "replay", "records", "triage", "report", "evaluate", "bench", "train")  # also the module names
+COMMANDS = (  # also the module names
+    "fuzz",
+    "replay",
+    "records",
+    "status",
+    "triage",
+    "report",
+    "evaluate",
+    "envs",
+    "bench",
+    "train",
+    "demo",
+)
 
 _DESCRIPTION = "Find out how a driving policy fails."
 

@@ -15,6 +15,8 @@ from rich.table import Table
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
+from behavexplor.commands.wording import class_count, clock, hanging
+from behavexplor.judge.classes import words_of
 from behavexplor.judge.discovery import Discovery
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
@@ -169,28 +171,18 @@ def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:
     return f"  {spec:{width}} {len(failures):5}   executions {listed}{more}"
 
 
-def class_count(number: int) -> str:
-    """Return a number of classes in words, such as "1 class"."""
-    return f"{number} class{'' if number == 1 else 'es'}"
-
-
 def _listed_classes(failures: list[_Failure]) -> list[str]:
-    """Return the most frequent classes, one line each, with a title."""
+    """Return the most frequent classes with a title, each as a sentence and by its id."""
     counts = Counter(failure.kind for failure in failures if failure.kind is not None)
     if not counts:
         return []
     first = {failure.kind: failure.number for failure in reversed(failures)}
     shown = counts.most_common(_LISTED_CLASSES)
     title = "The classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
-    width = max(len(str(kind)) for kind, _ in shown)
-    return [title, *(f"  {kind:{width}} {count:5}   first {first[kind]}" for kind, count in shown)]
-
-
-def clock(seconds: float) -> str:
-    """Return a time span as 1:02:03 or 2:03."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+    lines = [title]
+    for kind, count in shown:
+        lines += [hanging(f"{count:7}  ", words_of(str(kind))), f"         {kind}, first {first[kind]}"]
+    return lines
 
 
 def rate(progress: Progress) -> float:

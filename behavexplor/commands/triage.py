@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.wording import class_count
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.data.decision_log import UNKNOWN
 from behavexplor.errors import sentence
