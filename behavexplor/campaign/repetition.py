@@ -30,7 +30,8 @@ def repeat_execution(executor: Executor, execution: Execution) -> Repetition:
         again = executor.submit(EXECUTE, execution.scenario.to_json().encode()).result()
     except ADSError as error:
         if execution.record.error == ads_failure(error):
-            return Repetition(True, "The failure was reproduced: running it again, the ADS failed in the same way.")
+            words = f"running it again, the ADS failed in the same way{error.place}"
+            return Repetition(True, f"The failure was reproduced: {words}.")
         return Repetition(False, sentence(f"The execution was NOT reproduced: running it again, {error}"))
     if Trace.from_bytes(again).to_bytes() != execution.load_trace().to_bytes():
         return Repetition(False, "The execution was NOT reproduced: running it again gave a different trace.")

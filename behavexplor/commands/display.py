@@ -16,8 +16,10 @@ from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 from behavexplor.commands.wording import class_count, clock, hanging
+from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.judge.discovery import Discovery
+from behavexplor.judge.specs import ERROR
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _LISTED_FAILURES = 3  # number of listed failures for each spec
@@ -131,7 +133,7 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     lines += [f"{failed}; each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
-    lines += [*_listed_classes(failures), *_outlook(kinds, progress)]
+    lines += [*_errors(failures, progress, store), *_listed_classes(failures), *_outlook(kinds, progress)]
     lines += [f"All results are in {store.folder}, with a file for each failure in its folder failures"]
     folder = shlex.quote(str(store.folder))
     lines += [
@@ -160,6 +162,16 @@ class _Failure(NamedTuple):
     number: int
     spec: str
     kind: str | None
+
+
+def _errors(failures: list["_Failure"], progress: Progress, store: Store) -> list[str]:
+    """Return a line about a driver that failed instead of driving; none if it did not."""
+    numbers = [failure.number for failure in failures if failure.spec == ERROR]
+    if not numbers:
+        return []
+    count = "every execution" if len(numbers) == progress.executions else f"{len(numbers)} executions"
+    error = store.execution(numbers[0]).record.error or {}
+    return [f"The driver itself failed in {count}, first in {numbers[0]}: {sentence(error.get('message', ''))}"]
 
 
 def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:

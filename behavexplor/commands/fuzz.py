@@ -29,6 +29,7 @@ from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
 from behavexplor.fuzz.methods import METHODS, describe_method
+from behavexplor.judge.specs import ERROR
 
 _DEFAULTS = CampaignConfig()
 _ENVS = (
@@ -155,6 +156,9 @@ def _checked(code: int, folder: Path, checks: Checks, file: Path | None) -> int:
     found = summarize(folder)
     if file is not None:
         write_json(file, summary_values(found, folder, checks))
+    if code == OK and found.violations.get(ERROR) == found.executions:
+        print(f"{program()}: The driver drove in no execution, so nothing was tested", file=sys.stderr)
+        return EXECUTION_FAILED
     reason = checks.failed(found) if code == OK else None
     if reason is not None:
         print(f"{program()}: {sentence(reason)}", file=sys.stderr)

@@ -80,10 +80,10 @@ def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
     trace, caption = execution.load_trace(), outcome(execution.record)
     frame = decisive_frame(trace, execution.record.violated)
-    degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record.degrees.items())
+    degrees = ", ".join(f"{name} {degree:.2f}" for name, degree in execution.record.degrees.items())
     animation, picture = _save(trace, shape, frame, caption, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
-    print(f"Violation degrees (lower is nearer to a violation): {degrees}")
+    print(f"Violation degrees, which guide the search (lower is nearer to a violation): {degrees}")
     print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 

@@ -12,10 +12,11 @@ from rich.table import Table
 
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
-from behavexplor.commands.wording import class_count
+from behavexplor.commands.wording import class_count, hanging
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.data.decision_log import UNKNOWN
 from behavexplor.errors import sentence
+from behavexplor.judge.classes import words_of
 from behavexplor.triage.agreement import agreement
 from behavexplor.triage.findings import Finding, Sighting, Triage, counted
 from behavexplor.triage.run_triage import RunTriage
@@ -62,6 +63,8 @@ def report(found: Triage) -> str:
         + (f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"),
         "",
         _plain(_class_table(found)),
+        "",
+        *(hanging("  ", f"{class_id}: {words_of(class_id)}") for class_id in found.classes),
         "",
         "A class groups failures that look alike. It begins with the violated requirement:",
         "R1 collision, R2 illegal line touched, R3 destination missed.",

@@ -16,6 +16,10 @@ FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0", "--unconfine
 SEARCH = [*FUZZ, "--seed", "5", "--budget", "12"]
 
 
+def raising(observation):
+    raise ZeroDivisionError("no gap to divide by")
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A run, and its summary."""
@@ -130,3 +134,14 @@ def test_the_demo_trains_fuzzes_and_reports(tmp_path, capsys):
     assert "2 executions in" in text
     assert (tmp_path / "d" / "run" / "report.html").is_file()
     assert main(["demo", "--out", str(tmp_path / "d")]) == 2
+
+
+def test_a_driver_that_never_drives_is_said_to(tmp_path, capsys):
+    arguments = [*SEARCH, "--budget", "2", "--out", str(tmp_path / "a"), "--ads"]
+    assert main([*arguments, "tests.commands.test_ci_commands:raising"]) == 3
+    printed = capsys.readouterr()
+    assert "The driver itself failed in every execution, first in 0: ZeroDivisionError: no gap" in printed.out
+    assert "drove in no execution, so nothing was tested" in printed.err
+    again = [one for one in arguments if one != "--quiet"]
+    assert main([*again[:-2], str(tmp_path / "b"), "--ads", "tests.commands.test_ci_commands:raising"]) == 3
+    assert "no gap to divide by (test_ci_commands.py, line " in capsys.readouterr().err
