@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from html import escape
+from importlib import import_module
 from typing import Any
 
 from behavexplor.campaign.config import Budget
@@ -51,14 +52,13 @@ def progress_words(progress: Progress) -> str:
 
 def _notebook_line(budget: Budget) -> Observer:
     """Return a function that keeps one line of a notebook's output up to date."""
-    from IPython.display import HTML, display  # noqa: PLC0415 - only in a notebook
-
-    shown = display(HTML(""), display_id=True)
+    notebook: Any = import_module("IPython.display")  # which is there, and need not be installed elsewhere
+    shown = notebook.display(notebook.HTML(""), display_id=True)
 
     def show(progress: Progress) -> None:
         done, total = _share(progress, budget)
         words = escape(progress_words(progress))
-        shown.update(HTML(f'<progress value="{done:g}" max="{total:g}"></progress> {words}'))
+        shown.update(notebook.HTML(f'<progress value="{done:g}" max="{total:g}"></progress> {words}'))
 
     return show
 
