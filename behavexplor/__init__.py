@@ -1,16 +1,37 @@
 """BehAVExplor: fuzz a driving policy in traffic scenarios on highway-env to find out how it fails.
 
+    run = behavexplor.find_failures(model, "highway-fast-v0", budget=300)
+
 Importing this package only registers environments with gymnasium: `behavexplor/<functional scenario>-v0`, and
 highway-env's own, which have a compiled vector form, as `behavexplor/highway-v0` and so on. The simulator is imported
-when an environment is made.
+when an environment is made, and the Python interface when one of its names is used.
 """
 
 import pkgutil
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+if TYPE_CHECKING:
+    from behavexplor.api.campaigns import find_failures
+    from behavexplor.api.conducting import Interrupted
+    from behavexplor.api.evaluating import evaluate
+    from behavexplor.api.run import Run, open_run
+    from behavexplor.errors import InputError
+
+__all__ = ["InputError", "Interrupted", "Run", "evaluate", "find_failures", "open_run"]
 __version__ = "0.1.0"
+
+_INTERFACE = {  # module of each name of the Python interface
+    "InputError": "errors",
+    "Interrupted": "api.conducting",
+    "Run": "api.run",
+    "evaluate": "api.evaluating",
+    "find_failures": "api.campaigns",
+    "open_run": "api.run",
+}
 
 NAMESPACE = "behavexplor"
 
@@ -61,3 +82,14 @@ for _name, _entry_point in HIGHWAY_ENV.items():
             vector_entry_point=_vector_entry_point,
             max_episode_steps=_MAX_EPISODE_STEPS.get(_name),
         )
+
+
+def __getattr__(name: str) -> Any:
+    """Return a name of the Python interface, whose modules are slow to import."""
+    if name not in _INTERFACE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_INTERFACE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_INTERFACE})

@@ -1,7 +1,9 @@
 """The exception for wrong input, which users see as one sentence instead of a traceback."""
 
+import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Final
 
 LONGEST: Final = 900  # greatest length of a message [characters]
@@ -27,6 +29,12 @@ def sentence(text: str) -> str:
 def printable(text: str) -> str:
     """Return a text with escapes in place of all characters that are not printable."""
     return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
+
+
+def place_of(error: Exception) -> str:
+    """Return the file and line in which code of a user raised an exception, such as " (my_driver.py, line 12)"."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if len(frames) > 1 else ""
 
 
 def brief(value: object) -> str:

@@ -10,13 +10,14 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from scipy.stats import binomtest
 
+from behavexplor.ads.interface import ADS
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import Executor
-from behavexplor.execution.start import start_executor
+from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.specs import SPECS, judge
 
@@ -91,9 +92,18 @@ class Judge(Evaluator):
         return json.dumps(outcomes_of(trace)).encode()
 
 
-def start_judge(target: Target, workers: int) -> Executor:
-    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`."""
-    return start_executor(target, workers, recipe=recipe_for(Judge, target))
+def start_judge(target: Target, workers: int, driver: ADS | None = None) -> Executor:
+    """Start the executor for `estimate_rates`; see `behavexplor.execution.start.start_executor`.
+
+    Args:
+        target: the driving system and its environment.
+        workers: number of worker processes.
+        driver: object of this process that drives in place of the driving system of that name; None for none.
+    """
+    recipe = recipe_for(Judge, target)
+    return (
+        start_executor(target, workers, recipe=recipe) if driver is None else start_in_process(target, driver, recipe)
+    )
 
 
 def estimate_rates(

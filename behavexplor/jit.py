@@ -3,7 +3,10 @@
 import hashlib
 import json
 import logging
+import os
 import re
+import stat
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -240,4 +243,38 @@ def _source(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
+def find_place_for_code() -> None:
+    """Let numba keep code in a temporary folder if it can write neither beside the sources nor in the user's cache.
+
+    If it cannot write there either, such as in a container whose root is read-only, it compiles in every process.
+    """
+    locating: Any = caching.CompileResultCacheImpl
+    with suppress(RuntimeError):  # there is no place
+        locating(find_place_for_code)
+        return
+    place = _own_temporary_folder()
+    if place is None:
+        keep_no_code()
+        return
+    os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(place)  # type: ignore[attr-defined]
+
+
+def _own_temporary_folder() -> Path | None:
+    """Return a folder that only this user can write, for the code of these sources; None if there is none.
+
+    Numba executes what it finds in its cache, so the folder must not be another user's.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    sources = "".join(_source(path) for path in sorted(_PACKAGE.rglob("*.py")))
+    try:
+        folder = Path(tempfile.gettempdir()) / f"behavexplor-{user}-{hashlib.sha256(sources.encode()).hexdigest()[:16]}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.stat(follow_symlinks=False)
+    except OSError:
+        return None
+    is_ours = stat.S_ISDIR(found.st_mode) and found.st_uid == user and not found.st_mode & 0o077
+    return folder if is_ours or not hasattr(os, "getuid") else None
+
+
 drop_stale_code()
+find_place_for_code()

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from behavexplor.ads.function_driver import FunctionDriver, takes_one_observation
 from behavexplor.ads.interface import ADS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError, missing_library, unknown_name
@@ -21,6 +22,7 @@ SYSTEMS = MappingProxyType(
     }
 )
 _ANYWHERE = ("constant", "careful")  # systems that need none of this package's roads
+IN_MEMORY = "in-memory"  # in place of the module, in the name of a driver that existed in one process only
 
 
 def is_shipped(name: str) -> bool:
@@ -49,9 +51,9 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
         name: a system of `SYSTEMS`, with or without a variant after a colon, such as "rule" or "rule:hardened"; or
             a policy file of `behavexplor.training` (.npz) or of Stable-Baselines3 (.zip, or a folder, see
             `behavexplor.ads.sb3.policy.load_policy`); or
-            "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), or
-            of a class or function that makes such an object. A class or function with a parameter `roadmap` receives
-            the road map.
+            "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), of
+            a function from one observation to one action, or of a class or function that makes such an object or
+            function. A class or function with a parameter `roadmap` receives the road map.
         roadmap: road map for the ADS; None in a stock environment, whose road is its own.
         trust: digests ("sha256:...") of files that may execute code of their own while they are loaded.
 
@@ -72,6 +74,11 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
     if name.endswith((".zip", ".npz")) or Path(name).exists():
         return _policy(Path(name), roadmap, trust)
     module_name, attribute = system, variant
+    if module_name == IN_MEMORY:
+        raise InputError(
+            f"The driver was an object in memory ({attribute}), which no command can load: give it again in Python, "
+            f"by behavexplor.open_run(FOLDER, driver)"
+        )
     try:
         found = getattr(import_module(module_name), attribute)
     except Exception as error:  # a module can raise anything when it is imported
@@ -99,14 +106,33 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
 
 def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:
     """Return the object of a name if it is an ADS, or else the ADS that it makes."""
-    is_factory = isinstance(found, type) or not hasattr(found, "predict")
-    if is_factory and not callable(found):
+    if not (isinstance(found, type) or callable(found) or hasattr(found, "predict")):
         raise InputError(f"{name!r} is not an ADS: it has no predict method and cannot make an object that has one")
-    ads = _call(name, found, roadmap) if is_factory else found
-    if not callable(getattr(ads, "predict", None)):
-        raise InputError(f"{name!r} is not an ADS: the object that it makes, {ads!r:.80}, has no predict method")
-    result: ADS = ads
-    return result
+    ads = as_driver(found)
+    if ads is None:
+        made = _call(name, found, roadmap)
+        ads = None if isinstance(made, type) else as_driver(made)
+        if ads is None:
+            raise InputError(f"{name!r} is not an ADS: the object that it makes, {made!r:.80}, has no predict method")
+    return ads
+
+
+def as_driver(found: Any) -> ADS | None:
+    """Return an object with a `predict` method as it is, and a function of one observation as a driver.
+
+    Returns:
+        The driver; None for anything else, such as a class.
+    """
+    if isinstance(found, type):
+        return None
+    if callable(getattr(found, "predict", None)):
+        driver: ADS = found
+        return driver
+    if callable(found) and takes_one_observation(found):
+        function: Any = FunctionDriver(found)
+        made: ADS = function
+        return made
+    return None
 
 
 def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap | None) -> Any:

@@ -57,6 +57,7 @@ class Campaign:
         store: store of the executions. Executions that it already holds are not repeated.
         executor: executor of scenarios, see `behavexplor.execution.evaluator.Evaluator`.
         specs: requirements that judge each execution.
+        stop_after: number of failures after which the campaign stops; None for no such number.
 
     Attributes:
         progress: progress of the campaign.
@@ -71,6 +72,7 @@ class Campaign:
         store: Store,
         executor: Executor,
         specs: Sequence[Spec] = SPECS,
+        stop_after: int | None = None,
     ) -> None:
         self._config = config
         self._method = method
@@ -79,6 +81,8 @@ class Campaign:
         self._store = store
         self._executor = executor
         self._specs = specs
+        self._stop_after = stop_after
+        self._failures = 0  # those that the method has been told, stored or not
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
         self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
@@ -93,7 +97,7 @@ class Campaign:
         self.stopping = True
 
     def run(self, observe: Callable[[Progress], None]) -> str | None:
-        """Run until the budget is used up or `stop` is called.
+        """Run until the budget is used up, enough failures have been found, or `stop` is called.
 
         Args:
             observe: function that is called with the progress whenever executions have been stored.
@@ -108,6 +112,9 @@ class Campaign:
         ended = None
         try:
             while not self.stopping:
+                if self._has_enough():
+                    ended = f"Stopped after {self._failures} failure{'s' * (self._failures > 1)}, as asked for"
+                    break
                 ended = self._ask_all()
                 if not self._pending:
                     break
@@ -116,6 +123,10 @@ class Campaign:
         finally:
             self._commit(observe, 1, 0.0)
         return ended
+
+    def _has_enough(self) -> bool:
+        told = self._asked - len(self._pending)
+        return self._stop_after is not None and self._failures >= self._stop_after and told >= self._stored
 
     @property
     def elapsed(self) -> float:
@@ -184,6 +195,7 @@ class Campaign:
     ) -> None:
         """Judge an execution, tell the method, and store the record unless it is already stored."""
         record = self._record(candidate, Trace.from_bytes(data), failure)
+        self._failures += record.failed
         if stored is None:
             self._store.add(Execution(record, data, self.elapsed))
         elif not stored.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields

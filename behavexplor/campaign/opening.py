@@ -5,6 +5,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import dataclass
 from pathlib import Path
 
+from behavexplor.ads.interface import ADS
 from behavexplor.behavior.miner import load_clustering
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
@@ -16,7 +17,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
 from behavexplor.execution.pool import share_imports
 from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import check_ads, logical_of_target, start_executor
+from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 
 
@@ -43,6 +44,8 @@ def opened(
     *,
     resume: bool,
     cluster: str = "",
+    driver: ADS | None = None,
+    stop_after: int | None = None,
     patience: AbstractContextManager[object] | None = None,
 ) -> Iterator[Ready]:
     """Prepare a campaign, and release its resources afterwards.
@@ -54,6 +57,9 @@ def opened(
             core.
         resume: whether to resume the campaign in the folder.
         cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        driver: object of this process that drives in place of the driving system that the configuration names. There
+            are no workers then. None for none.
+        stop_after: number of failures after which the campaign stops; None for no such number.
         patience: context manager that is entered while the ADS is loaded and checked.
 
     Yields:
@@ -64,14 +70,18 @@ def opened(
             used, or if the campaign has another revision.
     """
     check_revision(stored_config(folder) if resume else config, str(folder))
-    if workers and not cluster:
+    if workers and not cluster and driver is None:
         share_imports(evaluator_recipe(config.target))
     logical = None if is_stock(config.env) else logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
     with ExitStack() as stack:
         with patience or nullcontext():
-            executor = start_executor(config.target, workers, cluster)
+            executor = (
+                start_executor(config.target, workers, cluster)
+                if driver is None
+                else start_in_process(config.target, driver)
+            )
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor, meanwhile=load_clustering)
         logical = logical or logical_of_target(executor, config.env)
@@ -80,7 +90,8 @@ def opened(
         stack.callback(store.close)
         if isinstance(logical, DrawnLogicalScenario) and not resume:
             (folder / ROAD_FILE).write_bytes(executor.submit(ROAD, b"").result())
-        yield Ready(Campaign(config, search, logical, store, executor, specs), store, warnings)
+        campaign = Campaign(config, search, logical, store, executor, specs, stop_after)
+        yield Ready(campaign, store, warnings)
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:

@@ -416,6 +416,23 @@ def _lock(folder: Path) -> IO[str]:
     return file
 
 
+def is_being_written(folder: Path) -> bool:
+    """Return whether a campaign is writing a run folder now; False where the system has no such locks."""
+    if fcntl is None or not (folder / LOCK).is_file():
+        return False
+    with (folder / LOCK).open() as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def last_written(folder: Path) -> float:
+    """Return when an execution was last written to a run folder [s since 1970]."""
+    return max(path.stat().st_mtime for path in folder.glob(f"{DATABASE}*"))
+
+
 def write_durably(path: Path, text: str) -> None:
     """Write a file atomically and flush it to disk, so that a crash leaves no partial file."""
     partial = path.with_name(path.name + ".part")

@@ -4,6 +4,7 @@ Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wro
 carried out or the run folder could not be written, 70 a bug in this package, 130 interrupted.
 """
 
+import logging
 import os
 import sys
 import traceback
@@ -18,10 +19,11 @@ from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-COMMANDS = (
+COMMANDS = (  # also the module names
     "fuzz",
     "replay",
     "records",
+    "status",
     "triage",
     "minimize",
     "suite",
@@ -29,10 +31,12 @@ COMMANDS = (
     "report",
     "evaluate",
     "compare",
+    "envs",
     "bench",
     "train",
     "retrain",
-)  # also the module names
+    "demo",
+)
 
 _DESCRIPTION = "Find out how a driving policy fails."
 
@@ -52,6 +56,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it complains about a HOME that cannot be written
+    if "--quiet" in given:
+        logging.getLogger("behavexplor.jit").setLevel(logging.ERROR)  # it tells that kernels are being compiled
     import tyro  # noqa: PLC0415 - only the command line needs it
 
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory

@@ -17,12 +17,12 @@ from behavexplor.bench.table import Table
 from behavexplor.bench.tables import tables
 from behavexplor.bench.writing import table_csv, table_latex, table_markdown
 from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.display import clock
-from behavexplor.commands.interrupts import stopped_by_signals
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.report import PAGE
 from behavexplor.commands.terminal_tables import text
+from behavexplor.commands.wording import clock
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import parse_cluster
 from behavexplor.execution.executor import available_cores

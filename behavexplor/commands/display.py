@@ -15,7 +15,11 @@ from rich.table import Table
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
+from behavexplor.commands.wording import class_count, clock, hanging
+from behavexplor.errors import sentence
+from behavexplor.judge.classes import words_of
 from behavexplor.judge.discovery import Discovery
+from behavexplor.judge.specs import ERROR
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _LISTED_FAILURES = 3  # number of listed failures for each spec
@@ -129,7 +133,7 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     lines += [f"{failed}; each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
-    lines += [*_listed_classes(failures), *_outlook(kinds, progress)]
+    lines += [*_errors(failures, progress, store), *_listed_classes(failures), *_outlook(kinds, progress)]
     lines += [f"All results are in {store.folder}, with a file for each failure in its folder failures"]
     folder = shlex.quote(str(store.folder))
     lines += [
@@ -160,6 +164,16 @@ class _Failure(NamedTuple):
     kind: str | None
 
 
+def _errors(failures: list["_Failure"], progress: Progress, store: Store) -> list[str]:
+    """Return a line about a driver that failed instead of driving; none if it did not."""
+    numbers = [failure.number for failure in failures if failure.spec == ERROR]
+    if not numbers:
+        return []
+    count = "every execution" if len(numbers) == progress.executions else f"{len(numbers)} executions"
+    error = store.execution(numbers[0]).record.error or {}
+    return [f"The driver itself failed in {count}, first in {numbers[0]}: {sentence(error.get('message', ''))}"]
+
+
 def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:
     """Return a line with the number of violations of a spec and the first of them; empty if there are none."""
     if not failures:
@@ -169,28 +183,18 @@ def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:
     return f"  {spec:{width}} {len(failures):5}   executions {listed}{more}"
 
 
-def class_count(number: int) -> str:
-    """Return a number of classes in words, such as "1 class"."""
-    return f"{number} class{'' if number == 1 else 'es'}"
-
-
 def _listed_classes(failures: list[_Failure]) -> list[str]:
-    """Return the most frequent classes, one line each, with a title."""
+    """Return the most frequent classes with a title, each as a sentence and by its id."""
     counts = Counter(failure.kind for failure in failures if failure.kind is not None)
     if not counts:
         return []
     first = {failure.kind: failure.number for failure in reversed(failures)}
     shown = counts.most_common(_LISTED_CLASSES)
     title = "The classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
-    width = max(len(str(kind)) for kind, _ in shown)
-    return [title, *(f"  {kind:{width}} {count:5}   first {first[kind]}" for kind, count in shown)]
-
-
-def clock(seconds: float) -> str:
-    """Return a time span as 1:02:03 or 2:03."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+    lines = [title]
+    for kind, count in shown:
+        lines += [hanging(f"{count:7}  ", words_of(str(kind))), f"         {kind}, first {first[kind]}"]
+    return lines
 
 
 def rate(progress: Progress) -> float:

@@ -18,6 +18,7 @@ from scipy.stats import fisher_exact
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.checks import write_json
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
@@ -114,7 +115,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     if json_file is not None:
         first, *others = found.items()
         values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
-        _write(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
+        write_json(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
     print(table(env, found))
     if DRAWN in found:
         print(_gap(found[Path(ads).name], found[DRAWN]))
@@ -182,13 +183,6 @@ def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: 
 def _say(line: str, *, quiet: bool) -> None:
     if not quiet:
         print(line, file=sys.stderr)
-
-
-def _write(path: Path, values: Mapping[str, object]) -> None:
-    try:
-        path.write_text(json.dumps(values, indent=1))
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:

@@ -17,15 +17,19 @@ from behavexplor.ads.loading import SYSTEMS
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import Campaign, ExecutionError, run_folder
 from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
+from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.opening import opened
+from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.display import Display, summary
-from behavexplor.commands.interrupts import stopped_by_signals
+from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
+from behavexplor.commands.display import Display
+from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
 from behavexplor.fuzz.methods import METHODS, describe_method
+from behavexplor.judge.specs import ERROR
 
 _DEFAULTS = CampaignConfig()
 _ENVS = (
@@ -72,8 +76,12 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     unconfined: bool = False,
     stochastic: bool = False,
     confirm: bool = True,
+    stop_after: Annotated[int | None, _flag("N", None)] = None,
+    summary: Annotated[Path | None, _flag("FILE", None)] = None,
     quiet: bool = False,
     fail_on_violation: bool = False,
+    fail_above: Annotated[float | None, _flag("SHARE", None)] = None,
+    known_classes: Annotated[Path | None, _flag("FILE", None)] = None,
 ) -> int:
     """Search for scenarios in which a driving system fails, and store every execution in a run folder.
 
@@ -99,8 +107,13 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             probable ones.
         confirm: Repeat each failure in highway-env's own environments with highway-env itself, which takes longer than
             all else if the driver fails often.
+        stop_after: Stop after this many failures, before the budget is used up.
+        summary: Also write the findings to this JSON file.
         quiet: Print only the summary.
         fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
+        fail_above: Exit with code 1 if more than this share of the executions failed, such as 0.05.
+        known_classes: File with one class in each line, or a --summary file: failures of these classes do not make
+            --fail-on-violation and --fail-above fail.
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     flags |= {
@@ -113,6 +126,9 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     flags["env_config"] = read_yaml(env_config) if env_config else None
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers, cluster)
+    checks = Checks(fail_on_violation, fail_above, read_known_classes(known_classes))
+    if stop_after is not None and stop_after < 1:
+        raise InputError(f"--stop-after {stop_after} must be at least 1")
     if resume and (config or out or spec):
         raise InputError(
             "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
@@ -127,6 +143,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         workers,
         resume=resume is not None,
         cluster=cluster or "",
+        stop_after=stop_after,
         patience=patience(display.say, _WAITING_FOR_NODE, 0.5) if cluster else patience(display.say),
     )
     with making as ready, _stoppable(ready.campaign, display):
@@ -134,13 +151,30 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(ready.store.repaired)
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
-        code = _run(ready.campaign, ready.store, display, fail_on_violation=fail_on_violation)
+        code = _run(ready.campaign, ready.store, display)
+        if ready.campaign.progress.executions:
+            code = _checked(code, folder, checks, summary)
         if code == OK and 0 < ready.campaign.progress.executions == ready.campaign.progress.resumed:
             display.say("The run was already complete: a larger --budget extends it.")
         return code
 
 
-def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violation: bool) -> int:
+def _checked(code: int, folder: Path, checks: Checks, file: Path | None) -> int:
+    """Write the summary of a campaign, check its findings, and return the exit code."""
+    found = summarize(folder)
+    if file is not None:
+        write_json(file, summary_values(found, folder, checks))
+    if code == OK and found.violations.get(ERROR) == found.executions:
+        print(f"{program()}: The driver drove in no execution, so nothing was tested", file=sys.stderr)
+        return EXECUTION_FAILED
+    reason = checks.failed(found) if code == OK else None
+    if reason is not None:
+        print(f"{program()}: {sentence(reason)}", file=sys.stderr)
+        return CHECK_FAILED
+    return code
+
+
+def _run(campaign: Campaign, store: Store, display: Display) -> int:
     code, failure = OK, None
     with display:
         try:
@@ -152,14 +186,12 @@ def _run(campaign: Campaign, store: Store, display: Display, *, fail_on_violatio
         else:
             failure = ended
     if campaign.progress.executions:
-        print(summary(campaign.progress, store, program()))
+        print(campaign_summary(campaign.progress, store, program()))
     if failure:
         print(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
         print(f"Interrupted; resume with: {program()} fuzz --resume {shlex.quote(str(store.folder))}", file=sys.stderr)
         return INTERRUPTED
-    if code == OK and fail_on_violation and campaign.progress.failed:
-        return CHECK_FAILED
     return code
 
 

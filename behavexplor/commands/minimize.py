@@ -1,7 +1,7 @@
 """`behavexplor minimize`: the simplest scenario in which a failure still happens."""
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from statistics import median
@@ -16,8 +16,8 @@ from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
-from behavexplor.triage.findings import TRIAGE, Finding, Triage
-from behavexplor.triage.minimization import minimize_failures
+from behavexplor.triage.findings import known_findings
+from behavexplor.triage.minimization import chosen_failures, minimize_failures
 from behavexplor.triage.minimized import Minimized, read_minimized
 
 
@@ -45,15 +45,14 @@ def minimize(
     """
     count = chosen_workers(workers)
     with closing(Store.read(run)) as store:
-        failures = {number: kind or "" for number, _, kind in store.failures()}
-        chosen = chosen_failures(run, failures, numbers, every=every)
+        chosen = chosen_failures(store, numbers, every=every)
         known = {} if afresh else read_minimized(run)
         found = {number: known[number] for number in chosen if number in known}
         waiting = [number for number in chosen if number not in found]
         try:
             with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
                 config = stored_config(run)
-                for minimal in minimize_failures(store, config, waiting, triaged(run), count) if waiting else ():
+                for minimal in minimize_failures(store, config, waiting, known_findings(run), count):
                     found[minimal.id] = minimal
                     meter.show(len(found) - len(chosen) + len(waiting))
         except OSError as error:
@@ -63,34 +62,6 @@ def minimize(
             return EXECUTION_FAILED
     print(table([found[number] for number in chosen]))
     return OK
-
-
-def triaged(run: Path) -> dict[int, Finding]:
-    """Return the findings of triage by the numbers of the executions; none if the run has not been triaged."""
-    if not (run / TRIAGE).is_file():
-        return {}
-    return {finding.id: finding for finding in Triage.read(run).findings}
-
-
-def chosen_failures(run: Path, failures: Mapping[int, str], numbers: Sequence[int], *, every: bool) -> list[int]:
-    """Return the failures to minimize, in order.
-
-    Args:
-        run: the run folder.
-        failures: the class of each failure by the number of its execution.
-        numbers: numbers that the user has given.
-        every: whether the user wants all failures.
-
-    Raises:
-        InputError: if there is no failure of a given number.
-    """
-    for number in numbers:
-        if number not in failures:
-            raise InputError(f"Execution {number} of {run} has no failure: `behavexplor records {run}` lists them")
-    if every or numbers:
-        return sorted(set(numbers) or failures)
-    first = {kind: number for number, kind in sorted(failures.items(), reverse=True)}
-    return sorted(first.values())
 
 
 def table(found: Sequence[Minimized]) -> str:

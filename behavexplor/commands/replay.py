@@ -2,41 +2,26 @@
 
 import sys
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.repetition import repeat_execution
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
+from behavexplor.report.captions import outcome
 from behavexplor.report.drawing import decisive_frame, draw, save_animation
 from behavexplor.report.road_shapes import known_road
 from behavexplor.triage.closed_loop import drive_again
 from behavexplor.triage.findings import OtherDriver, Witness, read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
-
-_ENDED_BY = MappingProxyType(
-    {
-        "collision": "a collision",
-        "arrived": "its arrival",
-        "passed": "passing its destination",
-        "standstill": "standing still",
-        "timeout": "the time limit",
-        "off-road": "leaving the road",
-        "ended": "the environment",
-        "error": "a failure of the ADS",
-    }
-)
 
 
 def replay(
@@ -93,12 +78,12 @@ def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
 
 def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
-    trace, caption = execution.load_trace(), _verdict(execution)
+    trace, caption = execution.load_trace(), outcome(execution.record)
     frame = decisive_frame(trace, execution.record.violated)
-    degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record.degrees.items())
+    degrees = ", ".join(f"{name} {degree:.2f}" for name, degree in execution.record.degrees.items())
     animation, picture = _save(trace, shape, frame, caption, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
-    print(f"Violation degrees (lower is nearer to a violation): {degrees}")
+    print(f"Violation degrees, which guide the search (lower is nearer to a violation): {degrees}")
     print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
@@ -169,22 +154,6 @@ def _driven(
 def _compare(execution: Execution, config: CampaignConfig) -> int:
     """Run an execution again, in a separate process, and return the exit code of the comparison."""
     with start_executor(config.target, 1) as executor:
-        try:
-            again = executor.submit(EXECUTE, execution.scenario.to_json().encode()).result()
-        except ADSError as error:
-            if execution.record.error == ads_failure(error):
-                print("The failure was reproduced: running it again, the ADS failed in the same way.")
-                return OK
-            print(sentence(f"The execution was NOT reproduced: running it again, {error}"), file=sys.stderr)
-            return CHECK_FAILED
-    if Trace.from_bytes(again).to_bytes() != execution.load_trace().to_bytes():
-        print("The execution was NOT reproduced: running it again gave a different trace.", file=sys.stderr)
-        return CHECK_FAILED
-    print("The execution was reproduced: running it again gave the same trace.")
-    return OK
-
-
-def _verdict(execution: Execution) -> str:
-    """Describe the outcome of an execution, to follow its number."""
-    violated = " and ".join(execution.record.violated) or "nothing"
-    return f"violates {violated}, ended by {_ENDED_BY[execution.record.end]}"
+        again = repeat_execution(executor, execution)
+    print(again.words, file=sys.stdout if again.reproduced else sys.stderr)
+    return OK if again.reproduced else CHECK_FAILED

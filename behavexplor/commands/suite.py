@@ -13,11 +13,11 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
-from behavexplor.commands.minimize import triaged
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import TEST, Case, Suite
 from behavexplor.repair.selection import candidates, case_of, check_same_driving
+from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import minimize_failures
 from behavexplor.triage.minimized import Minimized, read_minimized
 
@@ -75,16 +75,14 @@ def suite(
 def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], workers: int, *, quiet: bool) -> list[Case]:
     """Return a case for each class of a run that is not yet taken. Failures are minimized if they have not been."""
     with closing(Store.read(run)) as store:
-        findings = triaged(run)
+        findings = known_findings(run)
         left = {kind: ids for kind, ids in candidates(store.records(), findings).items() if kind not in taken}
         known, made = read_minimized(run), []
         for attempt in range(TRIES):
             chosen = [ids[attempt] for ids in left.values() if len(ids) > attempt]
             waiting = [number for number in chosen if number not in known]
             with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-                for done, minimal in enumerate(
-                    minimize_failures(store, config, waiting, findings, workers) if waiting else (), 1
-                ):
+                for done, minimal in enumerate(minimize_failures(store, config, waiting, findings, workers), 1):
                     known[minimal.id] = minimal
                     meter.show(done)
             good = _reproduced(known, chosen)

@@ -1,49 +1,27 @@
 """`behavexplor triage`: classes, fault and causes of the failures of a run."""
 
-import json
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from rich.table import Table
 
-from behavexplor.campaign.campaign import ads_failure
-from behavexplor.campaign.config import CampaignConfig, stored_config
-from behavexplor.campaign.store import Execution, Store, write_durably
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.display import class_count
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
+from behavexplor.commands.wording import class_count, hanging
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.data.decision_log import UNKNOWN
-from behavexplor.errors import InputError, sentence
-from behavexplor.execution.evaluator import EXECUTE, recipe_for
-from behavexplor.execution.lookahead import AHEAD, in_order
-from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.start import start_executor
+from behavexplor.errors import sentence
+from behavexplor.judge.classes import words_of
 from behavexplor.triage.agreement import agreement
-from behavexplor.triage.coverage import weakness_records
-from behavexplor.triage.examination import EXAMINE, Examiner, examination
-from behavexplor.triage.findings import (
-    TRIAGE,
-    WITNESSES,
-    Finding,
-    Sighting,
-    Triage,
-    counted,
-    error_finding,
-    trace_finding,
-    witness_path,
-)
+from behavexplor.triage.findings import Finding, Sighting, Triage, counted
+from behavexplor.triage.run_triage import RunTriage
 
-WRITTEN_AFTER = 10  # findings after which the file is written, the most that an interruption can lose
 _NUMBERS = ("count", "first", "look at")  # columns of numbers
-TIME_LIMIT = 10.0  # time limit of one failure, in units of the time limit of an execution
 
 
 def triage(
@@ -64,88 +42,19 @@ def triage(
         afresh: Examine all failures again.
         quiet: Print only the tables.
     """
-    count = chosen_workers(workers)
-    config = stored_config(run)
-    store = Store.read(run)
-    known = {} if afresh else _known(run)
-    failures = [record.id for record in store.records() if record.failed]
-    waiting = [number for number in failures if number not in known]
-    total = len(store)
+    running = RunTriage(run, chosen_workers(workers), afresh=afresh)
     try:
-        (run / WITNESSES).mkdir(exist_ok=True)
-        with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-            for done, finding in enumerate(_examined(store, config, waiting, count), 1):
-                known[finding.id] = finding
-                if done % WRITTEN_AFTER == 0:
-                    _triage(config, total, known.values()).write(run)
-                meter.show(done)
-        found = _triage(config, total, (known[number] for number in failures))
-        if config.ads.partition(":")[0] == "rule":
-            traces = ((execution.id, execution.load_trace()) for execution in store.executions())
-            found = replace(found, weaknesses=weakness_records(traces, found.findings))
-        found.write(run)
-    except OSError as error:
-        raise InputError(f"The run folder {run} cannot be written: {error.strerror}") from None
+        with Meter(sys.stderr, len(running.waiting), "failures", quiet=quiet) as meter:
+            found = running.examine(meter.show)
     except RuntimeError as error:
         print(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    finally:
-        store.close()
     print(report(found))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
         print(f"\nTo see how the first preventable collision could have been avoided: {command} --avoided")
     return OK
-
-
-def _known(run: Path) -> dict[int, Finding]:
-    """Return the findings of an earlier call."""
-    if not (run / TRIAGE).is_file():
-        return {}
-    return {finding.id: finding for finding in Triage.read(run).findings}
-
-
-def _triage(config: CampaignConfig, total: int, findings: Iterable[Finding]) -> Triage:
-    return Triage(config.env, config.ads, total, tuple(sorted(findings, key=lambda finding: finding.id)))
-
-
-def _examined(store: Store, config: CampaignConfig, waiting: Sequence[int], workers: int) -> Iterator[Finding]:
-    """Examine failures in order, write their witnesses, and yield the findings."""
-    if not waiting:
-        return
-    target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
-    executor = start_executor(
-        target, min(workers, len(waiting)), recipe=recipe_for(Examiner, target, specs=config.specs)
-    )
-    try:
-        calls = (_call(store.execution(number), config.seed) for number in waiting)
-        for number, future in zip(waiting, in_order(executor, calls, AHEAD * workers), strict=True):
-            yield _finding(store.folder, store.execution(number), future)
-    finally:
-        executor.shutdown(wait=False)
-
-
-def _call(execution: Execution, seed: int) -> tuple[str, bytes]:
-    if execution.record.error is not None:
-        return EXECUTE, execution.scenario.to_json().encode()
-    return EXAMINE, examination(execution.record, execution.trace, seed)
-
-
-def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
-    record = execution.record
-    try:
-        answer = future.result()
-    except ADSError as error:
-        if record.error is not None:
-            return error_finding(record, happened_again=record.error == ads_failure(error))
-        return trace_finding(record, execution.load_trace())
-    if record.error is not None:
-        return error_finding(record, happened_again=False)
-    values = json.loads(answer)
-    if values["witness"] is not None:
-        write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
-    return Finding(**values["finding"])
 
 
 def report(found: Triage) -> str:
@@ -156,6 +65,8 @@ def report(found: Triage) -> str:
         + (f"{flaky} did not reproduce" if flaky else "all replayed failures reproduced"),
         "",
         plain_text(_class_table(found)),
+        "",
+        *(hanging("  ", f"{class_id}: {words_of(class_id)}") for class_id in found.classes),
         "",
         "A class groups failures that look alike. It begins with the violated requirement:",
         "R1 collision, R2 illegal line touched, R3 destination missed.",

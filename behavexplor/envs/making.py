@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import cache
+from importlib.metadata import entry_points
 from typing import Any, Final
 
 import gymnasium
@@ -15,7 +16,8 @@ import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.errors import InputError, unknown_name
 
-_HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second
+ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
+HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second
 
 
 def environment_id(name: str) -> str:
@@ -23,21 +25,31 @@ def environment_id(name: str) -> str:
 
     Args:
         name: name of a functional scenario, such as "intersection-straight", or a full gymnasium id, such as
-            "highway-fast-v0". For an environment that another module registers, write "module:id".
+            "highway-fast-v0". For an environment that another module registers, write "module:id". The id suffices if
+            its package declares the module as an entry point of the group `ENTRY_POINTS`.
 
     Raises:
         InputError: if there is no such environment.
     """
     if name in behavexplor.FUNCTIONAL_SCENARIOS:
         return f"{behavexplor.NAMESPACE}/{name}-v0"
-    if ":" in name or "/" in name or name in gymnasium.registry:
+    if ":" in name or name in gymnasium.registry:
         return name
-    importlib.import_module(_HIGHWAY_ENV)
+    if "/" in name:
+        _import_plugin(name.partition("/")[0])
+        return name
+    importlib.import_module(HIGHWAY_ENV)
     if name not in gymnasium.registry:
-        stock = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(_HIGHWAY_ENV)]
+        stock = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
         own = [known for known in behavexplor.FUNCTIONAL_SCENARIOS if known.startswith(name)]
         raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *stock])
     return name
+
+
+def _import_plugin(namespace: str) -> None:
+    """Import the module that registers the environments of a namespace, if an installed package declares it."""
+    for entry in entry_points(group=ENTRY_POINTS, name=namespace):
+        importlib.import_module(entry.module)
 
 
 @cache
@@ -163,6 +175,9 @@ def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, 
             made: gymnasium.Env[Any, Any] = gymnasium.make(spec, disable_env_checker=True, **keywords)
     except InputError:
         raise
-    except Exception as error:  # gymnasium's own errors, and any error of the environment's package
+    except gymnasium.error.UnregisteredEnv as error:
+        hint = "" if module else f": if another package registers it, name the module that does, as in module:{own}"
+        raise InputError(f"The environment {name!r} cannot be made: {error}{hint}") from error
+    except Exception as error:  # gymnasium's other errors, and any error of the environment's package
         raise InputError(f"The environment {name!r} cannot be made: {type(error).__name__}: {error}") from error
     return made

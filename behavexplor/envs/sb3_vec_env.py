@@ -153,11 +153,12 @@ class HighwayVecEnv(LockStepVecEnv):
         limits = [wrapper._max_episode_steps for wrapper in wrappers if isinstance(wrapper, TimeLimit)]  # noqa: SLF001
         self._monitor = next((wrapper for wrapper in wrappers if isinstance(wrapper, Monitor)), None)
         self._returns, self._lengths = np.zeros(len(env_fns)), np.zeros(len(env_fns), dtype=np.int64)
+        self._made = {"spec": single.spec, "config": single.unwrapped.config}  # type: ignore[attr-defined]
         super().__init__(
             vector_env(
                 type(single.unwrapped),
                 num_envs=len(env_fns),
-                config=single.unwrapped.config,  # type: ignore[attr-defined]
+                config=self._made["config"],
                 autoreset_mode=AutoresetMode.SAME_STEP,
                 max_episode_steps=min(limits, default=None),
             )
@@ -196,6 +197,12 @@ class HighwayVecEnv(LockStepVecEnv):
         super().close()
         if self._monitor is not None:
             self._monitor.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute that all sub-environments share, such as their `spec` or `config`."""
+        if attr_name in self._made:
+            return [self._made[attr_name] for _ in self._get_indices(indices)]
+        return super().get_attr(attr_name, indices)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
         """Return whether each sub-environment behaves as if it had a wrapper, such as `Monitor`."""

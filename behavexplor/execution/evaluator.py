@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import behavexplor
+from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import is_shipped
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
@@ -40,6 +41,7 @@ class Evaluator(Service):
     Attributes:
         confirms: whether highway-env itself confirms each failure that the compiled engine finds.
         target: the driving system and its environment.
+        driver: object of this process that drives in place of the driving system of that name; None for none.
         functions: see `behavexplor.execution.service.Service`.
         batch: executes many scenarios in lock-step; None if the ADS or the environment cannot.
     """
@@ -48,6 +50,7 @@ class Evaluator(Service):
 
     def __init__(self, **target: Any) -> None:
         self.target = Target(**target)
+        self.driver: ADS | None = None
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
             EXECUTE: self.execute,
             PREFLIGHT: self.preflight,
@@ -79,7 +82,7 @@ class Evaluator(Service):
         """
         try:
             with collected_notices() as self._notices:
-                self.simulation = simulation_of(self.target)
+                self.simulation = simulation_of(self.target, self.driver)
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(LOCK_STEP)
@@ -183,15 +186,19 @@ class ScenarioBatch:
             return error
 
 
-def simulation_of(target: Target) -> Simulation:
+def simulation_of(target: Target, driver: ADS | None = None) -> Simulation:
     """Return the simulation of a target.
+
+    Args:
+        target: the driving system and its environment.
+        driver: object that drives in place of the driving system of that name; None for none.
 
     Raises:
         InputError: see `behavexplor.execution.simulation.Simulation`.
     """
-    return Simulation(
-        target.env, target.ads, target.trust, target.env_config, target.traffic, stochastic=target.stochastic
-    )
+    ads = driver or target.ads
+    settings = (target.trust, target.env_config, target.traffic)
+    return Simulation(target.env, ads, *settings, stochastic=target.stochastic)
 
 
 def evaluator_recipe(target: Target) -> Recipe:

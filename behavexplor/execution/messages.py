@@ -62,7 +62,7 @@ def error_answer(error: BaseException, place: str = "") -> bytes:
             rejected input.
     """
     if isinstance(error, ADSError):
-        return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message}).encode()
+        return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()
     if isinstance(error, InputError):
         return REFUSED + str(error).encode(errors="replace")
     words = str(error) if type(error) is RuntimeError else f"{type(error).__name__}: {error}"

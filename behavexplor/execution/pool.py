@@ -29,11 +29,18 @@ from behavexplor.execution.worker import CLOSED, serve
 BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
 CRASHES: Final = 2  # an ADS is blamed after this many worker crashes during the same single execution
 _SHARES: Final = "forkserver" in multiprocessing.get_all_start_methods()
+_GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
 ENDING_SECONDS: Final = 2.0  # time limit for the end of a worker that has closed its connection [s]
 
 
 def share_imports(recipe: Recipe) -> None:
-    """Begin to import, in the background, what the processes of a service need, where the system can share it."""
+    """Begin to import, in the background, what the processes of a service need, where the system can share it.
+
+    Raises:
+        InputError: if this process is a worker that is importing the script of the user, which starts workers itself.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise InputError(f"This script starts worker processes when it is imported: {_GUARD}")
     if _SHARES:
         set_forkserver_preload(list(recipe.preload))
         ensure_running()
@@ -329,7 +336,8 @@ class _Worker:
 def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:
     """Return the exception for the calls of a lost worker."""
     if not worker.is_ready:
-        return InputError(f"The ADS cannot be loaded: {message}")
+        hint = f"; if a script has started it, {_GUARD}" if message.endswith("exit code 1") else ""
+        return InputError(f"The ADS cannot be loaded: {message}{hint}")
     return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
 
 

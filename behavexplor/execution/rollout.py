@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from behavexplor.data.observations import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
+from behavexplor.errors import place_of
 from behavexplor.execution.drawing import DrawnActions
 
 
@@ -26,12 +27,14 @@ class ADSError(Exception):
             "crash" (its process died), or "differs" (not the ADS but the compiled engine failed; see
             `behavexplor.execution.confirmation`).
         message: details of the failure.
+        place: where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.
     """
 
-    def __init__(self, kind: str, message: str) -> None:
-        super().__init__(f"the ADS failed ({kind}): {message}")
+    def __init__(self, kind: str, message: str, place: str = "") -> None:
+        super().__init__(f"the ADS failed ({kind}): {message}{place}")
         self.kind = kind
         self.message = message
+        self.place = place
 
 
 def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace:
@@ -271,7 +274,7 @@ def _ask(
     except SystemExit as error:
         raise ADSError("exit", f"it called sys.exit({error.code!r})") from error
     except Exception as error:
-        raise ADSError("raised", f"{type(error).__name__}: {error}") from error
+        raise ADSError("raised", f"{type(error).__name__}: {error}", place_of(error)) from error
     finally:
         _asking[0].value = 0
 

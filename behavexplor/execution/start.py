@@ -3,7 +3,9 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import check_name
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
@@ -48,6 +50,24 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
         service.begin()
         return InProcessExecutor(service, recipe.batched)
     return WorkerPool(workers, recipe, target.time_limit, target.memory_limit)
+
+
+def start_in_process(target: Target, driver: ADS, recipe: Recipe | None = None) -> Executor:
+    """Start the executor for a driver that exists in this process only.
+
+    Args:
+        target: the environment, and the name of the driver.
+        driver: the driver.
+        recipe: recipe of an evaluator for the target; by default that of a plain one.
+
+    Raises:
+        InputError: if the environment cannot be used, or the driver cannot drive in it.
+    """
+    recipe = recipe or evaluator_recipe(target)
+    evaluator: Any = recipe.make()
+    evaluator.driver = driver
+    evaluator.begin()
+    return InProcessExecutor(evaluator, recipe.batched)
 
 
 def fewest_workers(target: Target) -> int:

@@ -43,6 +43,7 @@ def serve(connection: Connection, asking: Any, recipe: Recipe, memory_limit: flo
     os.environ["TMPDIR"] = tempfile.tempdir = folder
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     logging.getLogger("behavexplor.jit").setLevel(logging.ERROR)  # the command says what it waits for
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it complains about a HOME that cannot be written
     share_asking(asking)
     _limit_memory(memory_limit)
     service = recipe.make()

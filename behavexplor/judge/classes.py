@@ -7,7 +7,7 @@ two directions at a crossing.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,15 @@ _PHRASES: Final = {  # where the words of a class are not its id's
     "having-left-its-lane-again": "after entering its lane and leaving it again",
     "nobody-ahead": "with no vehicle ahead",
 }
+_ERRORS: Final = {  # classes of executions in which the driving system failed
+    "error/raised": "The driving system raised an exception",
+    "error/invalid": "The driving system returned something that is not an action",
+    "error/exit": "The driving system ended its process by sys.exit",
+    "error/memory": "The driving system ran out of memory",
+    "error/hang": "The driving system did not answer in time",
+    "error/crash": "The process of the driving system died",
+    "error/differs": "The compiled engine and highway-env disagreed, so nothing is known about the driving system",
+}
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,16 @@ class ViolationClass:
         """Readable and stable identifier, such as "R1/turning-left/crossing-from-right/large"."""
         return "/".join(filter(None, (self.spec, self.maneuver, self.conflict, self.mark)))
 
+    @classmethod
+    def from_id(cls, class_id: str) -> Self:
+        """Return the class, without a detail, from its id.
+
+        Raises:
+            ValueError: if it is not the id of a class.
+        """
+        spec, maneuver, conflict, *mark = class_id.split("/")
+        return cls(spec, maneuver, conflict, "/".join(mark))
+
     @property
     def words(self) -> str:
         """Class and detail as a sentence, such as "Collision with an oncoming car-sized vehicle; the ego was ..."."""
@@ -93,6 +112,21 @@ class ViolationClass:
         else:
             sentence = f"Violated {self.spec} (end of the episode: {self.conflict.removeprefix('ended-by-')})"
         return f"{sentence}; the ego was {_phrase(self.maneuver)}" + (f", {self.detail}" if self.detail else "")
+
+
+def words_of(class_id: str) -> str:
+    """Return the class in a record as a sentence, without the details that only the trace tells.
+
+    The class of an execution in which the driving system failed is "error/" and the kind of its failure. A class that
+    is not known is its own sentence.
+    """
+    kind = _ERRORS.get(class_id)
+    if kind is not None:
+        return kind
+    try:
+        return ViolationClass.from_id(class_id).words
+    except (ValueError, KeyError):
+        return class_id
 
 
 def _phrase(part: str) -> str:

@@ -6,17 +6,15 @@ from a violation, in any unit. `behavexplor.judge.stl` helps to write such a fun
 """
 
 import re
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from behavexplor.data.trace import Trace
-from behavexplor.errors import InputError, brief
+from behavexplor.errors import InputError, brief, place_of
 from behavexplor.judge.specs import NOTHING_NEAR, SPECS, Spec
 
 _NAME: Final = re.compile(r"[A-Za-z_][\w.-]{0,63}")
@@ -65,7 +63,7 @@ class RobustnessSpec:
         try:
             value = self.robustness(trace)
         except Exception as error:
-            raise InputError(f"{self._called()} raised {type(error).__name__}: {error}{_place(error)}") from error
+            raise InputError(f"{self._called()} raised {type(error).__name__}: {error}{place_of(error)}") from error
         if isinstance(value, (bool, np.bool_, str, bytes)) or value is None:
             raise InputError(f"{self._called()} returned {brief(value)}: {_WANTED}")
         try:
@@ -144,9 +142,3 @@ def _instance(kind: type[Any], source: str) -> Any:
         return kind()
     except Exception as error:
         raise InputError(f"The spec {source} cannot be constructed: {type(error).__name__}: {error}") from error
-
-
-def _place(error: Exception) -> str:
-    """Return the file and line where an exception was raised."""
-    frames = traceback.extract_tb(error.__traceback__)
-    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if len(frames) > 1 else ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
     return int(box_distance(boxes[:, :1], boxes[:, 1:]).min(1).argmin())
 
 
-def save_animation(path: Path, trace: Trace, shape: RoadShape, caption: str) -> None:
+def save_animation(file: Path | IO[bytes], trace: Trace, shape: RoadShape, caption: str) -> None:
     """Write an animation of the whole trace as a GIF; its last frame is shown for two seconds."""
     count = min(MAX_FRAMES, max(2, round(trace.duration / FRAME_TIME) + 1))
     frames = np.unique(np.searchsorted(trace.time, np.linspace(0, trace.duration, count) - 1e-9))
@@ -58,7 +59,7 @@ def save_animation(path: Path, trace: Trace, shape: RoadShape, caption: str) -> 
     palette = _palette(pictures)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     times = [int(FRAME_TIME * 1000)] * (len(pictures) - 1) + [2000]
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=times, loop=0)
+    pictures[0].save(file, "GIF", save_all=True, append_images=pictures[1:], duration=times, loop=0)
 
 
 def _palette(pictures: list[Image.Image]) -> Image.Image:

@@ -155,6 +155,17 @@ class Triage:
         return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
 
 
+def known_findings(folder: Path) -> dict[int, Finding]:
+    """Return the findings of a run by the numbers of their executions; none before triage.
+
+    Raises:
+        InputError: see `Triage.read`.
+    """
+    if not (folder / TRIAGE).is_file():
+        return {}
+    return {finding.id: finding for finding in Triage.read(folder).findings}
+
+
 @dataclass(frozen=True, eq=False)
 class Witness:
     """Commands that avoid a recorded collision.

@@ -5,15 +5,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Final
 
+from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
+from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import LOCK_STEP, Evaluator, recipe_for
 from behavexplor.execution.lookahead import AHEAD, in_order
 from behavexplor.execution.rollout import ADSError, LockStep
-from behavexplor.execution.start import start_executor
+from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.examination import STREAM
@@ -119,8 +121,35 @@ def minimized(
     ), logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
 
 
+def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = False) -> list[int]:
+    """Return the failures to minimize, in order.
+
+    Args:
+        store: the executions of the run.
+        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
+        every: whether all failures are chosen instead.
+
+    Raises:
+        InputError: if an execution has no failure.
+    """
+    failures = {number: kind or "" for number, _, kind in store.failures()}
+    for number in numbers:
+        if number not in failures:
+            folder = store.folder
+            raise InputError(f"Execution {number} of {folder} has no failure: `behavexplor records` lists them")
+    if every or numbers:
+        return sorted(set(numbers) or failures)
+    first = {kind: number for number, kind in sorted(failures.items(), reverse=True)}
+    return sorted(first.values())
+
+
 def minimize_failures(
-    store: Store, config: CampaignConfig, failures: Sequence[int], known: Mapping[int, Finding], workers: int
+    store: Store,
+    config: CampaignConfig,
+    failures: Sequence[int],
+    known: Mapping[int, Finding],
+    workers: int,
+    driver: ADS | None = None,
 ) -> Iterator[Minimized]:
     """Minimize failures of a run in parallel, write the results into its folder, and yield them in order.
 
@@ -130,14 +159,21 @@ def minimize_failures(
         failures: numbers of failed executions.
         known: findings of triage by the numbers of the executions.
         workers: number of worker processes; 0 uses this process.
+        driver: object of this process that drives in place of the driving system that the configuration names; None
+            for none.
 
     Raises:
         InputError: if the driver cannot be loaded, or the run folder cannot be written.
         RuntimeError: if a failure could not be minimized.
     """
+    if not failures:
+        return
     target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
     recipe = recipe_for(Minimizer, target, specs=config.specs)
-    executor = start_executor(target, min(workers, len(failures)), recipe=recipe)
+    if driver is None:
+        executor = start_executor(target, min(workers, len(failures)), recipe=recipe)
+    else:
+        executor = start_in_process(target, driver, recipe)
     try:
         (store.folder / MINIMIZED).mkdir(exist_ok=True)
         calls = (_call(store.execution(number), config.seed, known.get(number)) for number in failures)

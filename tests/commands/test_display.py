@@ -8,7 +8,8 @@ from rich.console import Console
 
 from behavexplor.campaign.campaign import Progress
 from behavexplor.campaign.config import Budget
-from behavexplor.commands.display import Display, clock, summary
+from behavexplor.commands.display import Display, summary
+from behavexplor.commands.wording import clock
 from tests.campaign.test_store import execution, filled, store  # noqa: F401 - a fixture
 
 PROGRESS = Progress(
@@ -110,7 +111,7 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
     store.commit()
     text = summary(PROGRESS, store, "behavexplor")
     assert "6 failed (12.0%) in 11 classes, 3 at fault in 2 classes; each failure is counted under" in text
-    assert "The 8 most frequent classes:\n  R1/kind-10    10   first 20\n  R1/kind-00     2   first 0\n" in text
+    assert "The 8 most frequent classes:\n     10  R1/kind-10\n         R1/kind-10, first 20\n" in text
     assert "kind-07" not in text
     assert "a new class with a probability of about 0.00%; an estimated 0 classes (95 %: 0 to 0) have not been" in text
 

@@ -16,7 +16,7 @@ from behavexplor.errors import InputError, brief, unknown_name
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
-_ENVIRONMENT_KEYS = ("observation", "action", "policy_frequency", "simulation_frequency")
+ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_frequency", "simulation_frequency")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,7 @@ def _own(path: Path) -> Description:
         if key not in Description.__dataclass_fields__:
             raise unknown_name(f"key of {path}", str(key), Description.__dataclass_fields__)
     given = values.get("config")
-    trained = {key: given[key] for key in _ENVIRONMENT_KEYS if key in given} if isinstance(given, dict) else {}
+    trained = {key: given[key] for key in ENVIRONMENT_KEYS if key in given} if isinstance(given, dict) else {}
     description = _checked(path, {**trained, **values})
     if description.statistics is None:
         return description
@@ -149,7 +149,7 @@ def _of_zoo(folder: Path, model: Path) -> Description:
             f"{folder / 'config.yml'} says that observations were normalized, but {STATISTICS[0]} is missing there"
         )
     config = _environment(arguments)
-    values = {key: config[key] for key in _ENVIRONMENT_KEYS if key in config}
+    values = {key: config[key] for key in ENVIRONMENT_KEYS if key in config}
     values |= {"env": arguments.get("env"), "config": config}
     values["frame_stack"] = settings.get("frame_stack") or 1
     values["statistics"] = statistics

@@ -1,0 +1,75 @@
+"""Drivers that are given as Python objects: functions, objects with a `predict` method, and models in training."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from behavexplor.ads.interface import ADS
+from behavexplor.ads.loading import IN_MEMORY, as_driver, check_name
+from behavexplor.ads.sb3.description import trained_in
+from behavexplor.errors import InputError, brief
+
+
+@dataclass(frozen=True)
+class GivenDriver:
+    """A driving system as a user of the Python interface gives it.
+
+    Attributes:
+        name: name of the driver in a run's configuration. Any process can load the driver by it, unless the name
+            begins with `behavexplor.ads.loading.IN_MEMORY`.
+        driver: the driver itself; None if it is given by name.
+        env: environment in which it was trained; None if unknown.
+    """
+
+    name: str
+    driver: ADS | None = None
+    env: str | None = None
+
+
+def given_driver(given: Any) -> GivenDriver:
+    """Return a driver that is given as a name, a function of one observation, an object or a model.
+
+    Args:
+        given: name as in `behavexplor.ads.loading.load_ads`, or a path; a function from one observation to one action;
+            an object with a `predict` method, see `behavexplor.ads.interface.ADS`; or a model of Stable-Baselines3,
+            whose policy is copied as it is now; or what this function has returned.
+
+    Raises:
+        InputError: if it is none of these.
+    """
+    if isinstance(given, GivenDriver):
+        return given
+    if isinstance(given, str | Path):
+        check_name(str(given))
+        return GivenDriver(str(given), env=trained_in(str(given)))
+    if _is_model(given):
+        from behavexplor.ads.sb3.model import policy_of, training_env  # noqa: PLC0415 - imports torch
+
+        policy: Any = policy_of(given)
+        return GivenDriver(f"{IN_MEMORY}:{type(given).__name__}", policy, training_env(given)[0])
+    driver = as_driver(given)
+    if driver is None:
+        kind = "a class: give an instance of it" if isinstance(given, type) else "none of these"
+        raise InputError(
+            f"A driver must be a name, a function of one observation, an object with a predict method or a model of "
+            f"Stable-Baselines3, and {brief(given)} is {kind}"
+        )
+    return GivenDriver(_importable_name(given) or f"{IN_MEMORY}:{_label(given)}", driver)
+
+
+def _is_model(given: Any) -> bool:
+    """Return whether an object is a model of Stable-Baselines3, which is not imported for it."""
+    module = sys.modules.get("stable_baselines3.common.base_class")
+    return module is not None and isinstance(given, module.BaseAlgorithm)
+
+
+def _importable_name(given: Any) -> str | None:
+    """Return the name by which any process can import an object; None if there is none."""
+    module, name = getattr(given, "__module__", "__main__"), getattr(given, "__qualname__", "")
+    found = getattr(sys.modules.get(module), name, None) if module != "__main__" else None
+    return f"{module}:{name}" if found is given else None
+
+
+def _label(given: Any) -> str:
+    return str(getattr(given, "__name__", type(given).__name__))

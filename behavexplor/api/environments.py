@@ -1,0 +1,45 @@
+"""Environments as users of the Python interface give them: ids, or environment objects of gymnasium."""
+
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any, Final
+
+import gymnasium
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, TimeLimit
+
+from behavexplor.envs.making import default_config
+from behavexplor.errors import InputError, brief
+
+_HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, TimeLimit)
+_MONITOR: Final = "stable_baselines3.common.monitor"  # the module of a wrapper that changes nothing either
+
+
+def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[str, Any]]:
+    """Return the name of an environment, and its configuration as far as it differs from its own.
+
+    Args:
+        given: name as in `behavexplor.envs.making.environment_id`, or an environment that gymnasium has made.
+
+    Raises:
+        InputError: if it is neither, or has a wrapper that would change what a driver observes or does.
+    """
+    if isinstance(given, str):
+        return given, {}
+    if not isinstance(given, gymnasium.Env):
+        raise InputError(f"An environment must be an id or an environment of gymnasium, and {brief(given)} is neither")
+    _check_wrappers(given)
+    if given.spec is None:
+        raise InputError(f"The environment {brief(given)} has no spec, so it cannot be made again: use gymnasium.make")
+    config = getattr(given.unwrapped, "config", {})
+    own = default_config(given.spec.id)
+    return given.spec.id, {key: deepcopy(value) for key, value in config.items() if own.get(key, ...) != value}
+
+
+def _check_wrappers(env: gymnasium.Env[Any, Any]) -> None:
+    while isinstance(env, gymnasium.Wrapper):
+        if not isinstance(env, _HARMLESS) and type(env).__module__ != _MONITOR:
+            raise InputError(
+                f"The environment has the wrapper {type(env).__name__}, which is not applied in a campaign: give the "
+                f"environment without it, and a driver that does what the wrapper did"
+            )
+        env = env.env

@@ -1,0 +1,293 @@
+"""A run as an object: its records, failures and classes, and all that can be done with them."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from behavexplor.ads.in_memory import GivenDriver, given_driver
+from behavexplor.api.conducting import conduct
+from behavexplor.api.dataframes import frame_of
+from behavexplor.api.observers import Observer
+from behavexplor.api.replays import Replay
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.record import Record
+from behavexplor.campaign.repetition import Repetition, repeat_execution
+from behavexplor.campaign.run_summary import RunSummary, summarize
+from behavexplor.campaign.store import Execution, Store, write_durably
+from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.start import fewest_workers, start_executor, start_in_process
+from behavexplor.report.reading import read_run
+from behavexplor.report.road_shapes import known_road
+from behavexplor.report.run_page import page
+from behavexplor.triage.findings import Triage, known_findings
+from behavexplor.triage.minimization import chosen_failures, minimize_failures
+from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.run_triage import RunTriage
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+PAGE = "report.html"
+
+
+class Run:
+    """One campaign in its run folder, finished or not. Everything is read from the folder when it is asked for.
+
+    Args:
+        folder: the run folder.
+        driver: the driver of the campaign, as `behavexplor.find_failures` takes it. It is needed only to execute
+            something, and only if the driver was an object in memory.
+
+    Attributes:
+        folder: the run folder.
+
+    Raises:
+        InputError: if the folder is not a run folder, or the driver is not that of the run.
+    """
+
+    def __init__(self, folder: str | Path, driver: Any = None) -> None:
+        self.folder = Path(folder)
+        self._given = GivenDriver(self.config.ads) if driver is None else self._checked(driver)
+
+    @cached_property
+    def config(self) -> CampaignConfig:
+        """The configuration of the campaign."""
+        return stored_config(self.folder)
+
+    @property
+    def summary(self) -> RunSummary:
+        """The figures of the run: executions, failures, classes, and so on."""
+        return summarize(self.folder)
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """The records of all executions, in order."""
+        store = Store.read(self.folder)
+        try:
+            return tuple(store.records())
+        finally:
+            store.close()
+
+    @property
+    def failures(self) -> "pd.DataFrame":
+        """The failed executions as a DataFrame; see `to_pandas`."""
+        return frame_of(record for record in self.records if record.failed)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return all executions as a DataFrame; see `behavexplor.api.dataframes.frame_of` for its columns.
+
+        Raises:
+            InputError: if pandas is not installed.
+        """
+        return frame_of(self.records)
+
+    @property
+    def classes(self) -> dict[str, list[int]]:
+        """Numbers of the failures of each class, the most frequent class first."""
+        groups: dict[str, list[int]] = {one.id: [] for one in self.summary.classes}
+        for record in self.records:
+            if record.violation_class is not None:
+                groups[record.violation_class].append(record.id)
+        return groups
+
+    def trace(self, number: int) -> Trace:
+        """Return the trace of an execution.
+
+        Raises:
+            InputError: if there is no execution of that number.
+        """
+        return self._execution(number).load_trace()
+
+    @property
+    def traces(self) -> Iterator[Trace]:
+        """The traces of all executions, in order, read one by one."""
+        store = Store.read(self.folder)
+        try:
+            for execution in store.executions():
+                yield execution.load_trace()
+        finally:
+            store.close()
+
+    def scenario(self, number: int) -> Scenario:
+        """Return the scenario of an execution.
+
+        Raises:
+            InputError: if there is no execution of that number.
+        """
+        return self._execution(number).scenario
+
+    def replay(self, number: int) -> Replay:
+        """Return the replay of an execution, which a notebook shows as an animation.
+
+        Raises:
+            InputError: if there is no execution of that number.
+        """
+        return Replay(self._execution(number), known_road(self.config.env, self.folder) or RoadShape(()))
+
+    def repeat(self, number: int) -> Repetition:
+        """Execute a scenario of the run again, and return whether the trace was the same.
+
+        Raises:
+            InputError: if there is no execution of that number, or the driver cannot be loaded.
+        """
+        with self._executor() as executor:
+            return repeat_execution(executor, self._execution(number))
+
+    def triage(self, *, workers: int | None = None, afresh: bool = False) -> Triage:
+        """Find out whose fault the failures were, and what caused them. The findings are kept in the run folder.
+
+        Args:
+            workers: number of worker processes; by default none, where that is possible.
+            afresh: whether to examine all failures again.
+
+        Raises:
+            InputError: if the driver cannot be loaded.
+        """
+        count = fewest_workers(self.config.target) if workers is None else workers
+        return RunTriage(self.folder, count, afresh=afresh, driver=self._given.driver).examine(lambda _: None)
+
+    def minimize(self, numbers: Iterable[int] | None = None, *, workers: int | None = None) -> list[Minimized]:
+        """Find the simplest scenario in which failures still happen. What is known already is not minimized again.
+
+        Args:
+            numbers: numbers of failed executions; by default the first failure of each class.
+            workers: number of worker processes; by default this process, if the driver need not be confined.
+
+        Returns:
+            The minimized failures, in the order of their numbers.
+
+        Raises:
+            InputError: if an execution has no failure, or the run folder cannot be written.
+        """
+        count = fewest_workers(self.config.target) if workers is None else workers
+        with closing(Store.read(self.folder)) as store:
+            chosen = chosen_failures(store, [] if numbers is None else [int(number) for number in numbers])
+            known = read_minimized(self.folder)
+            waiting = [number for number in chosen if number not in known]
+            findings = known_findings(self.folder)
+            for one in minimize_failures(store, self.config, waiting, findings, count, self._given.driver):
+                known[one.id] = one
+        return [known[number] for number in chosen]
+
+    def report(self, path: str | Path | None = None, *, replays: int = 100) -> Path:
+        """Write the findings as one self-contained HTML page.
+
+        Args:
+            path: the file to write; by default report.html in the run folder.
+            replays: greatest number of replays in the page.
+
+        Returns:
+            The path of the page.
+
+        Raises:
+            InputError: if the run has no executions yet, or the page cannot be written.
+        """
+        target = self.folder / PAGE if path is None else Path(path)
+        text = page([read_run(self.folder)], replays)
+        try:
+            write_durably(target, text)
+        except OSError as error:
+            raise InputError(f"The report {target} cannot be written: {error.strerror}") from None
+        return target
+
+    def resume(
+        self,
+        driver: Any = None,
+        *,
+        budget: int | str | None = None,
+        workers: int | None = None,
+        stop_after: int | None = None,
+        progress: bool | Observer | None = None,
+    ) -> Self:
+        """Continue the campaign until its budget is used up.
+
+        Args:
+            driver: the driver, if it was an object in memory and this run was opened without it.
+            budget: a larger budget; by default that of the run.
+            workers: see `behavexplor.find_failures`.
+            stop_after: see `behavexplor.find_failures`.
+            progress: see `behavexplor.find_failures`.
+
+        Returns:
+            This run.
+
+        Raises:
+            InputError: if the driver cannot be loaded, or is not that of the run.
+            behavexplor.Interrupted: after Ctrl-C.
+        """
+        given = self._given if driver is None else self._checked(driver)
+        config = self.config if budget is None else replace(self.config, budget=str(budget))
+        conduct(config, self.folder, given, resume=True, workers=workers, stop_after=stop_after, progress=progress)
+        self._given = given
+        self.__dict__.pop("config")  # it may have another budget now
+        return self
+
+    def _checked(self, driver: Any) -> GivenDriver:
+        """Return a driver, if it is that of this run by its name.
+
+        Raises:
+            InputError: if it is another one.
+        """
+        given = given_driver(driver)
+        if given.name != self.config.ads:
+            raise InputError(f"{self.folder} is a run of {self.config.ads!r}, not of {given.name!r}")
+        return given
+
+    def _execution(self, number: int) -> Execution:
+        store = Store.read(self.folder)
+        try:
+            return store.execution(int(number))  # numbers from a DataFrame are numpy's
+        finally:
+            store.close()
+
+    def _executor(self) -> Executor:
+        target = self.config.target
+        if self._given.driver is not None:
+            return start_in_process(target, self._given.driver)
+        return start_executor(target, fewest_workers(target))
+
+    def __len__(self) -> int:
+        store = Store.read(self.folder)
+        try:
+            return len(store)
+        finally:
+            store.close()
+
+    def __repr__(self) -> str:
+        found = self.summary
+        counts = f"{found.executions} executions, {found.failed} failed in {len(found.classes)} classes"
+        return f"<Run {self.folder}: {counts}>"
+
+    def _repr_html_(self) -> str:
+        found = self.summary
+        head = f"{found.ads} in {found.env}, {found.method}, seed {found.seed}"
+        rows = "".join(
+            f"<tr><td>{escape(one.words)}</td><td>{one.count}</td><td>{one.at_fault}</td><td>{one.first}</td></tr>"
+            for one in found.classes
+        )
+        return (
+            f"<p><b>{escape(head)}</b>: {found.executions} executions, {found.failed} failed "
+            f"({found.failure_rate:.1%}), {found.at_fault} at fault<br><code>{escape(str(self.folder))}</code></p>"
+            f"<table><tr><th>class of failures</th><th>count</th><th>at fault</th><th>first</th></tr>{rows}</table>"
+        )
+
+
+def open_run(folder: str | Path, driver: Any = None) -> Run:
+    """Open the run folder of a campaign, which the command or the Python interface has written.
+
+    Args:
+        folder: the run folder.
+        driver: the driver, if it was an object in memory; see `Run`.
+
+    Raises:
+        InputError: if the folder is not a run folder, or the driver is not that of the run.
+    """
+    return Run(folder, driver)

@@ -1,0 +1,64 @@
+"""`behavexplor demo`: train a small policy, fuzz it and show what was found, by the commands that anyone would use."""
+
+import shlex
+import sys
+import time
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from behavexplor.commands import OK, program
+from behavexplor.commands.fuzz import fuzz
+from behavexplor.commands.meter import Meter
+from behavexplor.commands.report import PAGE, report
+from behavexplor.errors import InputError, missing_library
+
+
+def demo(
+    *,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: a new one in runs/)")] = (
+        None
+    ),
+    budget: Annotated[str, tyro.conf.arg(metavar="N|TIME")] = "45s",
+    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 20_000,
+    browser: bool = True,
+) -> int:
+    """Train a small policy on highway-env's highway, search for its failures, and open the report, in two minutes.
+
+    Args:
+        out: Folder for the policy and the run, new or empty.
+        budget: Budget of the search: number of executions, or running time.
+        steps: Number of training steps.
+        browser: Open the report in a browser.
+    """
+    try:
+        from behavexplor.sb3.small_policy import train_small_policy  # noqa: PLC0415 - torch need not be installed
+    except ModuleNotFoundError as error:
+        raise missing_library("The demo", error.name, "rl") from None
+    folder = out or Path("runs") / f"demo-{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"The folder {folder} cannot be created: {error.strerror}") from None
+    if any(folder.iterdir()):
+        raise InputError(f"{folder} is not empty: choose another --out")
+    print(f"Training a small policy with PPO for {steps} steps ...", flush=True)
+    with Meter(sys.stderr, steps, "steps", quiet=False) as meter:
+        model = train_small_policy(folder, meter.show, steps)
+    run = folder / "run"
+    _say("fuzz", "--ads", model, "--budget", budget, "--out", run)
+    code = fuzz(ads=str(model), budget=budget, out=run)
+    if code != OK:
+        return code
+    _say("report", run)
+    report((run,))
+    if browser:
+        webbrowser.open((run / PAGE).resolve().as_uri())
+    return OK
+
+
+def _say(*words: object) -> None:
+    """Print a command as the user would type it."""
+    print(f"\n$ {program()} {shlex.join(map(str, words))}", flush=True)

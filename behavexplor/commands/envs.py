@@ -1,0 +1,34 @@
+"""`behavexplor envs`: the environments that can be fuzzed."""
+
+from importlib import import_module
+from importlib.metadata import entry_points
+
+import gymnasium
+
+from behavexplor import FUNCTIONAL_SCENARIOS
+from behavexplor.commands import OK
+from behavexplor.envs.making import ENTRY_POINTS, HIGHWAY_ENV
+
+
+def envs() -> int:
+    """List the environments that `--env` takes: those of this package, of highway-env, and of installed packages."""
+    import_module(HIGHWAY_ENV)
+    stock = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
+    _list("Scenarios of this package, in gymnasium behavexplor/NAME-v0:", list(FUNCTIONAL_SCENARIOS))
+    _list("highway-env's own:", [name for name in stock if "/" not in name])
+    _list("Of installed packages:", _of_packages())
+    return OK
+
+
+def _of_packages() -> list[str]:
+    """Return the ids of environments whose packages declare them."""
+    namespaces = []
+    for entry in entry_points(group=ENTRY_POINTS):
+        import_module(entry.module)
+        namespaces.append(f"{entry.name}/")
+    return [name for name in gymnasium.registry if name.startswith(tuple(namespaces))]
+
+
+def _list(title: str, names: list[str]) -> None:
+    if names:
+        print("\n  ".join([title, *sorted(names)]))

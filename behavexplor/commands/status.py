@@ -1,0 +1,50 @@
+"""`behavexplor status`: the figures of a run, also while it is being written."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from behavexplor.campaign.run_summary import RunSummary, summarize
+from behavexplor.campaign.store import is_being_written, last_written
+from behavexplor.commands import OK
+from behavexplor.commands.wording import class_count, clock, hanging
+
+
+def status(
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    *,
+    json_file: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> int:
+    """Print how far a run is and what it has found, also while a campaign writes it.
+
+    Args:
+        run: The run folder.
+        json_file: Print the figures as JSON.
+    """
+    found, is_running = summarize(run), is_being_written(run)
+    ago = max(time.time() - last_written(run), 0.0)
+    if json_file:
+        print(json.dumps({"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()}, indent=1))
+        return OK
+    print("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found)]))
+    return OK
+
+
+def _head(found: RunSummary, *, is_running: bool, ago: float) -> str:
+    state = "running" if is_running else "complete" if found.complete else "stopped"
+    return "\n".join(
+        [
+            f"{found.ads} in {found.env}, {found.method}, seed {found.seed}: {state}, last written {clock(ago)} ago",
+            f"{found.executions} executions of a budget of {found.budget}, in {clock(found.elapsed)} "
+            f"({found.rate:.1f} per second)",
+            f"{found.failed} failed ({found.failure_rate:.1%}) in {class_count(len(found.classes))}, "
+            f"{found.at_fault} at fault",
+        ]
+    )
+
+
+def _class_lines(found: RunSummary) -> list[str]:
+    return [hanging(f"{one.count:7}  ", f"{one.words} ({one.id}, first {one.first})") for one in found.classes]

@@ -1,0 +1,31 @@
+"""Numbers, times and lists in words, for all commands."""
+
+import shutil
+import textwrap
+
+WIDEST = 100  # of a line of text [characters]
+
+
+def class_count(number: int) -> str:
+    """Return a number of classes in words, such as "1 class"."""
+    return f"{number} class{'' if number == 1 else 'es'}"
+
+
+def clock(seconds: float) -> str:
+    """Return a time span as 1:02:03 or 2:03."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+def hanging(first: str, text: str) -> str:
+    """Return a text that begins beside a first column, and stays right of it on as many lines as it needs."""
+    width = min(shutil.get_terminal_size().columns, WIDEST)
+    return textwrap.fill(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=" " * len(first),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

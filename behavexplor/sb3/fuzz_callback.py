@@ -1,0 +1,166 @@
+"""The callback of Stable-Baselines3 that fuzzes the present policy now and then during a training."""
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+from behavexplor.ads.in_memory import given_driver
+from behavexplor.api.campaigns import RUNS, find_failures
+from behavexplor.campaign.run_summary import RunSummary
+from behavexplor.errors import InputError
+
+BEST: Final = "best_model.zip"  # file in the callback's folder
+MOST_STEPS: Final = 10**12
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of fuzzing.
+
+    Attributes:
+        steps: number of training steps before it.
+        folder: its run folder.
+        summary: what it found.
+        seconds: how long it took [s].
+    """
+
+    steps: int
+    folder: Path
+    summary: RunSummary
+    seconds: float
+
+
+class FuzzCallback(BaseCallback):
+    """Fuzzes the present policy at intervals, logs what it finds, and saves the policy with the fewest failures.
+
+    All rounds have the same seed and budget, so their figures can be compared. Fewest means fewest failures for which
+    the policy was at fault; of equally good policies, the latest is saved. The training itself is the same with and
+    without the callback, but for the time that it takes.
+
+    It logs `fuzz/failure_rate`, `fuzz/at_fault_rate`, `fuzz/classes`, and `fuzz/share_of_time`. All arguments are plain
+    values, so that a hyperparameter file of rl-zoo3 can name it:
+
+        callback:
+          - behavexplor.sb3.FuzzCallback: {env: highway-fast-v0, every: 10000, budget: 50}
+
+    Args:
+        env: id of the environment; by default that of the training, in its configuration.
+        every: number of training steps between two rounds.
+        budget: number of executions of a round, or its running time, such as "20s".
+        share: greatest share of the time since the training began that rounds may take. A round is left out if it would
+            take more than is left, as far as the last round tells. The first round always takes place.
+        stop_below: at-fault rate below which the training ends; None to train on.
+        out: folder for the rounds' run folders and the best policy; by default a new one in runs/.
+        seed: seed of every round.
+        specs: requirements in addition to R1, R2 and R3, each as "module:attribute".
+        method: search method. Rates of the method "uniform" are those of the environment; others search for failures.
+        settings: further keys of the configuration, see `behavexplor.campaign.config.CampaignConfig`.
+
+    Attributes:
+        rounds: the rounds so far.
+        best: the round whose policy was saved; None before the first one.
+
+    Raises:
+        InputError: if a value is out of range.
+    """
+
+    def __init__(  # noqa: PLR0913 - one argument for each choice
+        self,
+        env: str | None = None,
+        *,
+        every: int = 10_000,
+        budget: int | str = 50,
+        share: float = 0.1,
+        stop_below: float | None = None,
+        out: str | None = None,
+        seed: int = 0,
+        specs: Sequence[str] = (),
+        method: str = "behavexplor",
+        verbose: int = 0,
+        **settings: Any,
+    ) -> None:
+        super().__init__(verbose)
+        if not 1 <= every <= MOST_STEPS:
+            raise InputError(f"every={every} must lie between 1 and {MOST_STEPS} training steps")
+        if not 0.0 < share <= 1.0:
+            raise InputError(f"share={share} must be greater than 0 and at most 1")
+        self._env, self._every, self._share, self._stop_below = env, every, share, stop_below
+        self._out = None if out is None else Path(out)
+        self._settings = {"budget": budget, "seed": seed, "specs": tuple(specs), "method": method, **settings}
+        self._begin = self._spent = 0.0
+        self._next = every
+        self.rounds: list[Round] = []
+        self.best: Round | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the run folders and of the best policy."""
+        if self._out is None:
+            self._out = RUNS / f"training-{time.strftime('%Y%m%d-%H%M%S')}"
+        return self._out
+
+    @property
+    def share_of_time(self) -> float:
+        """Share of the time since the training began that the rounds have taken."""
+        return self._spent / max(time.monotonic() - self._begin, self._spent, 1e-9)
+
+    def _on_training_start(self) -> None:
+        self._begin, self._spent = time.monotonic(), 0.0
+        self._next = self.num_timesteps + self._every
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps < self._next:
+            return True
+        self._next = self.num_timesteps + self._every
+        if not self._has_time():
+            return True
+        found = self._round()
+        self._keep(found)
+        self._log(found)
+        return self._stop_below is None or found.summary.at_fault_rate >= self._stop_below
+
+    def _has_time(self) -> bool:
+        if not self.rounds:
+            return True
+        expected = self.rounds[-1].seconds
+        elapsed = time.monotonic() - self._begin
+        return self._spent + expected <= self._share * (elapsed + expected)
+
+    def _round(self) -> Round:
+        begin = time.monotonic()
+        folder = self.folder / f"step-{self.num_timesteps:09d}"
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # a policy may be constant while it learns
+            given = given_driver(self.model)
+            run = find_failures(given, self._env, out=folder, progress=False, **self._settings)
+        seconds = time.monotonic() - begin
+        self._spent += seconds
+        found = Round(self.num_timesteps, folder, run.summary, seconds)
+        self.rounds.append(found)
+        return found
+
+    def _keep(self, found: Round) -> None:
+        """Save the policy if it is the best one so far."""
+        if self.best is None or found.summary.at_fault <= self.best.summary.at_fault:
+            self.best = found
+            self.model.save(self.folder / BEST)
+
+    def _log(self, found: Round) -> None:
+        figures = {
+            "failure_rate": found.summary.failure_rate,
+            "at_fault_rate": found.summary.at_fault_rate,
+            "classes": len(found.summary.classes),
+            "share_of_time": self.share_of_time,
+        }
+        for name, value in figures.items():
+            self.logger.record(f"fuzz/{name}", value)
+        if self.verbose:
+            print(  # noqa: T201 - as all callbacks do that are verbose
+                f"{found.steps} steps: {found.summary.failed} of {found.summary.executions} scenarios failed, "
+                f"{found.summary.at_fault} at fault, in {len(found.summary.classes)} classes"
+            )

@@ -1,0 +1,136 @@
+"""Triage of a whole run: every failure is examined once, and the findings are kept in the run folder."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from behavexplor.ads.interface import ADS
+from behavexplor.campaign.campaign import ads_failure
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.store import Execution, Store, write_durably
+from behavexplor.errors import InputError
+from behavexplor.execution.evaluator import EXECUTE, recipe_for
+from behavexplor.execution.executor import Executor
+from behavexplor.execution.lookahead import AHEAD, in_order
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.start import start_executor, start_in_process
+from behavexplor.triage.coverage import weakness_records
+from behavexplor.triage.examination import EXAMINE, Examiner, examination
+from behavexplor.triage.findings import (
+    WITNESSES,
+    Finding,
+    Triage,
+    error_finding,
+    known_findings,
+    trace_finding,
+    witness_path,
+)
+
+WRITTEN_AFTER: Final = 10  # findings after which the file is written, the most that an interruption can lose
+TIME_LIMIT: Final = 10.0  # time limit of one failure, in units of the time limit of an execution
+
+
+class RunTriage:
+    """Triage of one run.
+
+    Args:
+        run: the run folder.
+        workers: number of worker processes; 0 uses this process.
+        afresh: whether to examine all failures again.
+        driver: object of this process that drives in place of the driving system that the configuration names; None
+            for none.
+
+    Attributes:
+        waiting: numbers of the failures that have to be examined.
+
+    Raises:
+        InputError: if the folder is not a run folder, or is damaged.
+    """
+
+    def __init__(self, run: Path, workers: int, *, afresh: bool = False, driver: ADS | None = None) -> None:
+        self._run, self._workers, self._driver = run, workers, driver
+        self._config = stored_config(run)
+        self._store = Store.read(run)
+        self._total = len(self._store)
+        self._known = {} if afresh else known_findings(run)
+        self._failures = [record.id for record in self._store.records() if record.failed]
+        self.waiting = [number for number in self._failures if number not in self._known]
+
+    def examine(self, observe: Callable[[int], None]) -> Triage:
+        """Examine the waiting failures, and write the findings into the run folder.
+
+        Args:
+            observe: function that gets the number of examined failures.
+
+        Raises:
+            InputError: if the run folder cannot be written, or is damaged.
+            RuntimeError: if a failure could not be examined.
+        """
+        try:
+            return self._examine(observe)
+        except OSError as error:
+            raise InputError(f"The run folder {self._run} cannot be written: {error.strerror}") from None
+        finally:
+            self._store.close()
+
+    def _examine(self, observe: Callable[[int], None]) -> Triage:
+        (self._run / WITNESSES).mkdir(exist_ok=True)
+        for done, finding in enumerate(self._findings(), 1):
+            self._known[finding.id] = finding
+            if done % WRITTEN_AFTER == 0:
+                self._triage(self._known.values()).write(self._run)
+            observe(done)
+        found = self._triage(self._known[number] for number in self._failures)
+        if self._config.ads.partition(":")[0] == "rule":
+            traces = ((execution.id, execution.load_trace()) for execution in self._store.executions())
+            found = replace(found, weaknesses=weakness_records(traces, found.findings))
+        found.write(self._run)
+        return found
+
+    def _triage(self, findings: Iterable[Finding]) -> Triage:
+        ordered = tuple(sorted(findings, key=lambda finding: finding.id))
+        return Triage(self._config.env, self._config.ads, self._total, ordered)
+
+    def _findings(self) -> Iterator[Finding]:
+        """Examine the waiting failures in order, write their witnesses, and yield the findings."""
+        if not self.waiting:
+            return
+        executor = self._executor()
+        calls = (_call(self._store.execution(number), self._config.seed) for number in self.waiting)
+        try:
+            for number, future in zip(self.waiting, in_order(executor, calls, AHEAD * self._workers), strict=True):
+                yield _finding(self._run, self._store.execution(number), future)
+        finally:
+            executor.shutdown(wait=False)
+
+    def _executor(self) -> Executor:
+        target = replace(self._config.target, time_limit=TIME_LIMIT * self._config.time_limit)
+        recipe = recipe_for(Examiner, target, specs=self._config.specs)
+        if self._driver is not None:
+            return start_in_process(target, self._driver, recipe)
+        return start_executor(target, min(self._workers, len(self.waiting)), recipe=recipe)
+
+
+def _call(execution: Execution, seed: int) -> tuple[str, bytes]:
+    if execution.record.error is not None:
+        return EXECUTE, execution.scenario.to_json().encode()
+    return EXAMINE, examination(execution.record, execution.trace, seed)
+
+
+def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
+    record = execution.record
+    try:
+        answer = future.result()
+    except ADSError as error:
+        if record.error is not None:
+            return error_finding(record, happened_again=record.error == ads_failure(error))
+        return trace_finding(record, execution.load_trace())
+    if record.error is not None:
+        return error_finding(record, happened_again=False)
+    values = json.loads(answer)
+    if values["witness"] is not None:
+        write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
+    return Finding(**values["finding"])

@@ -1,0 +1,56 @@
+"""The code in docs/python.md and the notebooks in docs/notebooks run as they are printed."""
+
+import os
+import re
+import sys
+import warnings
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+@pytest.mark.slow
+def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = ModuleType("page")  # requirements are found again by the name of their module
+    monkeypatch.setitem(sys.modules, "page", page)
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text(), re.DOTALL)
+    assert len(blocks) >= 8
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a policy that has hardly been trained may be constant
+        for block in blocks:
+            exec(compile(block, "docs/python.md", "exec"), page.__dict__)
+
+
+def executed(name, folder):
+    """The HTML and the texts that a notebook shows."""
+    notebook = nbformat.read(DOCS / "notebooks" / name, as_version=4)
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(folder)}}).execute(
+        env={**os.environ, "PYTHONPATH": str(DOCS.parent)}
+    )
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    assert not [output for output in outputs if output.get("name") == "stdout"]
+    return [output.data.get("text/html", output.data["text/plain"]) for output in outputs if "data" in output]
+
+
+NOTEBOOKS = sorted(path.name for path in (DOCS / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_a_notebook_runs(name, tmp_path):
+    shown = executed(name, tmp_path)
+    text = "".join(shown)
+    assert "<table" in text
+    if name != "write_a_requirement_and_a_method.ipynb":
+        assert '<img alt="Execution' in text
+        assert 'src="data:image/gif;base64,R0lGOD' in text
+    if name == "fuzz_a_policy.ipynb":
+        assert "executions, " in text  # the progress
+        assert (tmp_path / "runs").is_dir()
