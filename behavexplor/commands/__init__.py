@@ -18,7 +18,8 @@ from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-COMMANDS = ("fuzz", "replay", "records", "triage", "report", "evaluate", "bench", "train")  # also the module names
+COMMANDS = ("fuzz", "replay", "records", "triage", "report", "export", "import", "evaluate", "bench", "train")
+_MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise
 
 _DESCRIPTION = "Find out how a driving policy fails."
 
@@ -59,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _command(name: str) -> Callable[..., Any]:
-    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), name)
+    module = _MODULES.get(name, name)
+    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
     return command
 
 

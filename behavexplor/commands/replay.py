@@ -1,6 +1,7 @@
 """`behavexplor replay`: draw one execution, and check that it is reproducible."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated
@@ -93,7 +94,7 @@ def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
 
 def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
-    trace, caption = execution.load_trace(), _verdict(execution)
+    trace, caption = execution.load_trace(), outcome(execution.record.violated, execution.record.end)
     frame = decisive_frame(trace, execution.record.violated)
     degrees = ", ".join(f"{name} {degree:.2f} m" for name, degree in execution.record.degrees.items())
     animation, picture = _save(trace, shape, frame, caption, folder / f"{execution.id:06d}")
@@ -184,7 +185,11 @@ def _compare(execution: Execution, config: CampaignConfig) -> int:
     return OK
 
 
-def _verdict(execution: Execution) -> str:
-    """Describe the outcome of an execution, to follow its number."""
-    violated = " and ".join(execution.record.violated) or "nothing"
-    return f"violates {violated}, ended by {_ENDED_BY[execution.record.end]}"
+def outcome(violated: Sequence[str], end: str) -> str:
+    """Describe the outcome of an execution, to follow its number.
+
+    Args:
+        violated: names of the violated specs.
+        end: kind of end, one of `behavexplor.data.trace.ENDS`.
+    """
+    return f"violates {' and '.join(violated) or 'nothing'}, ended by {_ENDED_BY[end]}"
