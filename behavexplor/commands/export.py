@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +16,7 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
 from behavexplor.commands.replay import outcome
 from behavexplor.data.conventions import EPISODE_TIME
-from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_plan import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
@@ -84,12 +85,18 @@ def check_libraries() -> None:
             raise missing_library("The exchange of scenes", library, "scenes")
 
 
-def road_of(scenario: Scenario, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
+@lru_cache(maxsize=1)
+def _stock_env(setup: Setup) -> Any:
+    """Return a stock environment, which takes longer to make than a scene to write."""
+    return make_env(setup.env, json.loads(setup.config), setup.traffic)
+
+
+def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
     """Return the road of a scenario, and the scenarios of its environment.
 
     Args:
-        scenario: the scenario.
-        env: name of its environment.
+        scenario: the scenario; None if its environment has one road for all.
+        env: name of the environment.
         env_config: configuration of the environment, as far as it differs from its own. A scenario of a stock
             environment holds its own.
 
@@ -97,7 +104,7 @@ def road_of(scenario: Scenario, env: str, env_config: Mapping[str, Any]) -> tupl
         InputError: if the environment cannot be made, or has a road that cannot be exported.
     """
     if isinstance(scenario, DrawnScenario):
-        stock: Any = make_env(scenario.setup.env, json.loads(scenario.setup.config), scenario.setup.traffic)
+        stock = _stock_env(scenario.setup)
         stock.begin_blindly(scenario)
         return stock.road_plan(), stock.logical
     made = make_env(env, env_config)

@@ -3,6 +3,7 @@
 import json
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,6 @@ from behavexplor.commands.replay import outcome
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
@@ -31,7 +31,7 @@ from behavexplor.judge.specs import judge
 def importing(
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")],
     *,
-    ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: nothing is executed)")] = None,
+    ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: none)")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
     env: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the scene's own)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
@@ -54,13 +54,14 @@ def importing(
 
     scene = read_scene(file)
     _check_environment(scene, env)
-    plan, logical = road_of(scene.scenario or ScriptedScenario(scene.environment, ()), scene.environment, scene.env_config)
+    plan, logical = road_of(scene.scenario, scene.environment, scene.env_config)
     _check_road(file, scene, plan)
     scenario = restored(scene, logical)
     if out is not None:
         _write(out, scenario)
     if ads is not None:
-        return _execute(scenario, _target(scene, scenario, ads, (trust,) if trust else (), unconfined=unconfined), logical)
+        target = _target(scenario, scene, ads)
+        return _execute(scenario, replace(target, trust=(trust,) if trust else (), unconfined=unconfined), logical)
     if out is None:
         print(scenario.to_json())
     return OK
@@ -81,7 +82,7 @@ def _check_environment(scene: Scene, env: str | None) -> None:
 def _check_road(file: Path, scene: Scene, plan: Any) -> None:
     """Check that the road beside a scene is the environment's own, if it is there."""
     from behavexplor.exchange.opendrive import write_road  # noqa: PLC0415 - needs the extra `scenes`
-    from behavexplor.exchange.same_road import same_road  # noqa: PLC0415
+    from behavexplor.exchange.xml_files import same_road  # noqa: PLC0415
 
     path = file.parent / scene.road_file
     if not scene.road_file or not path.is_file():
@@ -100,13 +101,11 @@ def _write(path: Path, scenario: Scenario) -> None:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
-def _target(scene: Scene, scenario: Scenario, ads: str, trust: tuple[str, ...], *, unconfined: bool) -> Target:
+def _target(scenario: Scenario, scene: Scene, ads: str) -> Target:
     if not isinstance(scenario, DrawnScenario):
-        return Target(scene.environment, ads, trust, unconfined, env_config=scene.env_config)
-    config = json.loads(scenario.setup.config)
-    return Target(
-        scene.environment, ads, trust, unconfined, env_config=config, traffic=scenario.setup.traffic, confirm=False
-    )
+        return Target(scene.environment, ads, env_config=scene.env_config)
+    config, traffic = json.loads(scenario.setup.config), scenario.setup.traffic
+    return Target(scene.environment, ads, env_config=config, traffic=traffic, confirm=False)
 
 
 def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> int:

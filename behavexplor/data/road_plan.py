@@ -99,4 +99,3 @@ def part_of(lane: Lane, begin: float, end: float) -> Lane:
         return replace(lane, x=x, y=y, length=end - begin, phase=phase)
     x, y, heading = lane.pose(begin).tolist()
     return replace(lane, x=x, y=y, heading=heading, length=end - begin)
-

@@ -17,7 +17,8 @@ COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "l
 def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
     """Write a trace as a table with the columns `COLUMNS`: one row for each frame and vehicle that is there."""
     pose = mirrored(np.concatenate([trace.position, trace.heading[..., None]], axis=2))
-    motion = np.round(np.concatenate([pose, mirrored_points(trace.velocity)], axis=2), DIGITS) + 0.0  # no negative zeros
+    motion = np.concatenate([pose, mirrored_points(trace.velocity)], axis=2)
+    motion = np.round(motion, DIGITS) + 0.0  # no negative zeros
     present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
     names = [(vehicle_name(i), vehicle_type(scenario, i)) for i in range(len(trace.size))]
     sizes, times = trace.size.tolist(), np.round(trace.time, DIGITS).tolist()

@@ -17,6 +17,8 @@ Floats = NDArray[np.float64]
 
 MAX_DEVIATION: Final = 0.5  # greatest distance of a fitted motion from the trajectory [m]
 _POINTS: Final = 200  # points of a trajectory that are fitted
+_EVALUATIONS: Final = 100  # greatest number of steps of a fit
+_STRAIGHT: Final = 1e-3  # deviation from a line that needs no waypoint [m2/s2]
 _MARGIN: Final = 1e-6  # distance from the limits of a range, beyond rounding errors
 
 
@@ -27,8 +29,7 @@ def fitted_script(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
         InputError: if no script comes within `MAX_DEVIATION` of it.
     """
     route, stations = _nearest_route(mover, ranges.roadmap)
-    chosen = np.unique(np.linspace(0, len(mover.time) - 1, _POINTS).astype(np.intp))
-    waypoints = _fitted(route, mover.time[chosen], stations[chosen], ranges)
+    waypoints = _fitted(route, mover.time, stations, ranges)
     motion = motion_on_route(ranges.roadmap, route, waypoints[None], mover.time)[0, :, :HEADING]
     deviation = float(np.hypot(*(motion - mover.pose[:, :2]).T).max())
     if deviation > MAX_DEVIATION:
@@ -56,32 +57,53 @@ def _fitted(route: Route, time: Floats, stations: Floats, ranges: ScriptedLogica
     """Return waypoints whose motion along the route is the nearest to the stations, shape (waypoints, 2)."""
     low, high = ranges.position_ranges(route).T
     slowest, fastest = ranges.speed_range
-    speeds = np.gradient(stations, time)
-    start = np.clip(_spread(route, stations, ranges.waypoints_per_lane), low + _MARGIN, high - _MARGIN)
-    first = np.concatenate([start, np.clip(np.interp(start[:-1], stations, speeds), slowest, fastest)])
-    bounds = np.concatenate([low, np.full(len(low) - 1, slowest)]), np.concatenate([high, np.full(len(low) - 1, fastest)])
+    others = len(low) - 1  # the speed at the last waypoint is 0
+    bounds = np.append(low, np.full(others, slowest)), np.append(high, np.full(others, fastest))
+    positions, speeds = _corners(route, time, stations, ranges.waypoints_per_lane)
+    first = np.clip(np.append(positions, speeds[:-1]), bounds[0] + _MARGIN, bounds[1] - _MARGIN)
+    chosen = np.unique(np.linspace(0, len(time) - 1, _POINTS).astype(np.intp))
+    wanted = route.pose(stations[chosen])[:, :2]
 
     def deviation(genes: Floats) -> Floats:
-        motion = motion_on_route(ranges.roadmap, route, _waypoints(genes)[None], time)[0, :, :HEADING]
+        motion = motion_on_route(ranges.roadmap, route, _waypoints(genes)[None], time[chosen])[0, :, :HEADING]
         return np.asarray((motion - wanted).ravel())
 
-    wanted = route.pose(stations)[:, :2]
-    found = least_squares(deviation, np.clip(first, *bounds), bounds=bounds, x_scale=np.maximum(np.ptp(bounds, axis=0), 1.0))
+    found = least_squares(deviation, first, bounds=bounds, x_scale=bounds[1] - bounds[0], max_nfev=_EVALUATIONS)
     return _waypoints(found.x)
+
+
+def _corners(route: Route, time: Floats, stations: Floats, per_lane: int) -> tuple[Floats, Floats]:
+    """Return positions [m] and speeds [m/s] to begin with: the corners of the squared speed over the station.
+
+    Between two waypoints, the squared speed is linear in the station. So a waypoint is added where the trajectory
+    deviates most from the lines between those before, in lanes that have fewer than `per_lane`.
+    """
+    middle, squared = (stations[1:] + stations[:-1]) / 2, np.maximum(np.diff(stations) / np.diff(time), 0.0) ** 2
+    lane = np.searchsorted(route.bounds[1:-1], middle, side="right")
+    found = [0, len(middle) - 1]
+    spare = np.full(len(route.lanes), per_lane)
+    np.subtract.at(spare, lane[sorted({*found})], 1)
+    while (open_ := np.flatnonzero(spare[lane] > 0)).size:
+        corners = sorted(found)
+        deviation = np.abs(squared - np.interp(middle, middle[corners], squared[corners]))[open_]
+        worst = int(open_[deviation.argmax()])
+        if deviation.max() <= _STRAIGHT:
+            break
+        found.append(worst)
+        spare[lane[worst]] -= 1
+    corners = sorted({*found})
+    places = [*middle[corners], *_unused(route, spare)]
+    positions = np.sort(np.append(places[1:], stations[0]))
+    return positions, np.sqrt(np.interp(positions, middle[corners], squared[corners]))
+
+
+def _unused(route: Route, spare: NDArray[np.int64]) -> list[float]:
+    """Return positions, evenly over each lane, for the waypoints that a lane has to spare."""
+    ends = zip(route.bounds[:-1], route.bounds[1:], spare.tolist(), strict=True)
+    return [float(begin + (end - begin) * (i + 0.5) / count) for begin, end, count in ends for i in range(count)]
 
 
 def _waypoints(genes: Floats) -> Floats:
     """Return waypoints in order of their positions. The speed at the last one is 0."""
     count = (len(genes) + 1) // 2
     return np.column_stack([np.maximum.accumulate(genes[:count]), np.append(genes[count:], 0.0)])
-
-
-def _spread(route: Route, stations: Floats, per_lane: int) -> Floats:
-    """Return positions to begin with: in each lane, evenly over the part that the trajectory covers."""
-    positions = []
-    for begin, end in zip(route.bounds[:-1], route.bounds[1:], strict=True):
-        low, high = max(begin, stations[0]), min(end, stations[-1])
-        low, high = (low, high) if low < high else (begin, end)
-        shares = (np.arange(per_lane) + (0.0 if begin <= stations[0] else 0.5)) / per_lane
-        positions.append(low + (high - low) * shares)
-    return np.concatenate(positions)

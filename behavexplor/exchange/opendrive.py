@@ -13,7 +13,7 @@ from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, Road
 from behavexplor.data.road_shape import DASH, PERIOD
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
 from behavexplor.exchange.frames import mirrored_lane
-from behavexplor.exchange.road_layout import NOWHERE, Road, RoadLayout, road_layout
+from behavexplor.exchange.road_layout import NOWHERE, RoadLayout, road_layout
 from behavexplor.exchange.sine_pieces import sine_pieces
 
 REVISION: Final = "7"  # minor revision of OpenDRIVE 1
@@ -39,39 +39,34 @@ def write_road(plan: RoadPlan, name: str, path: Path) -> None:
 
 def _road(layout: RoadLayout, i: int) -> Any:
     road = layout.roads[i]
-    made = xodr.Road(i, _plan_view(road.lanes[0].lane), _lanes(layout, i), _junction_id(layout.junction[i]), _name(road))
+    name, junction = f"{road.origin} to {road.target}", _junction_id(layout.junction[i])
+    made = xodr.Road(i, _plan_view(road.lanes[0].lane), _lanes(layout, i), junction, name)
     limits = [planned.speed_limit for planned in road.lanes if planned.speed_limit is not None]
     made.add_type(xodr.RoadType.town, speed=max(limits) if limits else None)
     before, after = layout.before(i), layout.after(i)
-    if len(before) == 1 and not _is_branching(layout, before[0], i):
-        made.add_predecessor(xodr.ElementType.road, before[0], xodr.ContactPoint.end)
-    elif before:
-        _link(made.add_predecessor, layout, i, before, xodr.ContactPoint.end)
-    if len(after) == 1 and not _is_branching(layout, i, after[0]):
-        made.add_successor(xodr.ElementType.road, after[0], xodr.ContactPoint.start)
-    elif after:
-        _link(made.add_successor, layout, i, after, xodr.ContactPoint.start)
+    if before:
+        made.add_predecessor(*_linked(layout, i, before[0], is_before=True))
+    if after:
+        made.add_successor(*_linked(layout, i, after[0], is_before=False))
     return made
 
 
-def _link(add: Any, layout: RoadLayout, i: int, others: list[int], contact: Any) -> None:
-    """Link a road at a fork or a merger: to its junction, or if it is a connecting road, to the road outside."""
-    if layout.junction[i] == NOWHERE:
-        add(xodr.ElementType.junction, _junction_id(layout.junction[others[0]]))
-    else:
-        add(xodr.ElementType.road, others[0], contact)
+def _linked(layout: RoadLayout, i: int, other: int, *, is_before: bool) -> tuple[Any, ...]:
+    """Return what a road is linked to beside another one: that road, or the junction that it crosses."""
+    pair = (other, i) if is_before else (i, other)
+    if _enters_junction(layout, i, *pair):
+        return xodr.ElementType.junction, _junction_id(layout.junction[other])
+    return xodr.ElementType.road, other, xodr.ContactPoint.end if is_before else xodr.ContactPoint.start
 
 
-def _is_branching(layout: RoadLayout, i: int, j: int) -> bool:
-    return len(layout.after(i)) > 1 or len(layout.before(j)) > 1
+def _enters_junction(layout: RoadLayout, i: int, begin: int, end: int) -> bool:
+    """Return whether the link between two roads, of which i is one, leads from i into a junction."""
+    is_branching = len(layout.after(begin)) > 1 or len(layout.before(end)) > 1
+    return is_branching and layout.junction[i] == NOWHERE
 
 
 def _junction_id(junction: int) -> int:
     return junction if junction == NOWHERE else _FIRST_JUNCTION + junction
-
-
-def _name(road: Road) -> str:
-    return f"{road.origin} to {road.target}"
 
 
 def _plan_view(lane: Lane) -> Any:
@@ -108,8 +103,7 @@ def _neighbors(layout: RoadLayout, i: int, number: int) -> list[tuple[str, int]]
     """Return the links of a lane. Those into a junction belong to the junction's connections."""
     found = []
     for (begin, end), pairs in layout.links.items():
-        is_inside = _is_branching(layout, begin, end) and layout.junction[i] == NOWHERE
-        if is_inside or i not in (begin, end):
+        if i not in (begin, end) or _enters_junction(layout, i, begin, end):
             continue
         found += [("predecessor", a) for a, b in pairs if i == end and b == number]
         found += [("successor", b) for a, b in pairs if i == begin and a == number]

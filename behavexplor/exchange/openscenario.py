@@ -169,7 +169,8 @@ def _drive(mover: Mover, profile: Floats) -> list[tuple[str, Any]]:
         route.add_waypoint(xosc.WorldPosition(x, y), xosc.RouteStrategy.shortest)
     speeds, durations = profile.T.tolist()
     keeping = xosc.SpeedProfileAction(speeds, xosc.FollowingMode.position, durations)
-    return [(f"{mover.name} takes its route", xosc.AssignRouteAction(route)), (f"{mover.name} keeps its speeds", keeping)]
+    taking = xosc.AssignRouteAction(route)
+    return [(f"{mover.name} takes its route", taking), (f"{mover.name} keeps its speeds", keeping)]
 
 
 def _group(mover: Mover, row: Floats, actions: list[tuple[str, Any]]) -> Any:

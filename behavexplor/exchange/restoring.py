@@ -79,7 +79,7 @@ def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
         raise InputError(f"{mover.name}: {unknown_name('vehicle type', mover.type, ranges.vehicle_types)}")
     length, width = VEHICLE_SIZES[mover.type]
     if max(abs(mover.size[0] - length), abs(mover.size[1] - width)) > _SAME:
-        raise InputError(f"{mover.name}: the bounding box of a {mover.type} is {length} x {width} m; change its name too")
+        raise InputError(f"{mover.name}: a {mover.type} is {length} x {width} m: choose another type of vehicle")
     if mover.script is not None and not mover.is_changed:
         return mover.script
     if mover.time[0] > 0:

@@ -7,6 +7,7 @@ end is cut off as a road of its own where there would be none.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -102,7 +103,7 @@ def _offset(first: PlannedLane, other: PlannedLane) -> float | None:
 def _adjacent(beside: list[tuple[float, PlannedLane]]) -> Iterator[list[PlannedLane]]:
     """Yield runs of lanes without a gap between them."""
     run = [beside[0][1]]
-    for (left, planned), (right, other) in zip(beside[:-1], beside[1:], strict=True):
+    for (left, planned), (right, other) in pairwise(beside):
         if abs(right - left - (planned.lane.width + other.lane.width) / 2) > _SAME:
             yield run
             run = []
@@ -157,7 +158,7 @@ def _cuts(links: Links, road: int) -> tuple[bool, bool]:
     return len(_before(links, road)) != 1, len(after) != 1 or is_followed
 
 
-def _cut(road: Road, begins: bool, ends: bool) -> list[Road]:  # noqa: FBT001 - the two ends of a road
+def _cut(road: Road, begins: bool, ends: bool) -> list[Road]:
     """Return the parts of a road. With one cut, the part beside the junction is the short one."""
     share = min(_CUT / road.lanes[0].lane.length, 1 / 3)
     inner = {(False, False): [], (True, False): [1 - share], (False, True): [share], (True, True): [share, 1 - share]}
@@ -184,7 +185,8 @@ def _junctions(links: Links, count: int) -> tuple[int, ...]:
     if not edges:
         return (NOWHERE,) * count
     rows, columns = np.array(edges, dtype=np.int64).T
-    _, component = connected_components(coo_array((np.ones(len(rows)), (rows, columns)), (count, count)), directed=False)
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), (count, count))
+    _, component = connected_components(graph, directed=False)
     crossing = sorted({int(component[road]) for road in rows.tolist()})
     number = {found: i for i, found in enumerate(crossing)}
     return tuple(number.get(int(found), NOWHERE) for found in component)

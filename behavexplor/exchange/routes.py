@@ -24,7 +24,7 @@ def route_points(npc: NPC, roadmap: RoadMap) -> Floats:
 
 
 def speed_profile(npc: NPC) -> Floats:
-    """Return the speed at the end of each phase of constant acceleration [m/s], and the phase's duration [s]: (P, 2)."""
+    """Return the speed at the end of each phase [m/s] and the duration of the phase [s], shape (P, 2)."""
     waypoints = waypoint_array(npc)
     phases = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))
     phases = phases[: fill_phases(waypoints, phases)]

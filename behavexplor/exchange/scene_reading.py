@@ -3,13 +3,11 @@
 Every element of a file must be one that is known here, so that nothing is left out silently.
 """
 
-import json
 import math
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 
 from behavexplor.data.scenario import Scenario, parse_scenario
@@ -20,11 +18,11 @@ from behavexplor.exchange.known_elements import KNOWN
 from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
 from behavexplor.exchange.scene import EGO, Mover, Scene, motion_digest
 from behavexplor.exchange.waypoint_text import read_script
+from behavexplor.exchange.xml_files import Element, read_xml
 
 Floats = NDArray[np.float64]
-Element = Any
 
-MAX_SIZE: Final = 200_000_000  # [bytes]; a scene of 200 s with six vehicles has 4 million
+_SAME_PLACE: Final = 0.01  # greatest distance between a start and the first point of a trajectory [m]
 
 
 def read_scene(path: Path) -> Scene:
@@ -62,16 +60,7 @@ def read_scene(path: Path) -> Scene:
 
 def _parsed(path: Path) -> Element:
     """Return the root of a file, in which all references to parameters are replaced by their values."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    if len(data) > MAX_SIZE:
-        raise InputError(f"{path} has {len(data)} bytes, but a scene has at most {MAX_SIZE}")
-    try:
-        root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True, remove_comments=True))
-    except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(f"{path} is not an XML file: {error}") from None
+    root = read_xml(path)
     if root.tag != "OpenSCENARIO" or root.find("FileHeader") is None:
         raise InputError(f"{path} is not an OpenSCENARIO XML file with a scenario")
     _check_known(root)
@@ -89,7 +78,7 @@ def _check_known(element: Element) -> None:
 
 def _insert_parameters(root: Element) -> None:
     declared = {one.get("name"): one.get("value", "") for one in root.iterfind("ParameterDeclarations/*")}
-    for element in root.iter(etree.Element):
+    for element in root.iter():
         for key, value in element.items():
             if value.startswith("$"):
                 if value[1:] not in declared:
@@ -198,9 +187,6 @@ class _Motion:
         if math.dist(self.start[1:3], self.trajectory[0, 1:3]) > _SAME_PLACE:
             raise InputError(f"{self.name} begins at another place than its trajectory: change both or neither")
         return self.trajectory
-
-
-_SAME_PLACE: Final = 0.01  # greatest distance between a start and the first point of a trajectory [m]
 
 
 def _start_time(event: Element) -> float:

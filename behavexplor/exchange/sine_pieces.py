@@ -1,6 +1,7 @@
 """A sine as pieces of cubic polynomials, since OpenDRIVE has no sines."""
 
 import math
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ def sine_pieces(lane: SineLane) -> list[Piece]:
     steepest = abs(lane.amplitude) * lane.pulsation**4
     longest = (384 * MAX_ERROR / steepest) ** 0.25 if steepest > 0 else math.inf
     ends = np.linspace(0.0, lane.length, max(math.ceil(lane.length / longest), 1) + 1)
-    return [_piece(lane, begin, end - begin) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+    return [_piece(lane, begin, end - begin) for begin, end in pairwise(ends.tolist())]
 
 
 def _piece(lane: SineLane, begin: float, step: float) -> Piece:
