@@ -24,7 +24,7 @@ from behavexplor.data.scripted_logical import scripted
 from behavexplor.envs.making import make_env
 from behavexplor.errors import InputError, missing_library
 from behavexplor.exchange.csv_table import write_table
-from behavexplor.exchange.scene import Scene, movers_of
+from behavexplor.exchange.scenes import Scene, movers_of
 from behavexplor.execution.simulation import logical_of
 
 LIBRARIES = ("lxml", "scenariogeneration")  # of the extra `scenes`

@@ -21,10 +21,10 @@ from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.exchange.restoring import restored
-from behavexplor.exchange.scene import Scene
+from behavexplor.exchange.scenes import Scene
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.start import start_executor
+from behavexplor.execution.start import fewest_workers, start_executor
 from behavexplor.judge.specs import judge
 
 
@@ -109,8 +109,8 @@ def _target(scenario: Scenario, scene: Scene, ads: str) -> Target:
 
 
 def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> int:
-    """Execute a scenario in a process of its own, and print the outcome."""
-    with start_executor(target, 1) as executor:
+    """Execute a scenario, and print the outcome."""
+    with start_executor(target, fewest_workers(target)) as executor:
         try:
             trace = Trace.from_bytes(executor.submit(EXECUTE, scenario.to_json().encode()).result())
         except ADSError as error:

@@ -8,8 +8,8 @@ import numpy as np
 
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.exchange.frames import DIGITS, mirrored, mirrored_points
-from behavexplor.exchange.scene import vehicle_name, vehicle_type
+from behavexplor.exchange.axes import DIGITS, mirrored, mirrored_points
+from behavexplor.exchange.scenes import vehicle_name, vehicle_type
 
 COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "length", "width")
 

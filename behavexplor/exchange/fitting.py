@@ -11,12 +11,13 @@ from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.errors import InputError
-from behavexplor.exchange.scene import Mover
+from behavexplor.exchange.scenes import Mover
 
 Floats = NDArray[np.float64]
 
 MAX_DEVIATION: Final = 0.5  # greatest distance of a fitted motion from the trajectory [m]
 _POINTS: Final = 200  # points of a trajectory that are fitted
+_COMPARED: Final = 50  # points of a trajectory that are compared with each route
 _EVALUATIONS: Final = 100  # greatest number of steps of a fit
 _STRAIGHT: Final = 1e-3  # deviation from a line that needs no waypoint [m2/s2]
 _MARGIN: Final = 1e-6  # distance from the limits of a range, beyond rounding errors
@@ -42,15 +43,10 @@ def fitted_script(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
 
 def _nearest_route(mover: Mover, roadmap: RoadMap) -> tuple[Route, Floats]:
     """Return the route from which a trajectory deviates least, and the stations of its points [m]."""
-    best = None
-    for route in roadmap.npc_routes:
-        projected = np.array([route.project(x, y) for x, y in mover.pose[:, :2].tolist()])
-        offset = float(np.abs(projected[:, 1]).max())
-        if best is None or offset < best[0]:
-            best = offset, route, projected[:, 0]
-    if best is None:
-        raise InputError(f"{mover.name}: the map has no routes")
-    return best[1], best[2]
+    points = mover.pose[:, :2].tolist()
+    some = points[:: max(len(points) // _COMPARED, 1)]
+    nearest = min(roadmap.npc_routes, key=lambda route: max(abs(route.project(x, y)[1]) for x, y in some))
+    return nearest, np.array([nearest.project(x, y)[0] for x, y in points])
 
 
 def _fitted(route: Route, time: Floats, stations: Floats, ranges: ScriptedLogicalScenario) -> Floats:
@@ -80,9 +76,9 @@ def _corners(route: Route, time: Floats, stations: Floats, per_lane: int) -> tup
     """
     middle, squared = (stations[1:] + stations[:-1]) / 2, np.maximum(np.diff(stations) / np.diff(time), 0.0) ** 2
     lane = np.searchsorted(route.bounds[1:-1], middle, side="right")
-    found = [0, len(middle) - 1]
+    found = [0]
     spare = np.full(len(route.lanes), per_lane)
-    np.subtract.at(spare, lane[sorted({*found})], 1)
+    spare[lane[0]] -= 1
     while (open_ := np.flatnonzero(spare[lane] > 0)).size:
         corners = sorted(found)
         deviation = np.abs(squared - np.interp(middle, middle[corners], squared[corners]))[open_]
@@ -91,7 +87,7 @@ def _corners(route: Route, time: Floats, stations: Floats, per_lane: int) -> tup
             break
         found.append(worst)
         spare[lane[worst]] -= 1
-    corners = sorted({*found})
+    corners = sorted(found)
     places = [*middle[corners], *_unused(route, spare)]
     positions = np.sort(np.append(places[1:], stations[0]))
     return positions, np.sqrt(np.interp(positions, middle[corners], squared[corners]))

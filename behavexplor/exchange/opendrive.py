@@ -12,7 +12,7 @@ from scenariogeneration import xodr
 from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, SineLane
 from behavexplor.data.road_shape import DASH, PERIOD
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
-from behavexplor.exchange.frames import mirrored_lane
+from behavexplor.exchange.axes import mirrored_lane
 from behavexplor.exchange.road_layout import NOWHERE, RoadLayout, road_layout
 from behavexplor.exchange.sine_pieces import sine_pieces
 

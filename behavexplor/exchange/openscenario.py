@@ -1,7 +1,7 @@
 """Scenes as OpenSCENARIO XML 1.2, written by the library scenariogeneration.
 
 Every vehicle has a bounding box, and there are no catalogs. The motion of a vehicle is a trajectory with times. What
-OpenSCENARIO has no element for stands in properties, whose names begin with "behavexplor.".
+OpenSCENARIO has no element for stands in properties, whose names begin with "behavexplor:".
 """
 
 import json
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scenariogeneration import xosc
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
-from behavexplor.exchange.frames import DIGITS, REAR_AXLE, mirrored, mirrored_points, shifted
+from behavexplor.exchange.axes import DIGITS, REAR_AXLE, mirrored, mirrored_points, shifted
 from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
 from behavexplor.exchange.routes import speed_profile
-from behavexplor.exchange.scene import EGO, Mover, Scene, motion_digest
+from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
 from behavexplor.exchange.waypoint_text import waypoint_text
 
 Floats = NDArray[np.float64]

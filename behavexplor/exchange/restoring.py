@@ -14,7 +14,7 @@ from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.exchange.fitting import fitted_script
-from behavexplor.exchange.scene import Mover, Scene
+from behavexplor.exchange.scenes import Mover, Scene
 
 _SAME: Final = 0.01  # greatest deviation of a place or size that counts as the same [m]
 
@@ -54,7 +54,7 @@ def _drawn(scene: Scene, logical: DrawnLogicalScenario) -> Scenario:
     """Return the scenario that a scene of a stock environment holds. Its vehicles drive themselves."""
     changed = [mover.name for mover in scene.movers if mover.is_changed]
     if scene.scenario is None:
-        raise InputError(f"The scene of {logical.name} lacks the property behavexplor.scenario, its random draws")
+        raise InputError(f"The scene of {logical.name} lacks the property behavexplor:scenario, its random draws")
     if changed or len(scene.movers) != scene.n_vehicles:
         what = f"{changed[0]} was changed" if changed else "vehicles were added or removed"
         raise InputError(
@@ -87,6 +87,6 @@ def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     if len(mover.time) < 2:
         raise InputError(
             f"{mover.name}: its start, route or speed profile was changed, and it has no trajectory: change its "
-            "properties behavexplor.route and behavexplor.waypoints instead"
+            "properties behavexplor:route and behavexplor:waypoints instead"
         )
     return replace(fitted_script(mover, ranges), type=mover.type)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from behavexplor.data.npc_motion import BEGIN, N_PHASE_COLUMNS, PHASE_SPEED, fill_phases, waypoint_array
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import NPC
-from behavexplor.exchange.frames import DIGITS, mirrored_points
+from behavexplor.exchange.axes import DIGITS, mirrored_points
 
 Floats = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
-from behavexplor.exchange.frames import mirrored, shifted
+from behavexplor.exchange.axes import mirrored, shifted
 from behavexplor.exchange.known_elements import KNOWN
 from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
-from behavexplor.exchange.scene import EGO, Mover, Scene, motion_digest
+from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
 from behavexplor.exchange.waypoint_text import read_script
 from behavexplor.exchange.xml_files import Element, read_xml
 

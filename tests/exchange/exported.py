@@ -29,7 +29,19 @@ def schema_errors(path):
 
 def fuzz(folder, env, ads, budget):
     """Run a campaign."""
-    arguments = ["--env", env, "--ads", ads, "--budget", str(budget), "--workers", "0", "--no-confirm", "--quiet"]
+    arguments = [
+        "--env",
+        env,
+        "--ads",
+        ads,
+        "--budget",
+        str(budget),
+        "--workers",
+        "0",
+        "--no-confirm",
+        "--quiet",
+        "--unconfined",
+    ]
     assert main(["fuzz", *arguments, "--method", "uniform", "--out", str(folder)]) == 0
     return folder
 
