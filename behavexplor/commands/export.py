@@ -20,7 +20,6 @@ from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_plan import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.scripted_logical import scripted
 from behavexplor.envs.making import make_env
 from behavexplor.errors import InputError, missing_library
 from behavexplor.exchange.csv_table import write_table
@@ -32,7 +31,9 @@ LIBRARIES = ("lxml", "scenariogeneration")  # of the extra `scenes`
 
 def export(
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
-    numbers: Annotated[tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]")] = (),
+    numbers: Annotated[
+        tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]", help_behavior_hint="")
+    ] = (),
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
     format: Literal["openscenario", "csv"] = "openscenario",  # noqa: A002 - the flag's name
@@ -110,7 +111,7 @@ def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) 
     made = make_env(env, env_config)
     logical = logical_of(made, env)
     made.close()
-    return plan_of_map(scripted(logical, "The export of a scene").roadmap), logical
+    return () if logical.roadmap is None else plan_of_map(logical.roadmap), logical
 
 
 class _Scenes:

@@ -25,7 +25,7 @@ from behavexplor.exchange.scenes import Scene
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import fewest_workers, start_executor
-from behavexplor.judge.specs import judge
+from behavexplor.judge.specs import ERROR, judge
 
 
 def importing(
@@ -55,8 +55,8 @@ def importing(
     scene = read_scene(file)
     _check_environment(scene, env)
     plan, logical = road_of(scene.scenario, scene.environment, scene.env_config)
-    _check_road(file, scene, plan)
     scenario = restored(scene, logical)
+    _check_road(file, scene, plan)
     if out is not None:
         _write(out, scenario)
     if ads is not None:
@@ -115,6 +115,7 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
             trace = Trace.from_bytes(executor.submit(EXECUTE, scenario.to_json().encode()).result())
         except ADSError as error:
             print(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
+            print(f"Class: {ERROR}/{error.kind}")
             return OK
         except RuntimeError as error:
             print(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)

@@ -54,7 +54,7 @@ def _drawn(scene: Scene, logical: DrawnLogicalScenario) -> Scenario:
     """Return the scenario that a scene of a stock environment holds. Its vehicles drive themselves."""
     changed = [mover.name for mover in scene.movers if mover.is_changed]
     if scene.scenario is None:
-        raise InputError(f"The scene of {logical.name} lacks the property behavexplor:scenario, its random draws")
+        raise InputError(f"This scene of {logical.name} lacks the property behavexplor:scenario, its random draws")
     if changed or len(scene.movers) != scene.n_vehicles:
         what = f"{changed[0]} was changed" if changed else "vehicles were added or removed"
         raise InputError(
@@ -80,10 +80,12 @@ def _npc(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
     length, width = VEHICLE_SIZES[mover.type]
     if max(abs(mover.size[0] - length), abs(mover.size[1] - width)) > _SAME:
         raise InputError(f"{mover.name}: a {mover.type} is {length} x {width} m: choose another type of vehicle")
+    if mover.time[0] > 0 or mover.is_gone:
+        raise InputError(
+            f"{mover.name} appears or leaves during the scene, but scripted vehicles are there all the time"
+        )
     if mover.script is not None and not mover.is_changed:
         return mover.script
-    if mover.time[0] > 0:
-        raise InputError(f"{mover.name} appears after the beginning, but scripted vehicles are there from it on")
     if len(mover.time) < 2:
         raise InputError(
             f"{mover.name}: its start, route or speed profile was changed, and it has no trajectory: change its "

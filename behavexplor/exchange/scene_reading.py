@@ -22,6 +22,8 @@ from behavexplor.exchange.xml_files import Element, read_xml
 
 Floats = NDArray[np.float64]
 
+_FROM_THEN_ON: Final = ("greaterThan", "greaterOrEqual", "equalTo")
+_SAME_TIME: Final = 1e-6  # [s]
 _SAME_PLACE: Final = 0.01  # greatest distance between a start and the first point of a trajectory [m]
 
 
@@ -38,11 +40,8 @@ def read_scene(path: Path) -> Scene:
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         _motion(motions, private.get("entityRef"), private).begin(private)
-    for group in root.iterfind("Storyboard/Story/Act/ManeuverGroup"):
-        actors = [actor.get("entityRef") for actor in group.iterfind("Actors/EntityRef")]
-        for event in group.iterfind("Maneuver/Event"):
-            for actor in actors:
-                _motion(motions, actor, group).add(event)
+    for act in root.iterfind("Storyboard/Story/Act"):
+        _take_act(motions, act)
     movers = tuple(_mover(entity, motions[entity.get("name")]) for entity in root.iterfind("Entities/ScenarioObject"))
     if not movers or movers[0].name != EGO:
         raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
@@ -56,6 +55,18 @@ def read_scene(path: Path) -> Scene:
         scenario=_scenario(facts),
         n_vehicles=int(facts[VEHICLES]) if facts.get(VEHICLES, "").isdigit() else 0,
     )
+
+
+def _take_act(motions: dict[str, "_Motion"], act: Element) -> None:
+    begin = _start_time(act)
+    for group in act.iterfind("ManeuverGroup"):
+        actors = [_motion(motions, actor.get("entityRef"), actor) for actor in group.iterfind("Actors/EntityRef")]
+        for event in group.iterfind("Maneuver/Event"):
+            time = max(_start_time(event), begin)
+            for entity in event.iterfind("Action/GlobalAction/EntityAction"):
+                _motion(motions, entity.get("entityRef"), entity).appear_or_leave(entity, time)
+            for actor in actors:
+                actor.add(event, time)
 
 
 def _parsed(path: Path) -> Element:
@@ -156,13 +167,14 @@ class _Motion:
             elif action.find("RoutingAction/AcquirePositionAction") is None or self.name != EGO:
                 raise _refused(action, f"this action of {self.name} at the start")
 
-    def add(self, event: Element) -> None:
-        """Take an event."""
-        time = _start_time(event)
-        if event.find("Action/GlobalAction/EntityAction/DeleteEntityAction") is not None:
-            self.leaves = True
-        for place in event.iterfind("Action/GlobalAction/EntityAction/AddEntityAction/Position/WorldPosition"):
+    def appear_or_leave(self, entity: Element, time: float) -> None:
+        """Take an action by which the entity appears or leaves at a time [s]."""
+        self.leaves |= entity.find("DeleteEntityAction") is not None
+        for place in entity.iterfind("AddEntityAction/Position/WorldPosition"):
             self.start = np.array([time, *_pose(place)])
+
+    def add(self, event: Element, time: float) -> None:
+        """Take the entity's own actions in an event that starts at a time [s]."""
         for follow in event.iterfind("Action/PrivateAction/RoutingAction/FollowTrajectoryAction"):
             if self.trajectory is not None:
                 raise _refused(follow, f"a second trajectory of {self.name}")
@@ -189,12 +201,12 @@ class _Motion:
         return self.trajectory
 
 
-def _start_time(event: Element) -> float:
-    """Return the time at which an event starts [s]."""
-    conditions = list(event.iterfind("StartTrigger/ConditionGroup/Condition"))
+def _start_time(element: Element) -> float:
+    """Return the time at which an act or an event starts [s]."""
+    conditions = list(element.iterfind("StartTrigger/ConditionGroup/Condition"))
     values = [condition.find("ByValueCondition/SimulationTimeCondition") for condition in conditions]
-    if len(values) != 1 or values[0] is None:
-        raise _refused(event, "an event that starts by anything but one simulation time")
+    if len(values) != 1 or values[0] is None or values[0].get("rule") not in _FROM_THEN_ON:
+        raise _refused(element, f"the start of this {element.tag}, which is not at a simulation time,")
     return _number(values[0], "value") + _number(conditions[0], "delay")
 
 
@@ -208,8 +220,8 @@ def _rows(follow: Element, start: float) -> Floats:
     rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
     if timing.get("domainAbsoluteRelative") == "relative":
         rows[:, 0] += start
-    if (np.diff(rows[:, 0]) <= 0).any():
-        raise _refused(follow, "a trajectory whose times do not increase")
+    if (np.diff(rows[:, 0]) <= 0).any() or start > rows[0, 0] + _SAME_TIME:
+        raise _refused(follow, "a trajectory whose times do not increase from its start on")
     return rows
 
 
@@ -235,6 +247,7 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
     facts, rows = _properties(vehicle), motion.rows
     kind = str(vehicle.get("name", ""))
     script = read_script(motion.name, kind, facts[ROUTE], facts.get(WAYPOINTS, "")) if ROUTE in facts else None
+    digest = motion_digest(motion.speed, rows, motion.route, motion.profile)
     return Mover(
         name=motion.name,
         type=kind,
@@ -244,5 +257,5 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
         speed=motion.speed,
         is_gone=motion.leaves,
         script=script,
-        is_changed=facts.get(RECORDED) != motion_digest(motion.speed, rows, motion.route, motion.profile),
+        is_changed=facts.get(RECORDED, "" if script is None else digest) != digest,
     )

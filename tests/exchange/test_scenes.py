@@ -162,6 +162,16 @@ def test_a_changed_trajectory_counts(scene, tmp_path):
     assert np.hypot(*(motion - mover.pose[:, :2]).T).max() < MAX_DEVIATION
 
 
+def test_a_script_without_a_trajectory_counts(scene, tmp_path):
+    path, scenario, _ = scene
+
+    def only_script(root):
+        for element in (group(root, "NPC1"), value(root, "NPC1", "recorded")):
+            element.getparent().remove(element)
+
+    assert imported(changed(path, tmp_path, only_script)) == scenario
+
+
 def test_a_removed_vehicle_is_gone(scene, tmp_path):
     path, scenario, _ = scene
 
@@ -198,6 +208,25 @@ def first(path):
     return lambda root: root.find(path)
 
 
+def drop(find):
+    def remove(root):
+        element = find(root)
+        element.getparent().remove(element)
+
+    return remove
+
+
+def leave(root):
+    """Let a scripted vehicle be deleted."""
+    maneuver = group(root, "NPC1").find("Maneuver")
+    event = etree.fromstring(etree.tostring(maneuver.find("Event")))
+    action = event.find("Action")
+    action.remove(action.find("PrivateAction"))
+    entity_action = etree.SubElement(etree.SubElement(action, "GlobalAction"), "EntityAction", entityRef="NPC1")
+    etree.SubElement(entity_action, "DeleteEntityAction")
+    maneuver.append(event)
+
+
 PRIVATE = "Storyboard/Init/Actions/Private/PrivateAction"
 
 
@@ -223,6 +252,11 @@ PRIVATE = "Storyboard/Init/Actions/Private/PrivateAction"
         (set_attribute(lambda root: entity(root, "NPC1").find("Vehicle"), "name", "truck"), "Unknown vehicle type"),
         (set_attribute(lambda root: value(root, "NPC1", "waypoints"), "value", "1 2 3"), "a waypoint is a position"),
         (set_attribute(lambda root: value(root, "NPC2", "route"), "value", "up"), "NPC2: route: Unknown route 'up'"),
+        (drop(first(f"{PRIVATE}/TeleportAction/..")), "Ego is nowhere: it needs a TeleportAction"),
+        (drop(first(".//Event/StartTrigger")), "the start of this Event, which is not at a simulation time, cannot be"),
+        (set_attribute(first("Storyboard/Story/Act/StartTrigger//*[@rule]"), "value", "3"), "from its start on cannot"),
+        (set_attribute(first(".//Event//SimulationTimeCondition"), "rule", "lessThan"), "the start of this Event"),
+        (leave, "NPC1 appears or leaves during the scene"),
         (
             set_attribute(lambda root: entity(root, "NPC1").find(".//Dimensions"), "length", "12"),
             "choose another type of vehicle",
@@ -314,6 +348,9 @@ def test_a_scene_of_vehicles_that_drive_themselves_cannot_be_changed(campaign, t
 
     with pytest.raises(InputError, match="vehicles were added or removed"):
         imported(changed(path, tmp_path, remove))
+    forget = drop(first("FileHeader/Properties/Property[@name='behavexplor:scenario']"))
+    with pytest.raises(InputError, match="lacks the property behavexplor:scenario, its random draws"):
+        imported(changed(path, tmp_path, forget))
 
 
 @pytest.fixture
