@@ -53,7 +53,7 @@ def read_scene(path: Path) -> Scene:
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
         scenario=_scenario(facts),
-        n_vehicles=int(facts[VEHICLES]) if facts.get(VEHICLES, "").isdigit() else 0,
+        n_vehicles=int(facts[VEHICLES]) if facts.get(VEHICLES, "").isdecimal() else 0,
     )
 
 
@@ -103,6 +103,14 @@ def _refused(element: Element, what: str) -> InputError:
 
 def _properties(parent: Element) -> dict[str, str]:
     return {one.get("name", ""): one.get("value", "") for one in parent.iterfind("Properties/Property")}
+
+
+def _one(parent: Element, path: str) -> Element:
+    """Return the element at a path."""
+    found = parent.find(path)
+    if found is None:
+        raise _refused(parent, f"{parent.tag} without {path}")
+    return found
 
 
 def _names(root: Element) -> list[str]:
@@ -216,7 +224,7 @@ def _rows(follow: Element, start: float) -> Floats:
     vertices = [] if trajectory is None else list(trajectory.iterfind("Shape/Polyline/Vertex"))
     if timing is None or not vertices:
         raise _refused(follow, "a trajectory that is not a polyline with times")
-    rows = np.array([[_number(vertex, "time"), *_pose(vertex.find("Position/WorldPosition"))] for vertex in vertices])
+    rows = np.array([[_number(vertex, "time"), *_pose(_one(vertex, "Position/WorldPosition"))] for vertex in vertices])
     rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
     if timing.get("domainAbsoluteRelative") == "relative":
         rows[:, 0] += start
@@ -242,8 +250,8 @@ def _number(element: Element, name: str) -> float:
 
 
 def _mover(entity: Element, motion: _Motion) -> Mover:
-    vehicle = entity.find("Vehicle")
-    center, box = (vehicle.find(f"BoundingBox/{part}") for part in ("Center", "Dimensions"))
+    vehicle = _one(entity, "Vehicle")
+    center, box = (_one(vehicle, f"BoundingBox/{part}") for part in ("Center", "Dimensions"))
     facts, rows = _properties(vehicle), motion.rows
     kind = str(vehicle.get("name", ""))
     script = read_script(motion.name, kind, facts[ROUTE], facts.get(WAYPOINTS, "")) if ROUTE in facts else None

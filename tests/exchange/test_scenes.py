@@ -14,12 +14,14 @@ from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.road_plan import plan_of_map
 from behavexplor.data.scenario import parse_scenario
+from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.errors import InputError
 from behavexplor.exchange.csv_table import COLUMNS
 from behavexplor.exchange.fitting import MAX_DEVIATION
 from behavexplor.exchange.opendrive import write_road
 from behavexplor.exchange.openscenario import write_scene
+from behavexplor.exchange.restoring import restored
 from behavexplor.exchange.scene_reading import read_scene
 from behavexplor.exchange.scenes import Scene, movers_of
 from behavexplor.exchange.sine_pieces import MAX_ERROR
@@ -438,3 +440,31 @@ def test_the_page_names_every_column_and_the_error_of_a_sine():
     assert all(f"| {name} |" in page for name in COLUMNS)
     assert f"{1000 * MAX_ERROR:g} mm" in page
     assert f"{MAX_DEVIATION:g} m" in page
+
+
+def test_a_damaged_scene_is_a_scenario_or_one_sentence(scene, tmp_path):
+    """Elements are removed, attributes removed or replaced at random."""
+    _, scenario, trace = scene
+    path = tmp_path / "routes.xosc"
+    write(path, scenario, trace, as_routes=True)
+    rng = np.random.default_rng(0)
+    taken = 0
+    for _ in range(120):
+        root = etree.parse(path).getroot()
+        elements = list(root.iter())[1:]
+        element = elements[rng.integers(len(elements))]
+        keys = sorted(element.keys())
+        kind = rng.integers(3) if keys else 0
+        if kind == 0:
+            element.getparent().remove(element)
+        elif kind == 1:
+            del element.attrib[keys[rng.integers(len(keys))]]
+        else:
+            element.set(keys[rng.integers(len(keys))], str(rng.choice(["", "-1", "nan", "1e999", "$", "{}", "\u00b2"])))
+        copy = tmp_path / "damaged.xosc"
+        copy.write_bytes(etree.tostring(root))
+        try:
+            taken += isinstance(restored(read_scene(copy), S1), ScriptedScenario)
+        except InputError:
+            continue
+    assert 10 < taken < 110
