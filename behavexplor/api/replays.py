@@ -35,7 +35,7 @@ class Replay:
     def __init__(self, execution: Execution, shape: RoadShape) -> None:
         self.number = execution.id
         self.trace: Trace = execution.load_trace()
-        self.caption = outcome(execution.record)
+        self.caption = outcome(execution.record.violated, execution.record.end)
         self._violated = execution.record.violated
         self._shape = shape
 

@@ -220,7 +220,7 @@ class Campaign:
             error=failure,
             duration=trace.duration,
             violated=verdict.violated,
-            violation_class=_class_id(trace, verdict, failure),
+            violation_class=class_id(trace, verdict, failure),
             fault=_fault(trace, verdict),
             degree=verdict.degree,
             degrees=dict(verdict.degrees),
@@ -270,7 +270,7 @@ def _counted(counts: Mapping[str, int], name: str | None) -> Mapping[str, int]:
     return counts if name is None else {**counts, name: counts.get(name, 0) + 1}
 
 
-def _class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> str | None:
+def class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> str | None:
     """Return the id of a failure's class, as stored in its record; None for a passed execution."""
     if failure is not None:
         return f"{ERROR}/{failure['kind']}"

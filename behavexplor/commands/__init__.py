@@ -19,7 +19,7 @@ from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-COMMANDS = (  # also the module names
+COMMANDS = (
     "fuzz",
     "replay",
     "records",
@@ -29,6 +29,8 @@ COMMANDS = (  # also the module names
     "suite",
     "check",
     "report",
+    "export",
+    "import",
     "evaluate",
     "compare",
     "envs",
@@ -37,6 +39,7 @@ COMMANDS = (  # also the module names
     "retrain",
     "demo",
 )
+_MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise
 
 _DESCRIPTION = "Find out how a driving policy fails."
 
@@ -80,7 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _command(name: str) -> Callable[..., Any]:
-    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), name)
+    module = _MODULES.get(name, name)
+    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
     return command
 
 

@@ -78,7 +78,7 @@ def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
 
 def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
-    trace, caption = execution.load_trace(), outcome(execution.record)
+    trace, caption = execution.load_trace(), outcome(execution.record.violated, execution.record.end)
     frame = decisive_frame(trace, execution.record.violated)
     degrees = ", ".join(f"{name} {degree:.2f}" for name, degree in execution.record.degrees.items())
     animation, picture = _save(trace, shape, frame, caption, folder / f"{execution.id:06d}")

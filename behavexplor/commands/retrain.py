@@ -29,7 +29,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     steps: Annotated[int, tyro.conf.arg(metavar="N")] = 250_000,
     rate: Annotated[float, tyro.conf.arg(metavar="RATE")] = 2.5e-4,
-    sharpen: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.3,
+    sharpen: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
     budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -112,7 +112,7 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
 
 def _words(one: "Round") -> str:
     found = "" if one.found is None else f"; {one.found} failures found, {one.pool} scenarios in the pool"
-    return f"{one.at_fault:.1%} collisions at fault, {one.arrived:.1%} arrived{found}"
+    return f"{one.at_fault:.1%} failures at fault, {one.arrived:.1%} arrived{found}"
 
 
 def _table(rounds: "list[Round]") -> str:

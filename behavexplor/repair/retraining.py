@@ -24,10 +24,11 @@ from behavexplor.ads.learned.driver import POLICY_FREQUENCY, read_layers, write_
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.campaign.store import write_durably
 from behavexplor.data.target import Target
+from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError
 from behavexplor.evaluation import estimate_rates, start_judge
 from behavexplor.execution.simulation import logical_scenario
-from behavexplor.judge.fault import own_violations
+from behavexplor.judge.fault import NPC_CAUSED, own_violations
 from behavexplor.judge.specs import judge
 from behavexplor.repair.finding import found_failures
 from behavexplor.repair.pool import Pool, read_pool
@@ -87,7 +88,7 @@ class RetrainingConfig:
     seed: int = 0
     envs: int = 64
     rate: float = 2.5e-4
-    sharpen: float = 1.3
+    sharpen: float = 1.0
     method: str = "uniform"
     budget: int = 250
     validation: int = 1000
@@ -125,7 +126,8 @@ class Round:
     Attributes:
         number: number of the round; 0 for the policy as it was given.
         steps: number of decisions in which the policy was trained so far.
-        at_fault: share of the validation scenarios with a collision for which the policy was at fault.
+        at_fault: share of the validation scenarios that failed by the policy's own fault: without arrival, and without a
+            collision that another vehicle caused.
         arrived: share of the validation scenarios in which it arrived.
         pool: number of scenarios in the pool at the end of the round.
         digest: digest of the pool.
@@ -260,10 +262,11 @@ def _finished(
 
 
 def validated_rates(env: str, network: Path, count: int, seed: int = VALIDATION_SEED) -> tuple[float, float]:
-    """Return the rates of collisions at fault and of arrivals of a policy, driven by its most probable actions."""
+    """Return the rates of failures at fault and of arrivals of a policy, driven by its most probable actions."""
     with start_judge(Target(env, str(network)), 0) as executor:  # the network is plain numbers
         found = estimate_rates(executor, logical_scenario(env), count, seed)
-    return sum(found.rate(f"collision: {kind}") for kind in ("ego_cut_in", "other")), found.rate("arrived")
+    others = sum(found.counts.get(f"collision: {fault}", 0) for fault in NPC_CAUSED)
+    return (found.n - found.counts[ARRIVED] - others) / found.n, found.rate(ARRIVED)
 
 
 def _file(folder: Path, number: int, suffix: str) -> Path:

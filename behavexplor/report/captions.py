@@ -1,10 +1,8 @@
 """Captions of replays."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
-
-from behavexplor.campaign.record import Record
 
 _ENDED_BY: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -20,7 +18,11 @@ _ENDED_BY: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
-def outcome(record: Record) -> str:
-    """Describe the outcome of an execution, to follow its number."""
-    violated = " and ".join(record.violated) or "nothing"
-    return f"violates {violated}, ended by {_ENDED_BY[record.end]}"
+def outcome(violated: Sequence[str], end: str) -> str:
+    """Describe the outcome of an execution, to follow its number.
+
+    Args:
+        violated: names of the violated specs.
+        end: kind of end, one of `behavexplor.data.trace.ENDS`.
+    """
+    return f"violates {' and '.join(violated) or 'nothing'}, ended by {_ENDED_BY[end]}"

@@ -10,9 +10,11 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
+from behavexplor.data.road_plan import RoadPlan
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.envs.drawn.episode_record import EpisodeRecord, Watch
 from behavexplor.envs.drawn.generator import DrawnGenerator
+from behavexplor.envs.drawn.lane_reading import road_plan
 from behavexplor.envs.drawn.layout import Layout
 from behavexplor.envs.drawn.road_outline import road_shape
 from behavexplor.envs.drawn.terms import has_arrived
@@ -179,6 +181,14 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def road_shape(self) -> RoadShape:
         """Return the shape of the road for pictures."""
         return road_shape(self._inner.road.network)
+
+    def road_plan(self) -> RoadPlan:
+        """Return the lanes of the road.
+
+        Raises:
+            InputError: if one has a shape that other tools cannot be told.
+        """
+        return road_plan(self._inner.road.network)
 
     def render(self) -> Any:
         """Render the environment."""

@@ -1,0 +1,160 @@
+"""`behavexplor export`: write executions as files that other tools can play."""
+
+import json
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from behavexplor.campaign.config import CONFIG, stored_config
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.commands import OK
+from behavexplor.data.conventions import EPISODE_TIME
+from behavexplor.data.drawn_scenario import DrawnScenario, Setup
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.road_plan import RoadPlan, plan_of_map
+from behavexplor.data.scenario import Scenario
+from behavexplor.envs.making import make_env
+from behavexplor.errors import InputError, missing_library
+from behavexplor.exchange.csv_table import write_table
+from behavexplor.exchange.scenes import Scene, movers_of
+from behavexplor.execution.simulation import logical_of
+from behavexplor.report.captions import outcome
+
+LIBRARIES = ("lxml", "scenariogeneration")  # of the extra `scenes`
+
+
+def export(
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    numbers: Annotated[
+        tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]", help_behavior_hint="")
+    ] = (),
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
+    format: Literal["openscenario", "csv"] = "openscenario",  # noqa: A002 - the flag's name
+    ego: Literal["recorded", "free"] = "recorded",
+    npcs: Annotated[Literal["trajectories", "routes"], tyro.conf.arg(help_behavior_hint="(default: trajectories)")] = (
+        "trajectories"
+    ),
+) -> int:
+    """Write executions of a run as files that other tools can play (docs/exchange.md).
+
+    The formats are OpenSCENARIO XML with the road as OpenDRIVE, and CSV tables.
+
+    Args:
+        run: The run folder.
+        numbers: Numbers of the executions, as in `records`; by default all failures.
+        out: Folder for the files.
+        format: Format of the files.
+        ego: The ego as it was recorded, or free, for the driver of the other tool: only its start and destination.
+        npcs: Scripted vehicles as trajectories, or as routes with speed profiles.
+    """
+    if format == "openscenario":
+        check_libraries()
+    store = Store.read(run)
+    try:
+        chosen = numbers or tuple(record.id for record in store.records() if record.failed)
+        out.mkdir(parents=True, exist_ok=True)
+        write = _Scenes(run, out, is_ego_free=ego == "free", as_routes=npcs == "routes").write
+        for number in chosen:
+            execution = store.execution(number)
+            if format == "csv":
+                write_table(execution.scenario, execution.load_trace(), out / f"{number:06d}.csv")
+            else:
+                write(execution)
+    except OSError as error:
+        raise InputError(f"The folder {out} cannot be written: {error.strerror}") from None
+    finally:
+        store.close()
+    print(f"{len(chosen)} execution{'s' * (len(chosen) != 1)} written to {out}")
+    return OK
+
+
+def check_libraries() -> None:
+    """Check that the libraries of the extra `scenes` are installed.
+
+    Raises:
+        InputError: if one of them is missing.
+    """
+    for library in LIBRARIES:
+        if find_spec(library) is None:
+            raise missing_library("The exchange of scenes", library, "scenes")
+
+
+@lru_cache(maxsize=1)
+def _stock_env(setup: Setup) -> Any:
+    """Return a stock environment, which takes longer to make than a scene to write."""
+    return make_env(setup.env, json.loads(setup.config), setup.traffic)
+
+
+def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
+    """Return the road of a scenario, and the scenarios of its environment.
+
+    Args:
+        scenario: the scenario; None if its environment has one road for all.
+        env: name of the environment.
+        env_config: configuration of the environment, as far as it differs from its own. A scenario of a stock
+            environment holds its own.
+
+    Raises:
+        InputError: if the environment cannot be made, or has a road that cannot be exported.
+    """
+    if isinstance(scenario, DrawnScenario):
+        stock = _stock_env(scenario.setup)
+        stock.begin_blindly(scenario)
+        return stock.road_plan(), stock.logical
+    made = make_env(env, env_config)
+    logical = logical_of(made, env)
+    made.close()
+    return () if logical.roadmap is None else plan_of_map(logical.roadmap), logical
+
+
+class _Scenes:
+    """The folder of exported scenes. Executions on the same road share its file."""
+
+    def __init__(self, run: Path, out: Path, *, is_ego_free: bool, as_routes: bool) -> None:
+        self._config = stored_config(run)
+        self._date = datetime.fromtimestamp(int((run / CONFIG).stat().st_mtime), UTC)
+        self._out = out
+        self._is_ego_free = is_ego_free
+        self._as_routes = as_routes
+        self._roads: dict[RoadPlan, str] = {}
+
+    def write(self, execution: Execution) -> None:
+        """Write an execution."""
+        from behavexplor.exchange.openscenario import write_scene  # noqa: PLC0415 - needs the extra `scenes`
+
+        scenario, trace = execution.scenario, execution.load_trace()
+        plan, logical = road_of(scenario, self._config.env, self._config.env_config)
+        is_drawn = isinstance(scenario, DrawnScenario)
+        record = execution.record
+        goes_on = trace.duration == 0 or (self._is_ego_free and not is_drawn)
+        scene = Scene(
+            title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}",
+            environment=self._config.env,
+            env_config={} if is_drawn else self._config.env_config,
+            road_file=self._road_file(plan, execution.id),
+            movers=movers_of(scenario, trace, logical.roadmap, is_ego_free=self._is_ego_free),
+            is_ego_free=self._is_ego_free,
+            destination=trace.destination,
+            stops_there=not is_drawn,
+            time_limit=EPISODE_TIME if goes_on else trace.duration,
+            scenario=scenario if is_drawn else None,
+        )
+        write_scene(scene, self._out / f"{execution.id:06d}.xosc", self._date, as_routes=self._as_routes)
+
+    def _road_file(self, plan: RoadPlan, number: int) -> str:
+        """Return the name of the file of a road, which is written if it is new."""
+        from behavexplor.exchange.opendrive import write_road  # noqa: PLC0415 - needs the extra `scenes`
+
+        if plan not in self._roads:
+            name = re.sub(r"[^\w.-]", "-", self._config.env.rpartition("/")[2])
+            file = f"{name}.xodr" if not self._roads else f"{name}-{number:06d}.xodr"
+            write_road(plan, name, self._out / file)
+            self._roads[plan] = file
+        return self._roads[plan]

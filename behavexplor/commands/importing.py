@@ -1,0 +1,127 @@
+"""`behavexplor import`: make a scenario of a scene, and execute it."""
+
+import json
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from behavexplor import FUNCTIONAL_SCENARIOS
+from behavexplor.campaign.campaign import ads_failure, class_id
+from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.export import check_libraries, road_of
+from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.target import Target
+from behavexplor.data.trace import Trace
+from behavexplor.errors import InputError, sentence
+from behavexplor.exchange.restoring import restored
+from behavexplor.exchange.scenes import Scene
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.start import fewest_workers, start_executor
+from behavexplor.judge.specs import ERROR, judge
+from behavexplor.report.captions import outcome
+
+
+def importing(
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")],
+    *,
+    ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: none)")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    env: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the scene's own)")] = None,
+    trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
+    unconfined: bool = False,
+) -> int:
+    """Make a scenario of a scene that `export` wrote, also if it was changed by hand (docs/exchange.md).
+
+    The scenario is printed as JSON. With a driving system, it is executed instead, and the verdict is printed.
+
+    Args:
+        file: An OpenSCENARIO XML file.
+        ads: Driving system that executes the scenario, as for fuzz.
+        out: Write the scenario to this JSON file.
+        env: Environment of the scene; needed if it belongs to another package.
+        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
+    """
+    check_libraries()
+    from behavexplor.exchange.scene_reading import read_scene  # noqa: PLC0415 - needs the extra `scenes`
+
+    scene = read_scene(file)
+    _check_environment(scene, env)
+    plan, logical = road_of(scene.scenario, scene.environment, scene.env_config)
+    scenario = restored(scene, logical)
+    _check_road(file, scene, plan)
+    if out is not None:
+        _write(out, scenario)
+    if ads is not None:
+        target = _target(scenario, scene, ads)
+        return _execute(scenario, replace(target, trust=(trust,) if trust else (), unconfined=unconfined), logical)
+    if out is None:
+        print(scenario.to_json())
+    return OK
+
+
+def _check_environment(scene: Scene, env: str | None) -> None:
+    """Check that a file does not choose which code of other packages is loaded."""
+    name = scene.environment
+    is_ours = name in FUNCTIONAL_SCENARIOS or ":" not in name
+    if env is not None and env != name:
+        raise InputError(f"The scene belongs to the environment {name!r}, not to {env!r}")
+    if env is None and not is_ours:
+        raise InputError(f"The scene belongs to {name!r} of another package: pass --env {name} to load it")
+    if scene.scenario is not None and scene.scenario.functional != name:
+        raise InputError(f"The scene's scenario belongs to {scene.scenario.functional!r}, and the scene to {name!r}")
+
+
+def _check_road(file: Path, scene: Scene, plan: Any) -> None:
+    """Check that the road beside a scene is the environment's own, if it is there."""
+    from behavexplor.exchange.opendrive import write_road  # noqa: PLC0415 - needs the extra `scenes`
+    from behavexplor.exchange.xml_files import same_road  # noqa: PLC0415
+
+    path = file.parent / scene.road_file
+    if not scene.road_file or not path.is_file():
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        own = Path(folder) / "road.xodr"
+        write_road(plan, path.stem, own)
+        if not same_road(path, own):
+            raise InputError(f"{path} is not the road of {scene.environment}, and a road cannot be changed by a scene")
+
+
+def _write(path: Path, scenario: Scenario) -> None:
+    try:
+        path.write_text(json.dumps(scenario.to_dict(), indent=1) + "\n")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def _target(scenario: Scenario, scene: Scene, ads: str) -> Target:
+    if not isinstance(scenario, DrawnScenario):
+        return Target(scene.environment, ads, env_config=scene.env_config)
+    config, traffic = json.loads(scenario.setup.config), scenario.setup.traffic
+    return Target(scene.environment, ads, env_config=config, traffic=traffic, confirm=False)
+
+
+def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> int:
+    """Execute a scenario, and print the outcome."""
+    with start_executor(target, fewest_workers(target)) as executor:
+        try:
+            trace = Trace.from_bytes(executor.submit(EXECUTE, scenario.to_json().encode()).result())
+        except ADSError as error:
+            print(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
+            print(f"Class: {ERROR}/{error.kind}")
+            return OK
+        except RuntimeError as error:
+            print(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
+            return EXECUTION_FAILED
+    verdict = judge(trace)
+    print(f"{logical.describe(scenario)}: {outcome(verdict.violated, trace.end)} after {trace.duration:.2f} s")
+    if verdict.failed:
+        print(f"Class: {class_id(trace, verdict, None)}")
+    return OK

@@ -1,0 +1,269 @@
+"""Reading of scenes from OpenSCENARIO XML files of the subset that `behavexplor.exchange.openscenario` writes.
+
+Every element of a file must be one that is known here, so that nothing is left out silently.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.untrusted import parse_json
+from behavexplor.errors import InputError, brief
+from behavexplor.exchange.axes import mirrored, shifted
+from behavexplor.exchange.known_elements import KNOWN
+from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
+from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
+from behavexplor.exchange.waypoint_text import read_script
+from behavexplor.exchange.xml_files import Element, read_xml
+
+Floats = NDArray[np.float64]
+
+_FROM_THEN_ON: Final = ("greaterThan", "greaterOrEqual", "equalTo")
+_SAME_TIME: Final = 1e-6  # [s]
+_SAME_PLACE: Final = 0.01  # greatest distance between a start and the first point of a trajectory [m]
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene.
+
+    Raises:
+        InputError: if the file is not an OpenSCENARIO XML file, or has something that cannot be taken, which is named.
+    """
+    root = _parsed(path)
+    facts = _properties(root.find("FileHeader"))
+    if ENVIRONMENT not in facts:
+        raise InputError(f"{path} does not say its environment: its FileHeader needs the property {ENVIRONMENT}")
+    motions = {name: _Motion(name) for name in _names(root)}
+    for private in root.iterfind("Storyboard/Init/Actions/Private"):
+        _motion(motions, private.get("entityRef"), private).begin(private)
+    for act in root.iterfind("Storyboard/Story/Act"):
+        _take_act(motions, act)
+    movers = tuple(_mover(entity, motions[entity.get("name")]) for entity in root.iterfind("Entities/ScenarioObject"))
+    if not movers or movers[0].name != EGO:
+        raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
+    return Scene(
+        title=root.find("FileHeader").get("description", ""),
+        environment=facts[ENVIRONMENT],
+        env_config=_config(facts.get(ENV_CONFIG, "{}")),
+        road_file=_road_file(root),
+        movers=movers,
+        is_ego_free=len(movers[0].time) == 1,
+        scenario=_scenario(facts),
+        n_vehicles=int(facts[VEHICLES]) if facts.get(VEHICLES, "").isdecimal() else 0,
+    )
+
+
+def _take_act(motions: dict[str, "_Motion"], act: Element) -> None:
+    begin = _start_time(act)
+    for group in act.iterfind("ManeuverGroup"):
+        actors = [_motion(motions, actor.get("entityRef"), actor) for actor in group.iterfind("Actors/EntityRef")]
+        for event in group.iterfind("Maneuver/Event"):
+            time = max(_start_time(event), begin)
+            for entity in event.iterfind("Action/GlobalAction/EntityAction"):
+                _motion(motions, entity.get("entityRef"), entity).appear_or_leave(entity, time)
+            for actor in actors:
+                actor.add(event, time)
+
+
+def _parsed(path: Path) -> Element:
+    """Return the root of a file, in which all references to parameters are replaced by their values."""
+    root = read_xml(path)
+    if root.tag != "OpenSCENARIO" or root.find("FileHeader") is None:
+        raise InputError(f"{path} is not an OpenSCENARIO XML file with a scenario")
+    _check_known(root)
+    _insert_parameters(root)
+    return root
+
+
+def _check_known(element: Element) -> None:
+    """Refuse an element that is not known in its place."""
+    for child in element:
+        if child.tag not in KNOWN[element.tag]:
+            raise _refused(child, f"{child.tag} in {element.tag}")
+        _check_known(child)
+
+
+def _insert_parameters(root: Element) -> None:
+    declared = {one.get("name"): one.get("value", "") for one in root.iterfind("ParameterDeclarations/*")}
+    for element in root.iter():
+        for key, value in element.items():
+            if value.startswith("$"):
+                if value[1:] not in declared:
+                    raise _refused(element, f"{key}={value!r} (an expression, or a parameter that is not declared)")
+                element.set(key, declared[value[1:]])
+
+
+def _refused(element: Element, what: str) -> InputError:
+    return InputError(f"Line {element.sourceline}: {what} cannot be taken; docs/exchange.md lists what can")
+
+
+def _properties(parent: Element) -> dict[str, str]:
+    return {one.get("name", ""): one.get("value", "") for one in parent.iterfind("Properties/Property")}
+
+
+def _one(parent: Element, path: str) -> Element:
+    """Return the element at a path."""
+    found = parent.find(path)
+    if found is None:
+        raise _refused(parent, f"{parent.tag} without {path}")
+    return found
+
+
+def _names(root: Element) -> list[str]:
+    names = [entity.get("name", "") for entity in root.iterfind("Entities/ScenarioObject")]
+    twice = [name for i, name in enumerate(names) if name in names[:i]]
+    if twice:
+        raise InputError(f"Two entities are named {brief(twice[0])}: give each a name of its own")
+    return names
+
+
+def _motion(motions: dict[str, "_Motion"], name: str | None, element: Element) -> "_Motion":
+    if name not in motions:
+        raise _refused(element, f"the entity {brief(name)}, which is not declared,")
+    return motions[name]
+
+
+def _config(text: str) -> dict[str, Any]:
+    values = parse_json(text, "a configuration")
+    if not isinstance(values, dict):
+        raise InputError(f"The property {ENV_CONFIG} must be an object in JSON, got {brief(values)}")
+    return values
+
+
+def _scenario(facts: dict[str, str]) -> Scenario | None:
+    return parse_scenario(facts[SCENARIO]) if SCENARIO in facts else None
+
+
+def _road_file(root: Element) -> str:
+    file = root.find("RoadNetwork/LogicFile")
+    return "" if file is None else str(file.get("filepath", ""))
+
+
+class _Motion:
+    """What a file says of the motion of one entity.
+
+    Attributes:
+        name: name of the entity.
+        speed: speed at the beginning [m/s].
+        start: time, x, y and heading at the beginning as they are written, shape (4,).
+        trajectory: the same of each point of the trajectory, shape (T, 4); None without one.
+        route: x and y of each point of the route.
+        profile: speed [m/s] and duration [s] of each entry of the speed profile.
+        leaves: whether the entity is deleted.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.speed = 0.0
+        self.start: Floats | None = None
+        self.trajectory: Floats | None = None
+        self.route: list[list[float]] = []
+        self.profile: list[list[float]] = []
+        self.leaves = False
+
+    def begin(self, private: Element) -> None:
+        """Take the actions at the start."""
+        for action in private.iterfind("PrivateAction"):
+            if (place := action.find("TeleportAction/Position/WorldPosition")) is not None:
+                self.start = np.array([0.0, *_pose(place)])
+            elif (speed := action.find("LongitudinalAction/SpeedAction/SpeedActionTarget/*")) is not None:
+                self.speed = _number(speed, "value")
+            elif action.find("RoutingAction/AcquirePositionAction") is None or self.name != EGO:
+                raise _refused(action, f"this action of {self.name} at the start")
+
+    def appear_or_leave(self, entity: Element, time: float) -> None:
+        """Take an action by which the entity appears or leaves at a time [s]."""
+        self.leaves |= entity.find("DeleteEntityAction") is not None
+        for place in entity.iterfind("AddEntityAction/Position/WorldPosition"):
+            self.start = np.array([time, *_pose(place)])
+
+    def add(self, event: Element, time: float) -> None:
+        """Take the entity's own actions in an event that starts at a time [s]."""
+        for follow in event.iterfind("Action/PrivateAction/RoutingAction/FollowTrajectoryAction"):
+            if self.trajectory is not None:
+                raise _refused(follow, f"a second trajectory of {self.name}")
+            self.trajectory = _rows(follow, time)
+        driving = event.find("Action/PrivateAction/RoutingAction/AssignRouteAction/Route")
+        for place in () if driving is None else driving.iterfind("Waypoint/Position/WorldPosition"):
+            self.route.append([_number(place, "x"), _number(place, "y")])
+        for entry in event.iterfind("Action/PrivateAction/LongitudinalAction/SpeedProfileAction/SpeedProfileEntry"):
+            self.profile.append([_number(entry, "speed"), _number(entry, "time")])
+        known = ("RoutingAction", "LongitudinalAction/SpeedProfileAction")
+        for action in event.iterfind("Action/PrivateAction"):
+            if all(action.find(name) is None for name in known) or action.find("RoutingAction/AcquirePositionAction"):
+                raise _refused(action, f"this action of {self.name} during the scene")
+
+    @property
+    def rows(self) -> Floats:
+        """Time, x, y and heading of each point as they are written, shape (T, 4)."""
+        if self.start is None:
+            raise InputError(f"{self.name} is nowhere: it needs a TeleportAction to a WorldPosition at the start")
+        if self.trajectory is None:
+            return self.start[None]
+        if math.dist(self.start[1:3], self.trajectory[0, 1:3]) > _SAME_PLACE:
+            raise InputError(f"{self.name} begins at another place than its trajectory: change both or neither")
+        return self.trajectory
+
+
+def _start_time(element: Element) -> float:
+    """Return the time at which an act or an event starts [s]."""
+    conditions = list(element.iterfind("StartTrigger/ConditionGroup/Condition"))
+    values = [condition.find("ByValueCondition/SimulationTimeCondition") for condition in conditions]
+    if len(values) != 1 or values[0] is None or values[0].get("rule") not in _FROM_THEN_ON:
+        raise _refused(element, f"the start of this {element.tag}, which is not at a simulation time,")
+    return _number(values[0], "value") + _number(conditions[0], "delay")
+
+
+def _rows(follow: Element, start: float) -> Floats:
+    trajectory = follow.find("TrajectoryRef/Trajectory")
+    timing = follow.find("TimeReference/Timing")
+    vertices = [] if trajectory is None else list(trajectory.iterfind("Shape/Polyline/Vertex"))
+    if timing is None or not vertices:
+        raise _refused(follow, "a trajectory that is not a polyline with times")
+    rows = np.array([[_number(vertex, "time"), *_pose(_one(vertex, "Position/WorldPosition"))] for vertex in vertices])
+    rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
+    if timing.get("domainAbsoluteRelative") == "relative":
+        rows[:, 0] += start
+    if (np.diff(rows[:, 0]) <= 0).any() or start > rows[0, 0] + _SAME_TIME:
+        raise _refused(follow, "a trajectory whose times do not increase from its start on")
+    return rows
+
+
+def _pose(place: Element) -> tuple[float, float, float]:
+    heading = _number(place, "h") if place.get("h") is not None else 0.0
+    return _number(place, "x"), _number(place, "y"), heading
+
+
+def _number(element: Element, name: str) -> float:
+    text = element.get(name)
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"Line {element.sourceline}: {name} of {element.tag} must be a number, got {brief(text)}")
+    return value
+
+
+def _mover(entity: Element, motion: _Motion) -> Mover:
+    vehicle = _one(entity, "Vehicle")
+    center, box = (_one(vehicle, f"BoundingBox/{part}") for part in ("Center", "Dimensions"))
+    facts, rows = _properties(vehicle), motion.rows
+    kind = str(vehicle.get("name", ""))
+    script = read_script(motion.name, kind, facts[ROUTE], facts.get(WAYPOINTS, "")) if ROUTE in facts else None
+    digest = motion_digest(motion.speed, rows, motion.route, motion.profile)
+    return Mover(
+        name=motion.name,
+        type=kind,
+        size=(_number(box, "length"), _number(box, "width")),
+        time=rows[:, 0],
+        pose=shifted(mirrored(rows[:, 1:]), _number(center, "x")),
+        speed=motion.speed,
+        is_gone=motion.leaves,
+        script=script,
+        is_changed=facts.get(RECORDED, "" if script is None else digest) != digest,
+    )

@@ -1,0 +1,151 @@
+"""Scenes: what an exchanged file says of one execution, as plain values in this package's frame.
+
+The writers make files of a scene, and the reader makes a scene of a file.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from behavexplor.data.conventions import EPISODE_TIME
+from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
+from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import NPC, ScriptedScenario
+from behavexplor.data.trace import Trace
+from behavexplor.exchange.routes import route_points
+
+Floats = NDArray[np.float64]
+
+EGO: Final = "Ego"  # name of the ego; the other vehicles are NPC1, NPC2, ...
+VEHICLE: Final = "vehicle"  # type of a vehicle that is not scripted
+_PERIOD: Final = 0.05  # time between the points of a trajectory that goes on after the episode [s]
+_DIGEST_LENGTH: Final = 16  # hexadecimal digits
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """A vehicle of a scene.
+
+    Attributes:
+        name: unique name.
+        type: type of a scripted vehicle, such as "sedan", or `VEHICLE`.
+        size: length and width [m].
+        time: times at which its pose is known, increasing, shape (T,) [s]; T >= 1.
+        pose: x [m], y [m] and heading [rad] of its center at these times, shape (T, 3).
+        speed: speed at the first of these times [m/s].
+        is_gone: whether it leaves the scene after the last of these times, instead of with its end.
+        script: its route and waypoints; None if it is not scripted.
+        route: points of its route, see `behavexplor.exchange.routes`; empty if it is not scripted.
+        is_changed: whether its motion in a file is another one than was written.
+    """
+
+    name: str
+    type: str
+    size: tuple[float, float]
+    time: Floats
+    pose: Floats
+    speed: float
+    is_gone: bool = False
+    script: NPC | None = None
+    route: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    is_changed: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What an exchanged file says of one execution.
+
+    Attributes:
+        title: a sentence for people.
+        environment: name of the environment.
+        env_config: configuration of the environment, as far as it differs from what the driving system declares.
+        road_file: name of the road's file, beside the scene's.
+        movers: the vehicles; the ego first.
+        is_ego_free: whether the ego is driven by another tool's driver, so that only its start is known.
+        destination: where the ego shall go, shape (2,) [m].
+        stops_there: whether the scene ends when the ego arrives.
+        time_limit: time at which the scene ends [s].
+        scenario: the scenario, if its vehicles are not scripted; see `behavexplor.data.scenario`.
+        n_vehicles: number of vehicles that were written.
+    """
+
+    title: str
+    environment: str
+    env_config: Mapping[str, Any] = field(default_factory=dict)
+    road_file: str = ""
+    movers: tuple[Mover, ...] = ()
+    is_ego_free: bool = False
+    destination: Floats = field(default_factory=lambda: np.zeros(2))
+    stops_there: bool = False
+    time_limit: float = EPISODE_TIME
+    scenario: Scenario | None = None
+    n_vehicles: int = 0
+
+
+def motion_digest(*numbers: ArrayLike) -> str:
+    """Return a digest of all numbers that a file says of a motion, which tells whether they were changed."""
+    flat = np.concatenate([np.asarray(part, dtype=np.float64).ravel() for part in numbers])
+    return hashlib.sha256(flat.tobytes()).hexdigest()[:_DIGEST_LENGTH]
+
+
+def vehicle_name(i: int) -> str:
+    """Return the name of the vehicle with a number in a trace, of which the ego has 0."""
+    return EGO if i == 0 else f"NPC{i}"
+
+
+def vehicle_type(scenario: Scenario, i: int) -> str:
+    """Return the type of the vehicle with a number in a trace."""
+    return scenario.npcs[i - 1].type if isinstance(scenario, ScriptedScenario) and i > 0 else VEHICLE
+
+
+def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_ego_free: bool) -> tuple[Mover, ...]:
+    """Return the vehicles of an execution.
+
+    With a free ego, the scene may take longer than the execution. So scripted vehicles go on until they park.
+
+    Args:
+        scenario: the scenario.
+        trace: the trace of the execution.
+        roadmap: the map; None for a stock environment.
+        is_ego_free: whether only the ego's start is of interest.
+    """
+    speed = np.hypot(trace.velocity[..., 0], trace.velocity[..., 1])
+    pose = np.concatenate([trace.position, trace.heading[..., None]], axis=2)
+    movers = []
+    for i, size in enumerate(trace.size.tolist()):
+        there = np.flatnonzero(trace.present[:, i]) if trace.present.size else np.arange(len(trace.time))
+        frames = there[:1] if i == 0 and is_ego_free else there
+        movers.append(
+            Mover(
+                name=vehicle_name(i),
+                type=vehicle_type(scenario, i),
+                size=(size[0], size[1]),
+                time=trace.time[frames],
+                pose=pose[frames, i],
+                speed=float(speed[there[0], i]),
+                is_gone=bool(there[-1] < len(trace.time) - 1),
+            )
+        )
+    if isinstance(scenario, ScriptedScenario) and roadmap is not None:
+        scripted = [
+            replace(mover, script=npc, route=route_points(npc, roadmap))
+            for mover, npc in zip(movers[1:], scenario.npcs, strict=True)
+        ]
+        return (movers[0], *(_until_parked(scenario, roadmap, scripted) if is_ego_free else scripted))
+    return tuple(movers)
+
+
+def _until_parked(scenario: ScriptedScenario, roadmap: RoadMap, movers: list[Mover]) -> list[Mover]:
+    """Return scripted vehicles with their motion until the last one parks."""
+    time = np.arange(0.0, EPISODE_TIME + _PERIOD / 2, _PERIOD)
+    motion = motion_table(scenario, roadmap, time)
+    moving = np.flatnonzero((motion[..., SPEED] > 0).any(1))
+    last = min(int(moving[-1]) + 2, len(time)) if len(moving) else 1
+    return [
+        replace(mover, time=time[:last], pose=motion[:last, i][:, [X, Y, HEADING]]) for i, mover in enumerate(movers)
+    ]

@@ -1,0 +1,52 @@
+"""Reading of XML files that may come from elsewhere. Nothing outside a file is loaded."""
+
+from pathlib import Path
+from typing import Any, Final
+
+from lxml import etree
+
+from behavexplor.errors import InputError
+
+Element = Any
+
+MAX_SIZE: Final = 200_000_000  # [bytes]; a scene of 200 s with six vehicles has 4 million
+
+
+def read_xml(path: Path) -> Element:
+    """Return the root of an XML file, without comments.
+
+    Raises:
+        InputError: if it is not an XML file, or is too long.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    if len(data) > MAX_SIZE:
+        raise InputError(f"{path} has {len(data)} bytes, but at most {MAX_SIZE} are read")
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, remove_comments=True, remove_pis=True, remove_blank_text=True
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise InputError(f"{path} is not an XML file: {error}") from None
+    if next(root.iter(etree.Entity), None) is not None:
+        raise InputError(f"{path} has entities of its own, which are not read")
+    return root
+
+
+def same_road(path: Path, other: Path) -> bool:
+    """Return whether two OpenDRIVE files describe the same road, whatever their headers and their layout.
+
+    Raises:
+        InputError: if one of them is not an XML file.
+    """
+    return _canonical(path) == _canonical(other)
+
+
+def _canonical(path: Path) -> str:
+    root = read_xml(path)
+    for header in root.findall("header"):
+        root.remove(header)
+    return str(etree.canonicalize(etree.tostring(root, encoding="unicode"), strip_text=True))
