@@ -15,7 +15,7 @@ from behavexplor.data.observations import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import place_of
-from behavexplor.execution.drawing import DrawnActions
+from behavexplor.execution.drawn_actions import DrawnActions
 
 
 class ADSError(Exception):

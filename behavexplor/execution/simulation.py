@@ -18,7 +18,7 @@ from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.making import check_keys, default_config, environment_id, is_stock, make_env, make_vector_env
 from behavexplor.errors import InputError
-from behavexplor.execution.drawing import DrawnActions
+from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})

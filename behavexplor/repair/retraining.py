@@ -31,7 +31,7 @@ from behavexplor.execution.simulation import logical_scenario
 from behavexplor.judge.fault import NPC_CAUSED, own_violations
 from behavexplor.judge.specs import judge
 from behavexplor.repair.finding import found_failures
-from behavexplor.repair.pool import Pool, read_pool
+from behavexplor.repair.scenario_pool import Pool, read_pool
 from behavexplor.training import (
     Learned,
     TrainingConfig,
@@ -126,8 +126,8 @@ class Round:
     Attributes:
         number: number of the round; 0 for the policy as it was given.
         steps: number of decisions in which the policy was trained so far.
-        at_fault: share of the validation scenarios that failed by the policy's own fault: without arrival, and without a
-            collision that another vehicle caused.
+        at_fault: share of the validation scenarios in which the policy did not arrive, without those in which another
+            vehicle caused a collision.
         arrived: share of the validation scenarios in which it arrived.
         pool: number of scenarios in the pool at the end of the round.
         digest: digest of the pool.

@@ -5,7 +5,7 @@ import pytest
 
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.repair.pool import MOST, Pool, read_pool
+from behavexplor.repair.scenario_pool import MOST, Pool, read_pool
 
 LOGICAL = LaneChangeEnv.logical
 
