@@ -88,6 +88,7 @@ def test_a_training_is_fuzzed_and_stays_the_same(tmp_path):
     assert {"fuzz/at_fault_rate", "fuzz/classes", "fuzz/share_of_time"} <= logged.keys()
 
 
+@pytest.mark.slow
 def test_rounds_that_would_take_too_long_are_left_out(tmp_path):
     callback = FuzzCallback("highway-fast-v0", every=32, share=1e-6, out=str(tmp_path), **SEARCH)
     ppo().learn(96, callback=callback)
@@ -95,6 +96,7 @@ def test_rounds_that_would_take_too_long_are_left_out(tmp_path):
     assert callback.share_of_time > 1e-6
 
 
+@pytest.mark.slow
 def test_a_policy_that_is_good_enough_ends_the_training(tmp_path):
     callback = FuzzCallback(every=32, share=1.0, stop_below=1.1, out=str(tmp_path), **SEARCH)
     model = ppo()
