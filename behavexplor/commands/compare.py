@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
@@ -86,6 +87,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the tables.
     """
     count = chosen_workers(workers)
+    for name in (first, second):
+        check_name(name)
     config = campaign_config(
         {
             "env": env or trained_in(first) or _DEFAULTS.env,

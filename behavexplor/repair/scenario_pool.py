@@ -11,6 +11,7 @@ from behavexplor.campaign.store import write_durably
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 
+FULL: Final = 100  # scenarios that a pool needs to be drawn from with its full share
 MOST: Final = 2000  # scenarios in a pool; the newest are kept
 
 
@@ -21,7 +22,8 @@ class Pool:
 
     Args:
         logical: logical scenario from which all other episodes are drawn.
-        share: probability that an episode is drawn from the pool, as long as it has any.
+        share: probability that an episode is drawn from the pool. It is lower, in proportion, for a pool of fewer than
+            `FULL` scenarios, so that a few scenarios that cannot be mended do not fill the training.
         scenarios: the first scenarios.
     """
 
@@ -41,7 +43,7 @@ class Pool:
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
         """Draw the scenario of an episode."""
-        if self._scenarios and rng.random() < self._share:
+        if rng.random() < self._share * min(len(self._scenarios) / FULL, 1.0):
             return self._scenarios[int(rng.integers(len(self._scenarios)))]
         return self._logical.sample(rng)
 

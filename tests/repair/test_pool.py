@@ -5,7 +5,7 @@ import pytest
 
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.repair.scenario_pool import MOST, Pool, read_pool
+from behavexplor.repair.scenario_pool import FULL, MOST, Pool, read_pool
 
 LOGICAL = LaneChangeEnv.logical
 
@@ -16,11 +16,10 @@ def scenarios(count, seed=0):
 
 
 def test_a_share_of_the_episodes_comes_from_the_pool():
-    pool = Pool(LOGICAL, 0.25, scenarios(3))
-    rng = np.random.default_rng(1)
-    known = set(scenarios(3))
-    share = np.mean([pool.sample(rng) in known for _ in range(150)])
-    assert 0.15 < share < 0.35
+    known = [ScriptedScenario(f"place-{i}", ()) for i in range(FULL)]
+    for count, low, high in ((FULL, 0.55, 0.75), (FULL // 2, 0.22, 0.43)):
+        pool, rng = Pool(LOGICAL, 0.65, known[:count]), np.random.default_rng(1)
+        assert low < np.mean([pool.sample(rng) in known for _ in range(150)]) < high
 
 
 def test_without_scenarios_every_episode_is_ordinary():
