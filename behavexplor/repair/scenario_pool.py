@@ -43,7 +43,7 @@ class Pool:
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
         """Draw the scenario of an episode."""
-        if rng.random() < self._share * min(len(self._scenarios) / FULL, 1.0):
+        if self._scenarios and rng.random() < self._share * min(len(self._scenarios) / FULL, 1.0):
             return self._scenarios[int(rng.integers(len(self._scenarios)))]
         return self._logical.sample(rng)
 
