@@ -8,7 +8,8 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
@@ -59,9 +60,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
+    with _notices(quiet="--quiet" in given):
+        return _run(given)
+
+
+@contextmanager
+def _notices(*, quiet: bool) -> Iterator[None]:
+    """Silence notices that are of no use to the user, and if `quiet` also the one that kernels are being compiled."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it complains about a HOME that cannot be written
-    if "--quiet" in given:
-        logging.getLogger("behavexplor.jit").setLevel(logging.ERROR)  # it tells that kernels are being compiled
+    compiling = logging.getLogger("behavexplor.jit")
+    before = compiling.level
+    if quiet:
+        compiling.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        compiling.setLevel(before)
+
+
+def _run(given: Sequence[str]) -> int:
+    """Run the command that the arguments name, and return the exit code."""
     import tyro  # noqa: PLC0415 - only the command line needs it
 
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory

@@ -104,7 +104,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     try:
         logical, found[Path(ads).name], draws = _evaluated(target, run)
         for name, beside in _beside(target, logical, draws=draws, controls=controls).items():
-            _, found[name], _ = _evaluated(beside, run)
+            _, found[name], _ = _evaluated(beside, run, beside=True)
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
         print(f"{program()}: {sentence(failure)}", file=sys.stderr)
@@ -131,8 +131,11 @@ class _Run(NamedTuple):
     quiet: bool
 
 
-def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation, bool]:
-    """Evaluate a target, after a check of its driver, and return whether the driver could draw its actions."""
+def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[LogicalScenario, Evaluation, bool]:
+    """Evaluate a target, after a check of its driver, and return whether the driver could draw its actions.
+
+    Warnings about a driver that is shown beside the policy, or about a constant one, are left out.
+    """
     say = partial(_say, quiet=run.quiet)
     with ExitStack() as stack:
         with patience(say):
@@ -140,7 +143,7 @@ def _evaluated(target: Target, run: _Run) -> tuple[LogicalScenario, Evaluation, 
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor)
             logical = logical_of_target(executor, target.env)
-        for warning in warnings if not target.ads.startswith(_CONSTANT) else ():
+        for warning in warnings if not (beside or target.ads.startswith(_CONSTANT)) else ():
             say(f"Warning: {warning}")
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
             rates = estimate_rates(executor, logical, run.scenarios, run.seed, meter.show)

@@ -5,6 +5,7 @@ If an ADS crashes or blocks one worker, the campaign and the other workers go on
 
 import math
 import multiprocessing
+import os
 import signal
 import time
 from collections import deque
@@ -264,7 +265,7 @@ class _Worker:
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)
-        arguments = (theirs, self.asking, recipe, memory_limit, folder)
+        arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ))
         self._process = context.Process(target=serve, args=arguments, daemon=not recipe.long_calls)
         self._process.start()
         theirs.close()

@@ -7,6 +7,7 @@ import os
 import queue
 import signal
 import tempfile
+from collections.abc import Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from threading import Thread
@@ -27,7 +28,14 @@ except ImportError:  # Windows has no such limits
 CLOSED: Final = 83  # exit code of a worker whose connection was closed
 
 
-def serve(connection: Connection, asking: Any, recipe: Recipe, memory_limit: float, folder: str) -> None:
+def serve(
+    connection: Connection,
+    asking: Any,
+    recipe: Recipe,
+    memory_limit: float,
+    folder: str,
+    environment: Mapping[str, str],
+) -> None:
     """Answer requests until the other end of the connection is closed.
 
     The process ignores Ctrl-C, computes in one thread, and ends when its supervisor ends.
@@ -38,7 +46,11 @@ def serve(connection: Connection, asking: Any, recipe: Recipe, memory_limit: flo
         recipe: recipe of the service.
         memory_limit: memory limit of the process [GiB], where the system supports it.
         folder: folder for temporary files.
+        environment: environment variables of the supervisor; the process that this one was forked from may have had
+            others.
     """
+    os.environ.clear()
+    os.environ.update(environment)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ["TMPDIR"] = tempfile.tempdir = folder
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))

@@ -13,7 +13,7 @@ from PIL import Image
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
+from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
 from behavexplor.commands.triage import report
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
@@ -39,9 +39,9 @@ class Wavering(Cruiser):
         return actions * 0.9**self.asked, True
 
 
-def fuzz(folder, ads, budget, *more):
+def fuzz(folder, ads, budget, *more, code=OK):
     arguments = ["fuzz", "--ads", ads, "--method", "uniform", "--budget", str(budget), "--workers", "0", "--quiet"]
-    assert main([*arguments, "--unconfined", "--out", str(folder), *more]) == OK
+    assert main([*arguments, "--unconfined", "--out", str(folder), *more]) == code
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_other_systems_have_classes_and_faults_but_no_causes(tmp_path, capsys):
 
 
 def test_an_ads_that_fails_otherwise_is_a_class_of_its_own(tmp_path):
-    fuzz(tmp_path / "run", "tests.drivers:Leaver", 2)
+    fuzz(tmp_path / "run", "tests.drivers:Leaver", 2, code=EXECUTION_FAILED)
     assert main(["triage", str(tmp_path / "run"), "--workers", "0", "--quiet"]) == OK
     findings = Triage.read(tmp_path / "run").findings
     assert [(f.spec, f.class_id, f.same_verdict) for f in findings] == [("error", "error/exit", True)] * 2
