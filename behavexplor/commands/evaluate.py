@@ -104,7 +104,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     try:
         logical, found[Path(ads).name], draws = _evaluated(target, run)
         for name, beside in _beside(target, logical, draws=draws, controls=controls).items():
-            _, found[name], _ = _evaluated(beside, run, beside=True)
+            rates = _rates_beside(name, beside, run)
+            found |= {} if rates is None else {name: rates}
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
         print(f"{program()}: {sentence(failure)}", file=sys.stderr)
@@ -148,6 +149,20 @@ def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[Logi
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
             rates = estimate_rates(executor, logical, run.scenarios, run.seed, meter.show)
         return logical, rates, bool(executor.submit(DRAWS, b"").result())
+
+
+def _rates_beside(name: str, target: Target, run: _Run) -> Evaluation | None:
+    """Evaluate what is shown beside a policy; None for a control that cannot drive in the environment.
+
+    For example, highway-env's racetrack takes no meta-actions.
+    """
+    try:
+        return _evaluated(target, run, beside=True)[1]
+    except InputError as error:
+        if name not in _CONTROLS:
+            raise
+        _say(f"Without the control {name!r}, which cannot drive here: {error}", quiet=run.quiet)
+        return None
 
 
 def _gap(chosen: Evaluation, drawn: Evaluation) -> str:

@@ -157,3 +157,20 @@ def test_a_campaign_may_do_without_confirmation(tmp_path):
     assert main([*arguments, *QUICK]) == 0
     assert yaml.safe_load((folder / "config.yaml").read_text())["confirm"] is False
     assert main(["fuzz", "--resume", str(folder), "--budget", "3", *QUICK]) == 0
+
+
+class Straight:
+    """Steers straight on."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.zeros((len(observation), 1)), state
+
+
+def test_controls_that_cannot_drive_in_an_environment_are_left_out(tmp_path, capsys):
+    (tmp_path / "short.yaml").write_text("duration: 2\n")
+    arguments = ["evaluate", "--env", "racetrack-v0", "--ads", f"{__name__}:Straight", "--scenarios", "1"]
+    assert main([*arguments, "--env-config", str(tmp_path / "short.yaml"), "--workers", "0", "--unconfined"]) == 0
+    shown = capsys.readouterr()
+    assert "Without the control 'always SLOWER', which cannot drive here: " in shown.err
+    assert "always SLOWER" not in shown.out
+    assert "Straight" in shown.out
