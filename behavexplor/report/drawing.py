@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance
+from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.data.trace import ARRIVED, Trace
+from behavexplor.judge.events import violation_event
 from behavexplor.report.road_shapes import line_kinds
 
 Floats = NDArray[np.float64]
@@ -43,8 +44,8 @@ def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
     a violation, it is the frame in which the ego came nearest to another vehicle.
     """
     if "lines" in violated and "collision" not in violated:
-        ego = box_corners(trace.position[:, 0], trace.heading[:, 0], trace.size[0])
-        return int(box_segment_distance(ego[:, None], trace.illegal_lines).min(1).argmin())
+        event = violation_event(trace, ("lines",))
+        return len(trace.time) - 1 if event is None else event.frame
     if violated or len(trace.size) == 1:
         return len(trace.time) - 1
     boxes = box_corners(trace.position, trace.heading, trace.size)

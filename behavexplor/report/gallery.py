@@ -169,7 +169,9 @@ def _own_way(trace: Trace) -> dict[str, Any]:
 def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
     """Return the place of a violation [m]."""
     ego = trace.position[event.frame, 0]
-    if event.spec == R2:
+    if event.spec == R2 and event.partner < 0:  # it left the road of a stock environment
+        place = ego
+    elif event.spec == R2:
         start, end = trace.illegal_lines[event.partner]
         along = end - start
         place = start + np.clip((ego - start) @ along / max(along @ along, 1e-12), 0.0, 1.0) * along

@@ -174,3 +174,15 @@ def test_controls_that_cannot_drive_in_an_environment_are_left_out(tmp_path, cap
     assert "Without the control 'always SLOWER', which cannot drive here: " in shown.err
     assert "always SLOWER" not in shown.out
     assert "Straight" in shown.out
+
+
+def test_a_driver_that_leaves_the_road_is_reported_and_drawn(tmp_path, capsys):
+    (tmp_path / "short.yaml").write_text("duration: 8\n")
+    arguments = ["fuzz", "--env", "racetrack-v0", "--ads", f"{__name__}:Straight", "--budget", "2", "--unconfined"]
+    more = ["--env-config", str(tmp_path / "short.yaml"), "--out", str(tmp_path / "run"), *QUICK]
+    assert main([*arguments, *more]) == 0
+    (first, *_) = [execution for execution in stored(tmp_path / "run") if "lines" in execution.record.violated]
+    assert main(["report", str(tmp_path / "run")]) == 0
+    assert first.record.violation_class in (tmp_path / "run" / "report.html").read_text()
+    assert main(["replay", str(tmp_path / "run"), str(first.id)]) == 0
+    assert "was reproduced" in capsys.readouterr().out
