@@ -63,6 +63,7 @@ def suite(
         specs=first.specs,
         env_config=first.env_config,
         traffic=first.traffic,
+        stochastic=first.stochastic,
         cases=tuple(cases.values()),
     ).write(out)
     folder = shlex.quote(str(out))

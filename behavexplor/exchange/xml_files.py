@@ -37,7 +37,7 @@ def read_xml(path: Path) -> Element:
 
 
 def same_road(path: Path, other: Path) -> bool:
-    """Return whether two OpenDRIVE files describe the same road, whatever their headers and their layout.
+    """Return whether two OpenDRIVE files describe the same road; their headers and layout may differ.
 
     Raises:
         InputError: if one of them is not an XML file.

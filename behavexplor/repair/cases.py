@@ -71,6 +71,7 @@ class Suite:
         specs: names of the user's specs.
         env_config: configuration of the environment, as far as it differs from what a driver declares.
         traffic: kind of traffic in a stock environment.
+        stochastic: whether the driver that failed drew its actions. It does so in checks, too.
         cases: the cases in the order of their names.
     """
 
@@ -79,6 +80,7 @@ class Suite:
     specs: tuple[str, ...] = ()
     env_config: Mapping[str, Any] = field(default_factory=dict)
     traffic: str = DEFAULT
+    stochastic: bool = False
     cases: tuple[Case, ...] = ()
 
     def target(self, ads: str, **settings: Any) -> Target:
@@ -92,6 +94,8 @@ class Suite:
         first = self.cases[0].load_scenario() if self.cases else None
         if isinstance(first, DrawnScenario):
             config |= first.setup.scene_config
+        if ads == self.driver and self.stochastic:
+            settings["stochastic"] = True
         return Target(self.env, ads, env_config=config, traffic=self.traffic, **settings)
 
     @classmethod
@@ -130,7 +134,13 @@ class Suite:
             for case in self.cases:
                 write_durably(folder / CASES / f"{case.name}.yaml", _case_text(case))
             write_durably(folder / TEST, test_text(self.driver))
-            values = {"env": self.env, "driver": self.driver, "specs": list(self.specs), "traffic": self.traffic}
+            values: dict[str, Any] = {
+                "env": self.env,
+                "driver": self.driver,
+                "specs": list(self.specs),
+                "traffic": self.traffic,
+            }
+            values |= {"stochastic": True} if self.stochastic else {}
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
             write_durably(folder / SUITE, _yaml({"format": FORMAT, **values, **config}))
         except OSError as error:

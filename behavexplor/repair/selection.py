@@ -57,7 +57,7 @@ def check_same_driving(first: tuple[Path, CampaignConfig], others: Iterable[tupl
         InputError: if they were made in different environments, or judged by different specs.
     """
     for folder, config in others:
-        for name in ("env", "env_config", "traffic", "specs"):
+        for name in ("env", "env_config", "traffic", "stochastic", "specs"):
             own, other = getattr(first[1], name), getattr(config, name)
             if own != other:
                 raise InputError(

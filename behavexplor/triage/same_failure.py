@@ -128,11 +128,14 @@ class SameFailure:
         (trace,) = self._driven.run_all([scenario])
         if isinstance(trace, ADSError):
             return False
-        verdict = blame(simulation, scenario, trace, np.random.default_rng(self._seed)) if known.fault else None
-        if verdict is not None and verdict.kind != known.fault:
-            return False
-        cause = find_cause(simulation, scenario, trace) if known.cause else None
-        return cause is None or cause.primary == known.cause
+        if known.fault is not None:
+            verdict = blame(simulation, scenario, trace, np.random.default_rng(self._seed))
+            if verdict is None or verdict.kind != known.fault:
+                return False
+        if known.cause is None:
+            return True
+        cause = find_cause(simulation, scenario, trace)
+        return cause is not None and cause.primary == known.cause
 
     def _made(self, candidate: Parts) -> Scenario | None:
         try:

@@ -124,3 +124,11 @@ def test_without_cases_there_is_nothing_to_check(suite):
     shutil.rmtree(suite / CASES)
     with pytest.raises(InputError, match="has no scenarios"):
         Suite.read(suite)
+
+
+def test_a_driver_that_drew_its_actions_draws_them_in_checks_too(suite):
+    path = suite / SUITE
+    path.write_text(path.read_text() + "stochastic: true\n")
+    found = Suite.read(suite)
+    assert found.target(DRIVER).stochastic
+    assert not found.target("rule").stochastic
