@@ -24,23 +24,33 @@ STREAM: Final = 0x7472_6961  # separates the random numbers of triage from those
 EXAMINE: Final = "examine"  # function of the service
 
 
-class Examiner(Evaluator):
-    """An evaluator that also examines failures.
+class FailureEvaluator(Evaluator):
+    """An evaluator that works on one failure at a time.
 
     Args:
         specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
         target: the fields of a `behavexplor.data.target.Target`.
+
+    Attributes:
+        specs: these names.
     """
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
         super().__init__(**target)
-        self.functions = {**self.functions, EXAMINE: self.examine}
-        self._specs = tuple(specs)
+        self.specs = tuple(specs)
 
     def begin(self) -> None:
-        """Load the ADS and make its environment. Nothing runs in batches, since failures are examined one by one."""
+        """Load the ADS and make its environment. Calls do not run in batches."""
         super().begin()
         self.batch = None
+
+
+class Examiner(FailureEvaluator):
+    """An evaluator that also examines failures; see `FailureEvaluator`."""
+
+    def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
+        super().__init__(specs, **target)
+        self.functions = {**self.functions, EXAMINE: self.examine}
 
     def examine(self, request: bytes) -> bytes:
         """Examine a failure.
@@ -53,7 +63,7 @@ class Examiner(Evaluator):
         """
         head, record, trace = request.split(b"\n", 2)
         found = Record.from_json(record), Trace.from_bytes(trace)
-        finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self._specs))
+        finding, witness = examined(self.simulation, *found, seed=int(head), specs=load_specs(self.specs))
         shown = None if witness is None else witness_values(witness)
         return json.dumps({"finding": asdict(finding), "witness": shown}).encode()
 

@@ -12,13 +12,13 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import LOCK_STEP, Evaluator, recipe_for
+from behavexplor.execution.evaluator import LOCK_STEP, recipe_for
 from behavexplor.execution.lookahead import AHEAD, in_order
 from behavexplor.execution.rollout import ADSError, LockStep
 from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, judge
-from behavexplor.triage.examination import STREAM
+from behavexplor.triage.examination import STREAM, FailureEvaluator
 from behavexplor.triage.findings import Finding
 from behavexplor.triage.minimized import MINIMIZED, Minimized
 from behavexplor.triage.same_failure import ManyScenarios, SameFailure, recorded_signature, signature
@@ -29,24 +29,17 @@ TIME_LIMIT: Final = 100.0  # time limit of one failure, in units of the time lim
 MINIMIZE: Final = "minimize"  # function of the service
 
 
-class Minimizer(Evaluator):
-    """An evaluator that also minimizes failures.
-
-    Args:
-        specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
-        target: the fields of a `behavexplor.data.target.Target`.
-    """
+class Minimizer(FailureEvaluator):
+    """An evaluator that also minimizes failures; see `behavexplor.triage.examination.FailureEvaluator`."""
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
-        super().__init__(**target)
+        super().__init__(specs, **target)
         self.functions = {**self.functions, MINIMIZE: self.minimize}
-        self._specs = tuple(specs)
         self._episodes: LockStep | None = None
 
     def begin(self) -> None:
         """Load the ADS and make its environment. The candidates for one failure run in lock-step."""
         super().begin()
-        self.batch = None
         self._episodes = self.simulation.lock_step(LOCK_STEP)
 
     def minimize(self, request: bytes) -> bytes:
@@ -63,7 +56,7 @@ class Minimizer(Evaluator):
         record, seed = Record.from_json(json.dumps(values["record"])), values["seed"]
         known = None if values["finding"] is None else Finding(**values["finding"])
         driven = ManyScenarios(self.simulation, self._episodes)
-        found, trace = minimized(driven, load_specs(self._specs), record, Trace.from_bytes(data), known, seed)
+        found, trace = minimized(driven, load_specs(self.specs), record, Trace.from_bytes(data), known, seed)
         return json.dumps(found.to_dict()).encode() + b"\n" + trace.to_bytes()
 
 
