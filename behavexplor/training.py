@@ -27,14 +27,13 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 
 from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.ads.learned.driver import POLICY_FREQUENCY, write_layers
+from behavexplor.ads.learned.driver import POLICY_FREQUENCY
 from behavexplor.ads.learned.learning import LearningVecEnv
+from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
-
-Floats = NDArray[np.float64]
 
 CONFIG, NETWORK, MODELS, LOGS = "training.yaml", "policy.npz", "models", "logs"  # names in the folder of a training
 MOST_ENVS: Final = 4096
@@ -127,7 +126,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
         observe: callback that gets the progress after each batch of experience.
 
     Returns:
-        The file of the network, for `behavexplor.ads.learned.driver.read_layers`.
+        The file of the network, for `behavexplor.ads.learned.network_file.read_network`.
 
     Raises:
         InputError: if the environment does not support training, or the last model cannot be read.
@@ -149,7 +148,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     finally:
         model.logger.close()
         venv.close()
-    write_layers(folder / NETWORK, network_layers(model))
+    write_network(folder / NETWORK, TrainedNetwork(network_layers(model)))
     return folder / NETWORK
 
 
@@ -182,7 +181,7 @@ def restore_model(model: OnPolicyAlgorithm, path: Path) -> None:
         raise InputError(f"Cannot resume from {path}: {first}; delete it to resume from the model before it") from error
 
 
-def network_layers(model: OnPolicyAlgorithm) -> list[tuple[Floats, Floats]]:
+def network_layers(model: OnPolicyAlgorithm) -> Layers:
     """Return weights and biases of all layers, from the observation to the preference of each action."""
     policy: Any = model.policy
     parts = [*policy.mlp_extractor.policy_net, policy.action_net]
@@ -250,7 +249,7 @@ class Watch(BaseCallback):
         self._observe = observe
         self._ends: list[str] = []
         self._rewards: list[float] = []
-        self._sums: Floats = np.zeros(0)
+        self._sums: NDArray[np.float64] = np.zeros(0)
 
     def _on_training_start(self) -> None:
         self._sums = np.zeros(self.training_env.num_envs)

@@ -24,7 +24,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.ads.learned.driver import LearnedDriver, read_layers
+from behavexplor.ads.learned.driver import LearnedDriver
+from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.sb3.archive import DATA, SETTINGS
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.campaign.campaign import search_method
@@ -207,11 +208,11 @@ def trace_arrays():
 
 def of_network(arrays, folder, capfd):
     np.savez(folder / "network.npz", **arrays)
-    LearnedDriver(LOGICALS["lane-follow"].roadmap, read_layers(folder / "network.npz"))
+    LearnedDriver(LOGICALS["lane-follow"].roadmap, read_network(folder / "network.npz"))
 
 
 def network_arrays():
-    path = Path(read_layers.__code__.co_filename).parent / "policies" / "lane-follow.npz"
+    path = Path(read_network.__code__.co_filename).parent / "policies" / "lane-follow.npz"
     with np.load(path) as arrays:
         return dict(arrays)
 

@@ -5,13 +5,17 @@ import pytest
 import torch
 import yaml
 
-from behavexplor.ads.learned.driver import read_layers
+from behavexplor.ads.learned.network_file import read_network
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.training import ALGORITHMS, TrainingConfig, train
 from tests.ads.sb3.models import Payload
 
 SMALL = {"env": "lane-change", "steps": 6000, "stage": 2000, "envs": 2, "layers": (16,)}
+
+
+def layers(folder):
+    return read_network(folder / "policy.npz").layers
 
 
 class CutError(Exception):
@@ -44,7 +48,7 @@ def test_a_training_that_was_cut_off_ends_as_if_it_had_not_been(trained, tmp_pat
         train(config, tmp_path, cut)
     assert [path.name for path in sorted((tmp_path / "models").iterdir())] == ["stage-0001.pt", "stage-0002.pt"]
     train(config, tmp_path, lambda _: None)
-    assert same(read_layers(tmp_path / "policy.npz"), read_layers(folder / "policy.npz"))
+    assert same(layers(tmp_path), layers(folder))
     assert seen[-1].steps >= 6000
     assert sum(seen[-1].ends.values()) == pytest.approx(1.0)
 
@@ -64,13 +68,13 @@ def test_a_damaged_checkpoint_is_refused_and_nothing_of_it_is_run(content, tmp_p
 
 def test_another_seed_gives_another_policy(trained, tmp_path):
     train(TrainingConfig(**SMALL, seed=1), tmp_path, lambda _: None)
-    assert not same(read_layers(tmp_path / "policy.npz"), read_layers(trained[0] / "policy.npz"))
+    assert not same(layers(tmp_path), layers(trained[0]))
 
 
 @pytest.mark.parametrize("algo", sorted(set(ALGORITHMS) - {"ppo"}))
 def test_the_other_algorithms_train_too(algo, tmp_path):
     train(TrainingConfig(**SMALL, algo=algo), tmp_path, lambda _: None)
-    assert len(read_layers(tmp_path / "policy.npz")) == 2
+    assert len(layers(tmp_path)) == 2
 
 
 def test_the_log_is_read_by_ordinary_tools(trained):

@@ -90,10 +90,11 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
 def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
-        from behavexplor.ads.learned.driver import LearnedDriver, read_layers  # noqa: PLC0415 - numba is slow to import
+        from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - numba is slow to import
+        from behavexplor.ads.learned.network_file import read_network  # noqa: PLC0415
 
         driver: Any = LearnedDriver
-        learned: ADS = driver(roadmap, read_layers(path))
+        learned: ADS = driver(roadmap, read_network(path))
         return learned
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed

@@ -29,7 +29,6 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     steps: Annotated[int, tyro.conf.arg(metavar="N")] = 250_000,
     rate: Annotated[float, tyro.conf.arg(metavar="RATE")] = 2.5e-4,
-    sharpen: Annotated[float, tyro.conf.arg(metavar="FACTOR")] = 1.0,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
     budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -51,8 +50,6 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         rounds: Number of rounds. Each searches, trains and validates.
         steps: Number of decisions in a round, including those of the campaign.
         rate: Learning rate of the first round.
-        sharpen: Factor by which each round scales the preferences of the actions, so that the most probable actions,
-            which drive, come nearer to the drawn ones, which are trained.
         method: Search method of the campaigns.
         budget: Number of executions of each campaign.
         seed: Random seed. The same seed gives the same policy on the same kind of machine.
@@ -75,7 +72,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         if not policy:
             raise InputError("Give a policy to train further, such as runs/lane-change-ppo-0/policy.npz")
         config = retraining.RetrainingConfig(
-            env, policy, pool, share, rounds, steps, seed, rate=rate, sharpen=sharpen, method=method, budget=budget
+            env, policy, pool, share, rounds, steps, seed, rate=rate, method=method, budget=budget
         )
         folder = out or Path("runs") / f"{env}-retrain-{seed}"
         _ = config.training  # the policy can be read

@@ -1,12 +1,11 @@
 """Retraining of a policy on the scenarios in which it fails, in resumable rounds.
 
 A round searches for failures of the present policy (if the pool is to have found ones), trains the policy on a mixture
-of these scenarios and ordinary ones, and validates it. PPO optimizes actions that are drawn, but a policy is driven by
-its most probable actions. So each round sharpens the distribution a little: it scales the preferences of the actions,
-which leaves the driven policy as it is, and lets the training mend what the sharper distribution does wrong.
+of these scenarios and ordinary ones, and validates it as it is driven, without chance.
 """
 
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +19,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-from behavexplor.ads.learned.driver import POLICY_FREQUENCY, read_layers, write_layers
+from behavexplor.ads.learned.driver import POLICY_FREQUENCY
+from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.campaign.store import write_durably
 from behavexplor.data.target import Target
@@ -68,7 +68,6 @@ class RetrainingConfig:
         seed: random seed.
         envs: number of sub-environments in lock-step.
         rate: learning rate of the first round.
-        sharpen: factor by which each round scales the preferences of the actions.
         method: search method of the campaigns.
         budget: number of executions in each campaign.
         validation: number of scenarios by which the best round is chosen.
@@ -88,7 +87,6 @@ class RetrainingConfig:
     seed: int = 0
     envs: int = 64
     rate: float = 2.5e-4
-    sharpen: float = 1.0
     method: str = "uniform"
     budget: int = 250
     validation: int = 1000
@@ -100,7 +98,6 @@ class RetrainingConfig:
             "steps": (1, 10**9),
             "seed": (0, 2**63 - 1),
             "rate": (1e-7, 0.1),
-            "sharpen": (1.0, 10.0),
             "budget": (1, 100_000),
             "validation": (1, 100_000),
         }
@@ -115,7 +112,7 @@ class RetrainingConfig:
     @property
     def training(self) -> TrainingConfig:
         """The configuration of the training in each round."""
-        layers = tuple(len(bias) for _, bias in read_layers(policy_file(self.policy))[:-1])
+        layers = tuple(len(bias) for _, bias in read_network(policy_file(self.policy)).layers[:-1])
         return TrainingConfig(env=self.env, seed=self.seed, envs=self.envs, layers=layers)
 
 
@@ -192,7 +189,7 @@ def retrain(
     finally:
         model.logger.close()
         venv.close()
-    write_layers(folder / NETWORK, read_layers(_file(folder, best(rounds).number, ".npz")))
+    shutil.copyfile(_file(folder, best(rounds).number, ".npz"), folder / NETWORK)
     return rounds
 
 
@@ -230,7 +227,6 @@ def _train(
         begin_stage(model, venv, (config.seed, 0), config.rate)
         model.learn(steps, reset_num_timesteps=False)
         _freeze(model, frozen=False)
-    _sharpen(model, config.sharpen)
     begin_stage(model, venv, (config.seed, number), rate)
     model.learn(steps, callback=watch, reset_num_timesteps=False)
 
@@ -252,7 +248,10 @@ def _finished(
     network = _file(folder, number, ".npz")
     network.parent.mkdir(parents=True, exist_ok=True)
     save_model(model, _file(folder, number, ".pt"))
-    write_layers(network, network_layers(model))
+    if number == 0:
+        shutil.copyfile(policy_file(config.policy), network)
+    else:
+        write_network(network, TrainedNetwork(network_layers(model)))
     pool.write(_file(folder, number, ".jsonl"))
     at_fault, arrived = validated_rates(config.env, network, config.validation)
     result = Round(number, model.num_timesteps, at_fault, arrived, len(pool), pool.digest, found)
@@ -262,7 +261,7 @@ def _finished(
 
 
 def validated_rates(env: str, network: Path, count: int, seed: int = VALIDATION_SEED) -> tuple[float, float]:
-    """Return the rates of failures at fault and of arrivals of a policy, driven by its most probable actions."""
+    """Return the rates of failures at fault and of arrivals of a policy."""
     with start_judge(Target(env, str(network)), 0) as executor:  # the network is plain numbers
         found = estimate_rates(executor, logical_scenario(env), count, seed)
     others = sum(found.counts.get(f"collision: {fault}", 0) for fault in NPC_CAUSED)
@@ -280,7 +279,7 @@ def _pool_of(folder: Path, rounds: list[Round]) -> list[Any]:
 def _load_layers(model: OnPolicyAlgorithm, path: Path) -> None:
     """Put the weights of a network into a new model, whose critic stays new."""
     parts = _policy_layers(model)
-    for part, (weights, bias) in zip(parts, read_layers(path), strict=True):
+    for part, (weights, bias) in zip(parts, read_network(path).layers, strict=True):
         part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
         part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
 
@@ -294,14 +293,6 @@ def _policy_layers(model: OnPolicyAlgorithm) -> list[torch.nn.Linear]:
 def _freeze(model: OnPolicyAlgorithm, *, frozen: bool) -> None:
     for layer in _policy_layers(model):
         layer.requires_grad_(not frozen)
-
-
-def _sharpen(model: OnPolicyAlgorithm, factor: float) -> None:
-    """Scale the preferences of the actions, which makes the most probable action more probable."""
-    last = _policy_layers(model)[-1]
-    with torch.no_grad():
-        last.weight.mul_(factor)
-        last.bias.mul_(factor)
 
 
 class _PoolWatch(Watch):

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from behavexplor.ads.learned.driver import read_layers
+from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
@@ -30,7 +30,7 @@ def retrained(tmp_path_factory):
 
 
 def layers(path):
-    return [array for layer in read_layers(path) for array in layer]
+    return [array for layer in read_network(path).layers for array in layer]
 
 
 def test_a_retraining_that_was_cut_off_ends_as_if_it_had_not_been(retrained, tmp_path):

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.mlp import as_network, decide_batch, draw_batch
+from behavexplor.ads.learned.choosing import Decisions, decide, draw_decisions
+from behavexplor.ads.learned.mlp import as_network, evaluate_batch
+from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
 from behavexplor.ads.learned.tracker import (
@@ -23,7 +24,6 @@ from behavexplor.ads.learned.tracker import (
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, PRESENT
-from behavexplor.data.untrusted import read_arrays
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place
 
@@ -43,8 +43,7 @@ class LearnedDriver:
 
     Args:
         roadmap: road map with the ego's route.
-        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer. Between two layers tanh
-            is applied, and the index of the greatest output is the action.
+        network: network whose outputs are the preferences of the actions. Between two layers tanh is applied.
 
     Raises:
         InputError: if the layers do not fit each other, or the numbers of features and actions.
@@ -56,14 +55,15 @@ class LearnedDriver:
     vectorized: bool = True
     noise: int = 1
 
-    def __init__(self, roadmap: RoadMap, layers: list[tuple[Floats, Floats]]) -> None:
+    def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
         self._course = make_course(roadmap)
-        widths = [N_FEATURES, *(len(bias) for _, bias in layers)]
-        shapes = [(weights.shape, bias.shape) for weights, bias in layers]
+        widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
+        shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
         if shapes != expected or widths[-1] != N_ACTIONS:
             raise InputError(f"Expected a network of {N_FEATURES} inputs and {N_ACTIONS} outputs, got {shapes}")
-        self._network = as_network(layers)
+        self._network = as_network(network.layers)
+        self._rule = network.rule
 
     def predict(
         self,
@@ -78,7 +78,7 @@ class LearnedDriver:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
             state: state returned by the last call, shape (B, 3); None at first.
             episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-            deterministic: ignored; the actions are always the most probable ones.
+            deterministic: ignored; nothing is drawn.
 
         Returns:
             Acceleration and steering, shape (B, 2), each in [-1, 1], and the state for the next call.
@@ -88,8 +88,8 @@ class LearnedDriver:
         """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        actions = decide_batch(self._network, see_batch(self._course, scenes, memory))
-        return track_batch(self._course, scenes, actions, memory), memory
+        preferences = evaluate_batch(self._network, see_batch(self._course, scenes, memory))
+        return track_batch(self._course, scenes, decide(preferences, self._rule), memory), memory
 
     def draw(
         self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, noise: Floats
@@ -97,8 +97,8 @@ class LearnedDriver:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        actions = draw_batch(self._network, see_batch(self._course, scenes, memory), noise[:, 0])
-        return track_batch(self._course, scenes, actions, memory), memory
+        preferences = evaluate_batch(self._network, see_batch(self._course, scenes, memory))
+        return track_batch(self._course, scenes, draw_decisions(preferences, noise[:, 0]), memory), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
@@ -118,17 +118,17 @@ def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
     return seen
 
 
-def track_batch(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats) -> Floats:
-    """Compute the commands for policies' actions, shape (B, 2), each in [-1, 1] over its range.
+def track_batch(course: Course, scenes: Floats, decisions: Decisions, memory: Floats) -> Floats:
+    """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
 
     Args:
         course: route table, see `behavexplor.ads.learned.route_table`.
         scenes: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-        actions: indices of the actions, shape (B,).
+        decisions: decisions of the policies.
         memory: memory of each ego, shape (B, 3), changed in place.
     """
     commands = np.zeros((len(scenes), 2))
-    _track_all(course, scenes, actions, memory, commands)
+    _track_all(course, scenes, decisions, memory, commands)
     return as_actions(commands)
 
 
@@ -143,32 +143,9 @@ def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> No
 
 
 @kernel_in_place
-def _track_all(course: Course, scenes: Floats, actions: NDArray[np.int64], memory: Floats, commands: Floats) -> None:
+def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Floats, commands: Floats) -> None:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
-            commands[i, 0], commands[i, 1] = track(course, scenes[i], actions[i], memory[i])
-
-
-def read_layers(path: Path) -> list[tuple[Floats, Floats]]:
-    """Read weights and biases from a file of `write_layers`.
-
-    Raises:
-        InputError: if the file cannot be read.
-    """
-    try:
-        file = read_arrays(path.read_bytes())
-        layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path} contains no network of this package: {error}") from None
-    if any(array.dtype.kind != "f" for layer in layers for array in layer):
-        raise InputError(f"{path} contains no network of this package: weights and biases must be floats")
-    if any((weights.ndim, bias.ndim) != (2, 1) for weights, bias in layers):
-        raise InputError(f"{path} contains no network of this package: weights must be matrices, and biases vectors")
-    return [(weights.astype(np.float64), bias.astype(np.float64)) for weights, bias in layers]
-
-
-def write_layers(path: Path, layers: list[tuple[Floats, Floats]]) -> None:
-    """Write weights and biases as float32 arrays."""
-    arrays = {f"weights_{i}": weights.astype(np.float32) for i, (weights, _) in enumerate(layers)}
-    arrays |= {f"bias_{i}": bias.astype(np.float32) for i, (_, bias) in enumerate(layers)}
-    np.savez_compressed(path, allow_pickle=False, **arrays)
+            commands[i, 0], commands[i, 1] = track(
+                course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i]
+            )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from behavexplor.ads.learned.choosing import as_decisions
 from behavexplor.ads.learned.driver import see_batch, track_batch
 from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.route_table import make_course
@@ -40,7 +41,7 @@ class LearningVecEnv(VecEnvWrapper):
     def step_async(self, actions: NDArray[Any]) -> None:
         """Pass on the commands for the actions, shape (num_envs,)."""
         chosen = np.asarray(actions, dtype=np.int64)
-        self.venv.step_async(track_batch(self._course, self._scenes, chosen, self._memory))
+        self.venv.step_async(track_batch(self._course, self._scenes, as_decisions(chosen), self._memory))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance all sub-environments to the next decision."""

@@ -1,4 +1,4 @@
-"""A compiled network of dense layers with tanh between them; the index of the greatest output is the decision."""
+"""A compiled network of dense layers with tanh between them."""
 
 import math
 from collections.abc import Sequence
@@ -38,8 +38,8 @@ def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
     )
 
 
-def decide_batch(network: DenseNetwork, seen: Floats) -> Ints:
-    """Return the index of the greatest output for each row of inputs, the first index if several are equal.
+def evaluate_batch(network: DenseNetwork, seen: Floats) -> Floats:
+    """Compute the outputs of a network for each row of inputs, shape (B, outputs).
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
@@ -47,38 +47,17 @@ def decide_batch(network: DenseNetwork, seen: Floats) -> Ints:
         network: network to evaluate.
         seen: inputs, shape (B, inputs).
     """
-    decisions = np.zeros(len(seen), dtype=np.int64)
-    room = np.empty((2, int(network.widths.max())))
-    _decide_all(network, seen, room, decisions)
-    return decisions
-
-
-def draw_batch(network: DenseNetwork, seen: Floats, shares: Floats) -> Ints:
-    """Draw an index for each row of inputs, with the softmax of the outputs as probabilities.
-
-    Args:
-        network: network to evaluate.
-        seen: inputs, shape (B, inputs).
-        shares: numbers in [0, 1), shape (B,): the share of the cumulative probabilities at which the index lies.
-    """
-    decisions = np.zeros(len(seen), dtype=np.int64)
-    room = np.empty((2, int(network.widths.max())))
-    _draw_all(network, seen, shares, room, decisions)
-    return decisions
+    outputs = np.zeros((len(seen), network.widths[-1]))
+    _evaluate_all(network, seen, np.empty((2, int(network.widths.max()))), outputs)
+    return outputs
 
 
 @kernel_in_place
-def _decide_all(network: DenseNetwork, seen: Floats, room: Floats, decisions: Ints) -> None:
+def _evaluate_all(network: DenseNetwork, seen: Floats, room: Floats, outputs: Floats) -> None:
     for i in range(len(seen)):
         row = _fill_outputs(network, seen[i], room)
-        decisions[i] = _greatest(room[row], network.widths[-1])
-
-
-@kernel_in_place
-def _draw_all(network: DenseNetwork, seen: Floats, shares: Floats, room: Floats, decisions: Ints) -> None:
-    for i in range(len(seen)):
-        row = _fill_outputs(network, seen[i], room)
-        decisions[i] = _at_share(room[row], network.widths[-1], shares[i])
+        for j in range(outputs.shape[1]):
+            outputs[i, j] = room[row, j]
 
 
 @kernel_in_place
@@ -115,27 +94,3 @@ def _add_up(
         value, weights = values[i], network.weights[weight + i * width : weight + (i + 1) * width]
         for j in range(len(sums)):
             sums[j] += weights[j] * value
-
-
-@kernel_in_place
-def _at_share(values: Floats, count: int, share: float) -> int:
-    """Return the index at a share of the cumulative softmax of some values."""
-    top = values[_greatest(values, count)]
-    total = 0.0
-    for i in range(count):
-        total += math.exp(values[i] - top)
-    left = share * total
-    for i in range(count - 1):
-        left -= math.exp(values[i] - top)
-        if left < 0.0:
-            return i
-    return count - 1
-
-
-@kernel_in_place
-def _greatest(values: Floats, count: int) -> int:
-    best = 0
-    for i in range(1, count):
-        if values[i] > values[best]:
-            best = i
-    return best

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from behavexplor.ads.learned.driver import LearnedDriver, read_layers
+from behavexplor.ads.learned.driver import LearnedDriver
+from behavexplor.ads.learned.network_file import read_network
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import unknown_name
 
@@ -20,7 +21,7 @@ def learned_driver(roadmap: RoadMap, variant: str = "") -> LearnedDriver:
     Raises:
         InputError: if no policy has that name.
     """
-    return LearnedDriver(roadmap, read_layers(policy_file(f"{PREFIX}{variant}")))
+    return LearnedDriver(roadmap, read_network(policy_file(f"{PREFIX}{variant}")))
 
 
 def policy_file(name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Tracking of a policy's action, an acceleration and a lane, by the commands of the vehicle."""
+"""Tracking of a policy's decision, an acceleration and a lane, by the commands of the vehicle."""
 
 import math
 from typing import Final
@@ -40,21 +40,22 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
 
 
 @kernel_in_place
-def track(course: Course, scene: Floats, action: int, memory: Floats) -> tuple[float, float]:
-    """Return acceleration [m/s2] and steering angle [rad] for an action.
+def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
+    """Return acceleration [m/s2] and steering angle [rad] for a decision.
 
     Args:
         course: route table, see `behavexplor.ads.learned.route_table`.
         scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        action: index of the action, 0 to `N_ACTIONS` - 1.
+        wanted: wanted acceleration [m/s2].
+        choice: lane choice.
         memory: memory of the ego, shape (N_MEMORIES,), changed in place.
     """
     station, offset = project_on_path(course.path, scene[EGO, X], scene[EGO, Y])
     row = row_at(course.path, station)
-    _choose_lane(course, row, offset, action // len(ACCELERATIONS), memory)
+    _choose_lane(course, row, offset, choice, memory)
     change = SIDEWAYS * PERIOD * min(scene[EGO, SPEED] / 4.0, 1.0)
     memory[DRIVEN] += min(max(memory[WANTED] - memory[DRIVEN], -change), change)
-    acceleration = _accelerate(course, scene, station, ACCELERATIONS[action % len(ACCELERATIONS)])
+    acceleration = _accelerate(course, scene, station, wanted)
     return acceleration, steer(course.path, scene, station, memory[DRIVEN])
 
 

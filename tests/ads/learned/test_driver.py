@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.interface import ADS, DecisionLog
-from behavexplor.ads.learned.driver import LearnedDriver, read_layers, write_layers
+from behavexplor.ads.learned.choosing import RULES
+from behavexplor.ads.learned.driver import LearnedDriver
+from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
 from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.tracker import N_ACTIONS
 from behavexplor.ads.loading import load_ads
@@ -38,9 +40,14 @@ def scenes(count, seed=0):
     )
 
 
+@pytest.fixture(params=RULES)
+def rule(request):
+    return request.param
+
+
 @pytest.fixture
-def driver():
-    return LearnedDriver(ROADMAP, random_layers())
+def driver(rule):
+    return LearnedDriver(ROADMAP, TrainedNetwork(random_layers(), rule))
 
 
 def test_it_is_an_ads_with_a_decision_log(driver):
@@ -70,8 +77,8 @@ def test_the_state_handed_in_is_not_changed_and_is_forgotten_at_an_episode_start
     assert set(driver.log(state)) == {"wanted_offset"}
 
 
-def test_a_file_keeps_the_network(driver, tmp_path):
-    write_layers(tmp_path / "policy.npz", random_layers())
+def test_a_file_keeps_the_network_and_the_rule(driver, rule, tmp_path):
+    write_network(tmp_path / "policy.npz", TrainedNetwork(random_layers(), rule))
     again = load_ads(str(tmp_path / "policy.npz"), ROADMAP)
     many = scenes(50)
     np.testing.assert_array_equal(again.predict(many)[0], driver.predict(many)[0])
@@ -80,26 +87,39 @@ def test_a_file_keeps_the_network(driver, tmp_path):
 @pytest.mark.parametrize("widths", [(N_FEATURES - 1, 16, N_ACTIONS), (N_FEATURES, 16, N_ACTIONS + 1), (N_FEATURES, 16)])
 def test_a_network_of_other_sizes_is_refused(widths):
     with pytest.raises(InputError, match=f"{N_FEATURES} inputs and {N_ACTIONS} outputs"):
-        LearnedDriver(ROADMAP, random_layers(widths))
+        LearnedDriver(ROADMAP, TrainedNetwork(random_layers(widths)))
 
 
 @pytest.mark.parametrize("content", [b"", b"rubbish", b"PK\x03\x04"])
 def test_a_file_that_is_no_network_is_refused(content, tmp_path):
     (tmp_path / "policy.npz").write_bytes(content)
     with pytest.raises(InputError, match="contains no network"):
-        read_layers(tmp_path / "policy.npz")
+        read_network(tmp_path / "policy.npz")
 
 
 @pytest.mark.parametrize(("weights", "bias"), [((2, 2), ()), ((2,), (2,)), ((2, 2, 1), (2,)), ((2, 2), (2, 1))])
 def test_layers_that_are_no_matrices_are_refused(weights, bias, tmp_path):
     np.savez(tmp_path / "policy.npz", weights_0=np.zeros(weights), bias_0=np.zeros(bias))
     with pytest.raises(InputError, match="weights must be matrices, and biases vectors"):
-        read_layers(tmp_path / "policy.npz")
+        read_network(tmp_path / "policy.npz")
 
 
 def test_a_file_without_all_layers_is_refused(tmp_path):
     np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2))
     with pytest.raises(InputError, match="contains no network"):
-        read_layers(tmp_path / "policy.npz")
+        read_network(tmp_path / "policy.npz")
     with pytest.raises(InputError, match="contains no network"):
-        read_layers(tmp_path / "gone.npz")
+        read_network(tmp_path / "gone.npz")
+
+
+def test_a_file_without_a_rule_drives_by_its_most_probable_action(tmp_path):
+    weights, bias = random_layers((N_FEATURES, N_ACTIONS))[0]
+    np.savez(tmp_path / "policy.npz", weights_0=weights, bias_0=bias)
+    assert read_network(tmp_path / "policy.npz").rule == "most probable"
+
+
+def test_a_rule_of_a_later_version_is_named(tmp_path):
+    weights, bias = random_layers((N_FEATURES, N_ACTIONS))[0]
+    np.savez(tmp_path / "policy.npz", weights_0=weights, bias_0=bias, decision="median")
+    with pytest.raises(InputError, match="decides by 'median', but this version knows mean and most probable"):
+        read_network(tmp_path / "policy.npz")

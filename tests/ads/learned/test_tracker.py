@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.learned import tracker
 from behavexplor.ads.learned.tracker import (
     ACCELERATIONS,
+    HOME,
+    KEEP,
+    LEFT,
     N_MEMORIES,
     PERIOD,
+    RIGHT,
+    SIDEWAYS,
     WANTED,
     begin,
     track,
@@ -15,10 +19,7 @@ from behavexplor.ads.learned.tracker import (
 from behavexplor.ads.scene_io import STEERING_RANGE
 from tests.ads.learned.scenes import COURSES, LOGICALS, ego
 
-KEEP, LEFT, RIGHT, HOME = (
-    choice * len(ACCELERATIONS) for choice in (tracker.KEEP, tracker.LEFT, tracker.RIGHT, tracker.HOME)
-)
-BRAKE, COAST, GO = 0, 3, 4
+BRAKE, COAST, GO = -6.0, 0.0, 2.0  # accelerations
 
 
 def started(name, vehicle):
@@ -32,7 +33,7 @@ def drive(name, vehicle, decide, steps):
     scene, memory = started(name, vehicle)
     driven = []
     for step in range(steps):
-        acceleration, steering = track(COURSES[name], scene, decide(step), memory)
+        acceleration, steering = track(COURSES[name], scene, *decide(step), memory)
         assert STEERING_RANGE[0] <= steering <= STEERING_RANGE[1]
         for _ in range(4):
             _, x, y, heading, speed, *_ = scene[0]
@@ -49,7 +50,7 @@ def drive(name, vehicle, decide, steps):
 @pytest.mark.parametrize("name", ["intersection-straight", "intersection-left", "lane-follow"])
 def test_it_keeps_to_its_route_and_its_limits(name):
     roadmap = LOGICALS[name].roadmap
-    driven = drive(name, ego(name, roadmap.ego_start), lambda _: KEEP + GO, 160)
+    driven = drive(name, ego(name, roadmap.ego_start), lambda _: (GO, KEEP), 160)
     there = driven[:, 0] < roadmap.destination
     assert driven[-1, 0] > roadmap.destination
     assert np.abs(driven[there, 1]).max() < 0.5
@@ -58,15 +59,15 @@ def test_it_keeps_to_its_route_and_its_limits(name):
 
 def test_it_comes_from_where_it_stands_to_the_lane_of_its_route():
     roadmap = LOGICALS["lane-change"].roadmap
-    driven = drive("lane-change", ego("lane-change", roadmap.ego_start, roadmap.ego_offset), lambda _: KEEP + GO, 100)
+    driven = drive("lane-change", ego("lane-change", roadmap.ego_start, roadmap.ego_offset), lambda _: (GO, KEEP), 100)
     assert driven[0, 1] < -6.9
     assert np.abs(driven[-20:, 1]).max() < 0.3
-    assert np.diff(driven[:, 1]).max() < tracker.SIDEWAYS * PERIOD * 1.5
+    assert np.diff(driven[:, 1]).max() < SIDEWAYS * PERIOD * 1.5
 
 
 def test_a_lane_change_ends_in_the_middle_of_the_next_lane():
     driven = drive(
-        "lane-follow", ego("lane-follow", 20.0, speed=8.0), lambda step: (LEFT if step == 5 else KEEP) + COAST, 60
+        "lane-follow", ego("lane-follow", 20.0, speed=8.0), lambda step: (COAST, LEFT if step == 5 else KEEP), 60
     )
     assert driven[-1, 1] == pytest.approx(-3.5, abs=0.1)
     assert driven[:, 1].min() > -4.0
@@ -77,13 +78,13 @@ def test_a_lane_change_ends_in_the_middle_of_the_next_lane():
 )
 def test_a_change_leads_to_a_lane_that_is_there(side, offset, wanted):
     scene, memory = started("lane-follow", ego("lane-follow", 50.0, offset, speed=8.0))
-    track(COURSES["lane-follow"], scene, side + COAST, memory)
+    track(COURSES["lane-follow"], scene, COAST, side, memory)
     assert memory[WANTED] == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("offset", [-7.0, -3.5, 0.0, 3.5])
 def test_there_is_a_way_home_from_every_lane(offset):
-    driven = drive("lane-follow", ego("lane-follow", 20.0, offset, 9.0), lambda _: HOME + COAST, 60)
+    driven = drive("lane-follow", ego("lane-follow", 20.0, offset, 9.0), lambda _: (COAST, HOME), 60)
     assert driven[-1, 1] == pytest.approx(0.0, abs=0.1)
     assert driven[-1, 3] == 0.0
 
@@ -93,19 +94,19 @@ def test_near_the_junction_it_takes_the_lane_of_its_route():
     before = course.path.junction_start - 10
     scene, memory = started("intersection-straight", ego("intersection-straight", before, 3.5, 5.0))
     memory[WANTED] = 3.5
-    track(course, scene, RIGHT + COAST, memory)
+    track(course, scene, COAST, RIGHT, memory)
     assert memory[WANTED] == 0.0
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.4, 3.0, 11.0])
 def test_it_never_drives_backwards(speed):
     scene, memory = started("lane-follow", ego("lane-follow", 50.0, speed=speed))
-    acceleration, _ = track(COURSES["lane-follow"], scene, KEEP + BRAKE, memory)
+    acceleration, _ = track(COURSES["lane-follow"], scene, BRAKE, KEEP, memory)
     assert acceleration == pytest.approx(max(-6.0, -speed / PERIOD))
 
 
-def test_every_action_has_its_acceleration():
-    for action in range(tracker.N_ACTIONS):
+def test_a_wanted_acceleration_is_reached():
+    for wanted in ACCELERATIONS:
         scene, memory = started("lane-follow", ego("lane-follow", 50.0, speed=6.0))
-        acceleration, _ = track(COURSES["lane-follow"], scene, action, memory)
-        assert acceleration == ACCELERATIONS[action % 5]
+        acceleration, _ = track(COURSES["lane-follow"], scene, wanted, KEEP, memory)
+        assert acceleration == wanted

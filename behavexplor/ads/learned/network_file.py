@@ -1,0 +1,56 @@
+"""The file of a trained policy: the weights of its network as plain arrays, and how it decides."""
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.learned.choosing import RULES, Rule
+from behavexplor.data.untrusted import read_arrays
+from behavexplor.errors import InputError
+
+Layers = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+_RULE: Final = "decision"  # name of the rule in a file; files without it were written for the most probable action
+
+
+class TrainedNetwork(NamedTuple):
+    """A network and how its policy decides.
+
+    Attributes:
+        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer.
+        rule: how the policy decides when it does not draw, see `behavexplor.ads.learned.choosing.decide`.
+    """
+
+    layers: Layers
+    rule: Rule = "mean"
+
+
+def read_network(path: Path) -> TrainedNetwork:
+    """Read a network from a file of `write_network`.
+
+    Raises:
+        InputError: if the file cannot be read.
+    """
+    try:
+        file = dict(read_arrays(path.read_bytes()))
+        rule = str(file.pop(_RULE, "most probable"))
+        layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path} contains no network of this package: {error}") from None
+    if any(array.dtype.kind != "f" for layer in layers for array in layer):
+        raise InputError(f"{path} contains no network of this package: weights and biases must be floats")
+    if any((weights.ndim, bias.ndim) != (2, 1) for weights, bias in layers):
+        raise InputError(f"{path} contains no network of this package: weights must be matrices, and biases vectors")
+    for known in RULES:
+        if rule == known:
+            return TrainedNetwork([(w.astype(np.float64), b.astype(np.float64)) for w, b in layers], known)
+    raise InputError(f"{path}: its policy decides by {rule!r}, but this version knows {' and '.join(RULES)}")
+
+
+def write_network(path: Path, network: TrainedNetwork) -> None:
+    """Write a network with float32 arrays."""
+    arrays = {f"weights_{i}": weights.astype(np.float32) for i, (weights, _) in enumerate(network.layers)}
+    arrays |= {f"bias_{i}": bias.astype(np.float32) for i, (_, bias) in enumerate(network.layers)}
+    np.savez_compressed(path, allow_pickle=False, **arrays, **{_RULE: np.array(network.rule)})
