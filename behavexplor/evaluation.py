@@ -18,7 +18,7 @@ from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.fault import contact_fault, own_violations
 from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
@@ -34,10 +34,12 @@ class Outcomes(NamedTuple):
     Attributes:
         found: the outcomes, see `Evaluation`.
         asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
+        at_fault: whether the driver failed by its own fault.
     """
 
     found: list[str]
     asked: list[str]
+    at_fault: bool
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,14 @@ class Evaluation:
         n: number of scenarios.
         counts: number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each
             verdict on a collision. Outcomes are in the order in which they are reported.
+        at_fault: number of scenarios in which the driver failed by its own fault.
+        passed: number of scenarios without any failure.
     """
 
     n: int
     counts: Mapping[str, int]
+    at_fault: int = 0
+    passed: int = 0
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
@@ -66,7 +72,9 @@ class Evaluation:
         asked = {outcome for one in judged for outcome in one.asked}
         faults = sorted(outcome for outcome in found if ": " in outcome)
         names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
-        return cls(len(judged), {name: found[name] for name in names if name in asked or name in faults})
+        counts = {name: found[name] for name in names if name in asked or name in faults}
+        passed = sum(set(one.found) <= {ARRIVED} for one in judged)
+        return cls(len(judged), counts, sum(one.at_fault for one in judged), passed)
 
     def rate(self, outcome: str) -> float:
         """Return the share of scenarios with an outcome."""
@@ -150,6 +158,5 @@ def outcomes_of(trace: Trace) -> Outcomes:
     if fault:
         found.append(f"{SPECS[0].name}: {fault}")
     names = (ARRIVED, *(spec.name for spec in SPECS))
-    return Outcomes(
-        found, [name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals]
-    )
+    asked = [name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals]
+    return Outcomes(found, asked, bool(own_violations(trace, verdict.violated)))

@@ -25,6 +25,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecEnv
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY
@@ -224,7 +225,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
     return int(saved[-1].stem.removeprefix("stage-")), model
 
 
-def begin_stage(model: OnPolicyAlgorithm, venv: LearningVecEnv, seed: Sequence[int], rate: float) -> None:
+def begin_stage(model: OnPolicyAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
     """Set new episodes, random generators and the learning rate.
 
     Args:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import ExecutionError
-from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
@@ -23,12 +24,14 @@ if TYPE_CHECKING:
 def retrain(  # noqa: PLR0913 - one argument for each flag
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")] = "",
     *,
-    env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
+    env: Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = "",
     pool: Literal["none", "own", "found", "both"] = "both",
     share: Annotated[float, tyro.conf.arg(metavar="P")] = 0.5,
     rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     steps: Annotated[int, tyro.conf.arg(metavar="N")] = 250_000,
-    rate: Annotated[float, tyro.conf.arg(metavar="RATE")] = 2.5e-4,
+    rate: Annotated[
+        float | None, tyro.conf.arg(metavar="RATE", help_behavior_hint="(default: that of its training)")
+    ] = None,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
     budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -36,6 +39,8 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ENV-retrain-SEED)")
     ] = None,
     resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None,
+    env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    traffic: Literal["default", "wide"] = "default",
     quiet: bool = False,
 ) -> int:
     """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
@@ -43,8 +48,9 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     The best round is chosen by scenarios of its own. `compare` then shows on other ones what was fixed and broken.
 
     Args:
-        policy: Policy that `train` made (policy.npz), or learned:NAME.
-        env: Functional scenario.
+        policy: Model of Stable-Baselines3 (PPO, A2C or TRPO), policy.npz of `train`, or learned:NAME.
+        env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id". By default, the
+            one that the file beside the model names.
         pool: Scenarios in which the policy fails: none; those of its own training; those that campaigns find; or both.
         share: Probability that an episode is one of them.
         rounds: Number of rounds. Each searches, trains and validates.
@@ -55,6 +61,8 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         seed: Random seed. The same seed gives the same policy on the same kind of machine.
         out: Folder for rounds and logs, new or empty.
         resume: Resume the retraining in this folder.
+        env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         quiet: Print only the result.
     """
     try:
@@ -70,12 +78,23 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         config = checked(retraining.RetrainingConfig, read_yaml(file), "retraining")
     else:
         if not policy:
-            raise InputError("Give a policy to train further, such as runs/lane-change-ppo-0/policy.npz")
+            raise InputError("Give a policy to train further, such as model.zip or runs/lane-change-ppo-0/policy.npz")
         config = retraining.RetrainingConfig(
-            env, policy, pool, share, rounds, steps, seed, rate=rate, method=method, budget=budget
+            env or trained_in(policy) or CampaignConfig.env,
+            policy,
+            pool,
+            share,
+            rounds,
+            steps,
+            seed,
+            rate=rate,
+            method=method,
+            budget=budget,
+            env_config=read_yaml(env_config) if env_config else {},
+            traffic=traffic,
         )
-        folder = out or Path("runs") / f"{env}-retrain-{seed}"
-        _ = config.training  # the policy can be read
+        folder = out or Path("runs") / f"{config.env.rpartition(':')[2]}-retrain-{seed}"
+        retraining.check(config)
         begin_training(folder, retraining.CONFIG, config)
     return _run(config, folder, quiet=quiet)
 
@@ -101,7 +120,7 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
     print(_table(rounds))
-    name = shlex.quote(str(folder / retraining.NETWORK))
+    name = shlex.quote(str(retraining.policy_in(folder, config)))
     print(f"\nThe policy of round {retraining.best(rounds).number} is in {name}. What it fixed and what it broke:")
     print(f"{program()} compare {shlex.quote(config.policy)} {name} --env {config.env}")
     return OK
@@ -109,13 +128,13 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
 
 def _words(one: "Round") -> str:
     found = "" if one.found is None else f"; {one.found} failures found, {one.pool} scenarios in the pool"
-    return f"{one.at_fault:.1%} failures at fault, {one.arrived:.1%} arrived{found}"
+    return f"{one.at_fault:.1%} failures at fault, {one.passed:.1%} without failure{found}"
 
 
 def _table(rounds: "list[Round]") -> str:
-    columns = ("round", "decisions", "at fault", "arrived", "found", "pool")
+    columns = ("round", "decisions", "at fault", "passed", "found", "pool")
     made = grid(*columns, numbers=columns)
     for one in rounds:
         found = "" if one.found is None else str(one.found)
-        made.add_row(str(one.number), str(one.steps), f"{one.at_fault:.1%}", f"{one.arrived:.1%}", found, str(one.pool))
+        made.add_row(str(one.number), str(one.steps), f"{one.at_fault:.1%}", f"{one.passed:.1%}", found, str(one.pool))
     return plain_text(made)

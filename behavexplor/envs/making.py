@@ -108,7 +108,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
 
 
 def make_vector_env(
-    env: gymnasium.Env[Any, Any], num_envs: int, changes: Mapping[str, Any]
+    env: gymnasium.Env[Any, Any], num_envs: int, changes: Mapping[str, Any], *, rewards: bool = False
 ) -> VectorEnv[Any, Any, Any] | None:
     """Make the vector form of an environment, with autoreset disabled.
 
@@ -116,6 +116,8 @@ def make_vector_env(
         env: an environment that `make_env` made. The vector form of a stock environment begins its episodes in it.
         num_envs: number of sub-environments.
         changes: keys of the configuration that replace those of the environment.
+        rewards: whether the rewards of a stock environment are needed; see
+            `behavexplor.envs.stock.stock_env.StockVectorEnv`. Other environments always have theirs.
 
     Returns:
         The vector environment; None if the environment has none.
@@ -127,7 +129,7 @@ def make_vector_env(
         from behavexplor.envs.drawn.vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
 
         stock: Any = env
-        return None if changes else DrawnVectorEnv(stock, num_envs)
+        return None if changes else DrawnVectorEnv(stock, num_envs, rewards=rewards)
     spec = env.spec
     if spec is None or spec.vector_entry_point is None:
         return None

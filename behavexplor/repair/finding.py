@@ -9,19 +9,18 @@ import numpy as np
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.drawn_scenario import DEFAULT, WIDE
+from behavexplor.data.target import Target
 from behavexplor.execution.simulation import Simulation
 from behavexplor.triage.blame import blame
 from behavexplor.triage.examination import STREAM
 
 
-def found_failures(
-    env: str, network: Path, method: str, budget: int, seed: int, folder: Path
-) -> tuple[list[Any], float]:
+def found_failures(target: Target, method: str, budget: int, seed: int, folder: Path) -> tuple[list[Any], int]:
     """Run a campaign on a policy, or read it if its folder has it.
 
     Args:
-        env: functional scenario.
-        network: file of the policy's network.
+        target: the policy and its environment.
         method: search method.
         budget: number of executions.
         seed: seed of the campaign.
@@ -29,21 +28,32 @@ def found_failures(
 
     Returns:
         The scenarios of the failures for which the policy was at fault, without collisions that no driver could have
-        avoided; and the simulated time of the whole campaign [s].
+        avoided; and the number of decisions of the whole campaign.
 
     Raises:
         ExecutionError: if an execution could not be carried out.
     """
-    config = CampaignConfig(env=env, ads=str(network), method=method, budget=str(budget), seed=seed, batch=32)
+    config = CampaignConfig(
+        env=target.env,
+        ads=target.ads,
+        method=method,
+        budget=str(budget),
+        seed=seed,
+        batch=32,
+        env_config=dict(target.env_config),
+        traffic=WIDE if target.traffic == WIDE else DEFAULT,
+        unconfined=target.unconfined,
+    )
     with opened(config, folder, 0, resume=folder.is_dir()) as ready:
         ready.campaign.run(lambda _: None)
-    simulation = Simulation(env, "constant")  # any ADS will do: evasions drive
+    simulation = Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
     with closing(Store.read(folder)) as store:
         executions = list(store.executions())
-    simulated = sum(execution.record.duration or 0.0 for execution in executions)
     failures = [one.scenario for one in executions if one.record.at_fault and _preventable(simulation, one, seed)]
+    seconds = sum(one.record.duration or 0.0 for one in executions)
+    frequency = simulation.env.get_wrapper_attr("config")["policy_frequency"]
     simulation.close()
-    return failures, simulated
+    return failures, round(seconds * frequency)
 
 
 def _preventable(simulation: Simulation, execution: Execution, seed: int) -> bool:

@@ -5,13 +5,11 @@ of these scenarios and ordinary ones, and validates it as it is driven, without 
 """
 
 import json
-import shutil
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Self
 
-import numpy as np
 import torch
 import yaml
 from pydantic import ConfigDict
@@ -19,35 +17,20 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-from behavexplor.ads.learned.driver import POLICY_FREQUENCY
-from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
-from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.campaign.store import write_durably
+from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import Target
-from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError
 from behavexplor.evaluation import estimate_rates, start_judge
-from behavexplor.execution.simulation import logical_scenario
-from behavexplor.judge.fault import NPC_CAUSED, own_violations
-from behavexplor.judge.specs import judge
+from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures
+from behavexplor.repair.pool_watch import PoolWatch
 from behavexplor.repair.scenario_pool import Pool, read_pool
-from behavexplor.training import (
-    Learned,
-    TrainingConfig,
-    Watch,
-    begin_stage,
-    log_formats,
-    network_layers,
-    new_model,
-    restore_model,
-    save_model,
-    training_env,
-)
+from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee, policy_layers
+from behavexplor.training import MOST_ENVS, Learned, begin_stage, log_formats, restore_model, save_model
 
-CONFIG, ROUNDS, NETWORK = "retraining.yaml", "rounds.jsonl", "policy.npz"
+CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
 VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
-_ENTROPY: Final = 0.005  # entropy bonus of the first round, which falls to none
 _LAST_RATE: Final = 0.2  # learning rate of the last round, as a share of that of the first one
 
 Sources = Literal["none", "own", "found", "both"]
@@ -58,19 +41,21 @@ class RetrainingConfig:
     """The configuration of a retraining.
 
     Attributes:
-        env: functional scenario.
-        policy: the policy: "learned:NAME", or the file of a network that `train` made.
+        env: functional scenario, or environment of highway-env.
+        policy: the policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
         pool: scenarios that enter the pool: none; those in which the training itself fails ("own"); failures that
             campaigns find ("found"); or both.
         share: probability that an episode is drawn from the pool.
         rounds: number of rounds of training.
         steps: number of decisions in a round, the campaign's included.
         seed: random seed.
-        envs: number of sub-environments in lock-step.
-        rate: learning rate of the first round.
+        envs: number of sub-environments in lock-step; None for as many as in the training so far.
+        rate: learning rate of the first round; None for that of the training so far.
         method: search method of the campaigns.
         budget: number of executions in each campaign.
         validation: number of scenarios by which the best round is chosen.
+        env_config: configuration of the environment, as far as it differs from what the policy declares.
+        traffic: kind of traffic in an environment of highway-env.
 
     Raises:
         InputError: if a value is out of range.
@@ -85,11 +70,13 @@ class RetrainingConfig:
     rounds: int = 8
     steps: int = 250_000
     seed: int = 0
-    envs: int = 64
-    rate: float = 2.5e-4
+    envs: int | None = None
+    rate: float | None = None
     method: str = "uniform"
     budget: int = 250
     validation: int = 1000
+    env_config: dict[str, Any] = field(default_factory=dict)
+    traffic: Literal["default", "wide"] = DEFAULT
 
     def __post_init__(self) -> None:
         ranges = {
@@ -97,12 +84,13 @@ class RetrainingConfig:
             "rounds": (1, 1000),
             "steps": (1, 10**9),
             "seed": (0, 2**63 - 1),
+            "envs": (1, MOST_ENVS),
             "rate": (1e-7, 0.1),
             "budget": (1, 100_000),
             "validation": (1, 100_000),
         }
         for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
+            if getattr(self, name) is not None and not low <= getattr(self, name) <= high:
                 raise InputError(f"{name} {getattr(self, name)} must lie between {low:g} and {high:g}")
 
     def to_yaml(self) -> str:
@@ -110,10 +98,10 @@ class RetrainingConfig:
         return yaml.safe_dump(asdict(self), sort_keys=False)
 
     @property
-    def training(self) -> TrainingConfig:
-        """The configuration of the training in each round."""
-        layers = tuple(len(bias) for _, bias in read_network(policy_file(self.policy)).layers[:-1])
-        return TrainingConfig(env=self.env, seed=self.seed, envs=self.envs, layers=layers)
+    def target(self) -> Target:
+        """The policy and its environment."""
+        # Nothing in the policy's file is executed, so no process has to confine it.
+        return Target(self.env, self.policy, unconfined=True, env_config=self.env_config, traffic=self.traffic)
 
 
 @dataclass(frozen=True)
@@ -123,9 +111,8 @@ class Round:
     Attributes:
         number: number of the round; 0 for the policy as it was given.
         steps: number of decisions in which the policy was trained so far.
-        at_fault: share of the validation scenarios in which the policy did not arrive, without those in which another
-            vehicle caused a collision.
-        arrived: share of the validation scenarios in which it arrived.
+        at_fault: share of the validation scenarios in which the policy failed by its own fault.
+        passed: share of the validation scenarios without any failure.
         pool: number of scenarios in the pool at the end of the round.
         digest: digest of the pool.
         found: number of failures that the round's campaign found, or None without a campaign.
@@ -134,7 +121,7 @@ class Round:
     number: int
     steps: int
     at_fault: float
-    arrived: float
+    passed: float
     pool: int = 0
     digest: str = ""
     found: int | None = None
@@ -152,7 +139,7 @@ def retrain(
 
     Args:
         config: configuration of the retraining.
-        folder: folder for the rounds and the best policy, `NETWORK`.
+        folder: folder for the rounds and the best policy, see `policy_in`.
         observe: callback that gets the progress of a round after each batch of experience.
         report: callback that gets each finished round.
 
@@ -163,39 +150,48 @@ def retrain(
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.
     """
     torch.set_num_threads(1)  # more threads change the last bits
-    training = config.training
-    venv = training_env(training)
-    envs: Any = venv.venv
-    model = new_model(training, venv)
+    trainee = open_trainee(config.target, config.seed, config.envs)
     rounds = finished_rounds(folder)
-    pool = Pool(envs.env.logical, config.share, _pool_of(folder, rounds))
+    pool = Pool(trainee.scenarios.logical, config.share, _pool_of(folder, rounds))
+    trainee.scenarios.sampler = pool.sample
+    work = _Work(config, folder, trainee, pool)
     if rounds:
-        restore_model(model, _file(folder, rounds[-1].number, ".pt"))
+        restore_model(trainee.model, work.file(rounds[-1].number, ".pt"))
     else:
-        _load_layers(model, policy_file(config.policy))
-        rounds = [_finished(config, folder, model, 0, pool, None)]
+        rounds = [work.finish(0, None)]
         report(rounds[-1])
-    envs.env.sampler = pool.sample
-    model.set_logger(configure(str(folder / "logs" / f"round-{len(rounds):04d}"), log_formats()))
-    watch = _PoolWatch(observe, pool, own=config.pool in ("own", "both"))
+    trainee.model.set_logger(configure(str(folder / "logs" / f"round-{len(rounds):04d}"), log_formats()))
+    watch = PoolWatch(observe, pool, own=config.pool in ("own", "both"))
     try:
         for number in range(len(rounds), config.rounds + 1):
-            found, charged = None, 0
-            if config.pool in ("found", "both"):
-                found, charged = _refresh(config, folder, number, pool)
-            _train(config, model, venv, number, max(config.steps - charged, 1), watch)
-            rounds.append(_finished(config, folder, model, number, pool, found))
+            found, charged = work.refresh(number) if config.pool in ("found", "both") else (None, 0)
+            work.train(number, max(config.steps - charged, 1), watch)
+            rounds.append(work.finish(number, found))
             report(rounds[-1])
     finally:
-        model.logger.close()
-        venv.close()
-    shutil.copyfile(_file(folder, best(rounds).number, ".npz"), folder / NETWORK)
+        trainee.model.logger.close()
+        trainee.venv.close()
+    copy_policy(work.file(best(rounds).number, trainee.suffix), policy_in(folder, config))
     return rounds
 
 
+def check(config: RetrainingConfig) -> None:
+    """Check that a policy can be trained further.
+
+    Raises:
+        InputError: if it cannot; the message says why.
+    """
+    open_trainee(config.target, config.seed, config.envs).venv.close()
+
+
+def policy_in(folder: Path, config: RetrainingConfig) -> Path:
+    """Return the path of the best policy."""
+    return folder / f"policy{given_file(config.policy).suffix}"
+
+
 def best(rounds: list[Round]) -> Round:
-    """Return the round with the lowest rate at fault, then the most arrivals, then the fewest steps."""
-    return min(rounds, key=lambda one: (one.at_fault, -one.arrived, one.steps))
+    """Return the round with the lowest rate at fault, then the fewest failures, then the fewest steps."""
+    return min(rounds, key=lambda one: (one.at_fault, -one.passed, one.steps))
 
 
 def finished_rounds(folder: Path) -> list[Round]:
@@ -215,108 +211,78 @@ def finished_rounds(folder: Path) -> list[Round]:
         ) from None
 
 
-def _train(
-    config: RetrainingConfig, model: OnPolicyAlgorithm, venv: Any, number: int, steps: int, watch: BaseCallback
-) -> None:
-    """Train for one round. In the first one, only the new critic learns, for as many steps again before."""
-    left = 1 - (number - 1) / max(config.rounds - 1, 1)
-    rate = config.rate * max(left, _LAST_RATE)
-    model.ent_coef = _ENTROPY * left
-    if number == 1:
-        _freeze(model, frozen=True)
-        begin_stage(model, venv, (config.seed, 0), config.rate)
-        model.learn(steps, reset_num_timesteps=False)
-        _freeze(model, frozen=False)
-    begin_stage(model, venv, (config.seed, number), rate)
-    model.learn(steps, callback=watch, reset_num_timesteps=False)
+@dataclass(frozen=True)
+class _Work:
+    """The work of a round.
+
+    Attributes:
+        config: configuration of the retraining.
+        folder: folder of the retraining.
+        trainee: the policy.
+        pool: the pool.
+    """
+
+    config: RetrainingConfig
+    folder: Path
+    trainee: Trainee
+    pool: Pool
+
+    def file(self, number: int, suffix: str) -> Path:
+        """Return the path of a round's file."""
+        return self.folder / "rounds" / f"round-{number:04d}{suffix}"
+
+    def refresh(self, number: int) -> tuple[int, int]:
+        """Add what a campaign on the present policy finds; return how much that is, and how many decisions it took."""
+        config = self.config
+        policy, place = self.file(number - 1, self.trainee.suffix), self.folder / "campaigns" / f"{number:04d}"
+        target = replace(config.target, ads=str(policy))
+        failures, decisions = found_failures(target, config.method, config.budget, config.seed + number, place)
+        for scenario in failures:
+            self.pool.add(scenario)
+        return len(failures), decisions
+
+    def train(self, number: int, steps: int, watch: BaseCallback) -> None:
+        """Train for one round. If the critic is new, it learns alone in the first one, for as many steps before."""
+        config, model, venv = self.config, self.trainee.model, self.trainee.venv
+        first_rate = config.rate or self.trainee.rate
+        left = 1 - (number - 1) / max(config.rounds - 1, 1)
+        model.ent_coef = self.trainee.entropy * left
+        if number == 1 and self.trainee.new_critic:
+            _freeze(model, frozen=True)
+            begin_stage(model, venv, (config.seed, 0), first_rate)
+            model.learn(steps, reset_num_timesteps=False)
+            _freeze(model, frozen=False)
+        begin_stage(model, venv, (config.seed, number), first_rate * max(left, _LAST_RATE))
+        model.learn(steps, callback=watch, reset_num_timesteps=False)
+
+    def finish(self, number: int, found: int | None) -> Round:
+        """Save and validate the policy, and return the result. Round 0 is the policy as it was given."""
+        config, policy = self.config, self.file(number, self.trainee.suffix)
+        policy.parent.mkdir(parents=True, exist_ok=True)
+        save_model(self.trainee.model, self.file(number, ".pt"))
+        self.trainee.write(policy)
+        if number == 0:
+            copy_policy(given_file(config.policy), policy)
+        self.pool.write(self.file(number, ".jsonl"))
+        at_fault, passed = validated_rates(replace(config.target, ads=str(policy)), config.validation)
+        steps = self.trainee.model.num_timesteps
+        result = Round(number, steps, at_fault, passed, len(self.pool), self.pool.digest, found)
+        earlier = (self.folder / ROUNDS).read_text() if (self.folder / ROUNDS).is_file() else ""
+        write_durably(self.folder / ROUNDS, earlier + json.dumps(asdict(result)) + "\n")
+        return result
 
 
-def _refresh(config: RetrainingConfig, folder: Path, number: int, pool: Pool) -> tuple[int, int]:
-    """Add what a campaign on the present policy finds, and return how much that is, and how many decisions it took."""
-    network = _file(folder, number - 1, ".npz")
-    place = folder / "campaigns" / f"{number:04d}"
-    failures, seconds = found_failures(config.env, network, config.method, config.budget, config.seed + number, place)
-    for scenario in failures:
-        pool.add(scenario)
-    return len(failures), round(seconds * POLICY_FREQUENCY)
-
-
-def _finished(
-    config: RetrainingConfig, folder: Path, model: OnPolicyAlgorithm, number: int, pool: Pool, found: int | None
-) -> Round:
-    """Save and validate a model, and return the result."""
-    network = _file(folder, number, ".npz")
-    network.parent.mkdir(parents=True, exist_ok=True)
-    save_model(model, _file(folder, number, ".pt"))
-    if number == 0:
-        shutil.copyfile(policy_file(config.policy), network)
-    else:
-        write_network(network, TrainedNetwork(network_layers(model)))
-    pool.write(_file(folder, number, ".jsonl"))
-    at_fault, arrived = validated_rates(config.env, network, config.validation)
-    result = Round(number, model.num_timesteps, at_fault, arrived, len(pool), pool.digest, found)
-    earlier = (folder / ROUNDS).read_text() if (folder / ROUNDS).is_file() else ""
-    write_durably(folder / ROUNDS, earlier + json.dumps(asdict(result)) + "\n")
-    return result
-
-
-def validated_rates(env: str, network: Path, count: int, seed: int = VALIDATION_SEED) -> tuple[float, float]:
-    """Return the rates of failures at fault and of arrivals of a policy."""
-    with start_judge(Target(env, str(network)), 0) as executor:  # the network is plain numbers
-        found = estimate_rates(executor, logical_scenario(env), count, seed)
-    others = sum(found.counts.get(f"collision: {fault}", 0) for fault in NPC_CAUSED)
-    return (found.n - found.counts[ARRIVED] - others) / found.n, found.rate(ARRIVED)
-
-
-def _file(folder: Path, number: int, suffix: str) -> Path:
-    return folder / "rounds" / f"round-{number:04d}{suffix}"
+def validated_rates(target: Target, count: int, seed: int = VALIDATION_SEED) -> tuple[float, float]:
+    """Return the share of scenarios in which a policy fails by its own fault, and the share without any failure."""
+    with start_judge(target, 0) as executor:  # the policy is plain numbers
+        found = estimate_rates(executor, logical_of_target(executor, target.env), count, seed)
+    return found.at_fault / found.n, found.passed / found.n
 
 
 def _pool_of(folder: Path, rounds: list[Round]) -> list[Any]:
-    return read_pool(_file(folder, rounds[-1].number, ".jsonl")) if rounds else []
-
-
-def _load_layers(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Put the weights of a network into a new model, whose critic stays new."""
-    parts = _policy_layers(model)
-    for part, (weights, bias) in zip(parts, read_network(path).layers, strict=True):
-        part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
-        part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
-
-
-def _policy_layers(model: OnPolicyAlgorithm) -> list[torch.nn.Linear]:
-    policy: Any = model.policy
-    parts = [*policy.mlp_extractor.policy_net, policy.action_net]
-    return [part for part in parts if isinstance(part, torch.nn.Linear)]
+    return read_pool(folder / "rounds" / f"round-{rounds[-1].number:04d}.jsonl") if rounds else []
 
 
 def _freeze(model: OnPolicyAlgorithm, *, frozen: bool) -> None:
-    for layer in _policy_layers(model):
+    for layer in policy_layers(model):
         layer.requires_grad_(not frozen)
-
-
-class _PoolWatch(Watch):
-    """Callback that keeps a pool up to date with the ends of the training's episodes."""
-
-    def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:
-        super().__init__(observe)
-        self._pool = pool
-        self._own = own
-        self._running: list[Any] = []
-
-    def _on_training_start(self) -> None:
-        super()._on_training_start()
-        self._running = self.training_env.get_attr("scenario")
-
-    def _on_step(self) -> bool:
-        for i in np.flatnonzero(self.locals["dones"]).tolist():
-            self._ended(self._running[i], self.locals["infos"][i])
-            (self._running[i],) = self.training_env.get_attr("scenario", [i])
-        return super()._on_step()
-
-    def _ended(self, scenario: Any, info: Mapping[str, Any]) -> None:
-        trace = info["trace"]
-        if not own_violations(trace, judge(trace).violated):
-            self._pool.discard(scenario)
-        elif self._own:
-            self._pool.add(scenario)

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from behavexplor.campaign.store import write_durably
-from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario, parse_scenario
 
 FULL: Final = 100  # scenarios that a pool needs to be drawn from with its full share
 MOST: Final = 2000  # scenarios in a pool; the newest are kept
@@ -27,13 +27,11 @@ class Pool:
         scenarios: the first scenarios.
     """
 
-    def __init__(
-        self, logical: ScriptedLogicalScenario, share: float, scenarios: Iterable[ScriptedScenario] = ()
-    ) -> None:
+    def __init__(self, logical: LogicalScenario, share: float, scenarios: Iterable[Scenario] = ()) -> None:
         self._logical = logical
         self._share = share
-        self._scenarios: list[ScriptedScenario] = []
-        self._known: set[ScriptedScenario] = set()
+        self._scenarios: list[Scenario] = []
+        self._known: set[Scenario] = set()
         for scenario in scenarios:
             self.add(scenario)
 
@@ -41,13 +39,13 @@ class Pool:
         """Return the number of scenarios."""
         return len(self._scenarios)
 
-    def sample(self, rng: np.random.Generator) -> ScriptedScenario:
+    def sample(self, rng: np.random.Generator) -> Scenario:
         """Draw the scenario of an episode."""
         if self._scenarios and rng.random() < self._share * min(len(self._scenarios) / FULL, 1.0):
             return self._scenarios[int(rng.integers(len(self._scenarios)))]
         return self._logical.sample(rng)
 
-    def add(self, scenario: ScriptedScenario) -> None:
+    def add(self, scenario: Scenario) -> None:
         """Add a scenario in which the policy failed. The oldest one leaves a full pool."""
         if scenario in self._known:
             return
@@ -56,7 +54,7 @@ class Pool:
         if len(self._scenarios) > MOST:
             self._known.discard(self._scenarios.pop(0))
 
-    def discard(self, scenario: ScriptedScenario) -> None:
+    def discard(self, scenario: Scenario) -> None:
         """Remove a scenario in which the policy passed, if the pool has it."""
         if scenario in self._known:
             self._known.discard(scenario)
@@ -75,10 +73,10 @@ class Pool:
         return "".join(f"{scenario.to_json()}\n" for scenario in self._scenarios)
 
 
-def read_pool(path: Path) -> list[ScriptedScenario]:
+def read_pool(path: Path) -> list[Scenario]:
     """Return the scenarios of a file that `Pool.write` wrote.
 
     Raises:
         InputError: if a scenario is not valid.
     """
-    return [ScriptedScenario.from_json(line) for line in path.read_text().splitlines()]
+    return [parse_scenario(line) for line in path.read_text().splitlines()]

@@ -21,7 +21,7 @@ MAX_DATA: Final = 50_000_000  # greatest size of its settings
 MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large file; Stable-Baselines3 does not compress
 LARGE: Final = 10_000_000
 
-DATA, WEIGHTS = "data", "policy.pth"
+DATA, WEIGHTS, OPTIMIZER = "data", "policy.pth", "policy.optimizer.pth"
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs")
 
 # Names that pickles in a saved model ordinarily contain.
@@ -46,7 +46,9 @@ class Archive:
         path: path of the file.
         digest: digest of the whole file, "sha256:...".
         settings: entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them.
+        numbers: all settings that are a number, such as the hyperparameters of the training.
         weights: contents of the member `policy.pth`.
+        optimizer: contents of the member `policy.optimizer.pth`; None if there is none.
         suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, and
             pickles that could not be examined, each as a phrase that names the place.
     """
@@ -54,7 +56,9 @@ class Archive:
     path: Path
     digest: str
     settings: Mapping[str, Any]
+    numbers: Mapping[str, int | float | bool]
     weights: bytes
+    optimizer: bytes | None
     suspicions: tuple[str, ...]
 
 
@@ -80,7 +84,16 @@ def read_archive(path: Path) -> Archive:
     except Exception as error:  # zipfile, zlib and json raise many kinds of errors for damaged files
         raise InputError(f"{path} is not a zip file of Stable-Baselines3, or is damaged: {error}") from None
     digest = f"sha256:{hashlib.sha256(packed).hexdigest()}"
-    return Archive(path, digest, MappingProxyType(settings), tensors[WEIGHTS], (*of_data, *of_tensors))
+    numbers = {key: value for key, value in data.items() if isinstance(value, int | float)}
+    return Archive(
+        path,
+        digest,
+        MappingProxyType(settings),
+        MappingProxyType(numbers),
+        tensors[WEIGHTS],
+        tensors.get(OPTIMIZER),
+        (*of_data, *of_tensors),
+    )
 
 
 def suspicions_about(place: str, names: frozenset[str]) -> list[str]:

@@ -22,6 +22,7 @@ from behavexplor.errors import InputError, brief
 
 # Modules whose classes a policy may be built from; any other class is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
+_UNREADABLE = (ValueError, TypeError, AttributeError, KeyError, IndexError)  # what wrong settings raise
 _SPACES = re.compile(r"(gymnasium|gym)\.spaces\.(\w+\.)*(\w+)$")
 
 
@@ -36,16 +37,30 @@ def build_policy(archive: Archive) -> BasePolicy:
         UntrustedError: if a class is not from Stable-Baselines3, sb3-contrib or torch.
         InputError: if settings or weights are damaged or do not fit each other.
     """
-    settings = archive.settings
+    policy_class, keywords = policy_recipe(archive)
     try:
-        policy_class = _class(settings.get("policy_class"))
-        keywords = dict(_value(settings.get("policy_kwargs") or {}))
-        spaces = [_space(settings.get(f"{kind}_space")) for kind in ("observation", "action")]
+        spaces = [_space(archive.settings.get(f"{kind}_space")) for kind in ("observation", "action")]
     except UntrustedError:
         raise
-    except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
+    except _UNREADABLE as error:
         raise InputError(f"{archive.path} cannot be read: {error}") from None
     return assemble(archive, policy_class, spaces[0], spaces[1], keywords)
+
+
+def policy_recipe(archive: Archive) -> tuple[type[BasePolicy], dict[str, Any]]:
+    """Return the class of a model's policy and its keyword arguments.
+
+    Raises:
+        UntrustedError: if a class is not from Stable-Baselines3, sb3-contrib or torch.
+        InputError: if the settings are damaged.
+    """
+    try:
+        policy_class = _class(archive.settings.get("policy_class"))
+        return policy_class, dict(_value(archive.settings.get("policy_kwargs") or {}))
+    except UntrustedError:
+        raise
+    except _UNREADABLE as error:
+        raise InputError(f"{archive.path} cannot be read: {error}") from None
 
 
 def build_trusted(archive: Archive) -> BasePolicy:

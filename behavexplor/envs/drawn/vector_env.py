@@ -38,12 +38,13 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     Args:
         env: the environment; its episodes are used up.
         num_envs: number of sub-environments.
+        rewards: whether rewards are needed; see `behavexplor.envs.stock.stock_env.StockVectorEnv`.
 
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
     """
 
-    def __init__(self, env: DrawnEnv, num_envs: int) -> None:
+    def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
         check_compiled(env)
         self._env = env
         self._engine = StockVectorEnv(
@@ -53,7 +54,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             AutoresetMode.DISABLED,
             max_episode_steps=env.max_decisions,
             log_frames=True,
-            rewards=False,
+            rewards=rewards,
         )
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}

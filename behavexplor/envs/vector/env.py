@@ -1,6 +1,6 @@
 """The compiled vector environment, which runs many scenarios in lock-step."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,10 +46,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     All of gymnasium's autoreset modes are supported. With `AutoresetMode.DISABLED`, a sub-environment whose episode has
     ended rests until it is reset: its action has no effect, its reward is 0, and it still counts as ended.
 
-    Attributes:
-        sampler: function that draws the scenario of a new episode; by default the sampler of `logical`. A training on
-            chosen scenarios sets another one.
-
     Args:
         num_envs: number of sub-environments.
         config: configuration of the environment; see `behavexplor.envs.driving.DrivingEnv`.
@@ -78,7 +74,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.num_envs = num_envs
         self.config = single.config
         self.logical = single.logical
-        self.sampler: Callable[[np.random.Generator], ScriptedScenario] = self.logical.sample
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -177,7 +172,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             if scenario is None:
                 generator = self._generators[b]
                 assert generator is not None  # noqa: S101 - reset made it
-                scenario = self.sampler(generator)
+                scenario = self.logical.sample(generator)
             put_scenario(self._world, self._slots, b, scenario, self.logical.roadmap)
             self.scenarios[b] = infos[b] = scenario
         return {"scenario": infos, "_scenario": mask.copy()}

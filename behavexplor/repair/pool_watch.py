@@ -1,0 +1,46 @@
+"""A pool that follows a training."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from behavexplor.judge.fault import own_violations
+from behavexplor.judge.specs import judge
+from behavexplor.repair.scenario_pool import Pool
+from behavexplor.training import Learned, Watch
+
+
+class PoolWatch(Watch):
+    """Callback that keeps a pool up to date with the ends of the training's episodes.
+
+    A scenario leaves the pool when an episode in it passes.
+
+    Args:
+        observe: callback that gets the progress after each batch of experience.
+        pool: the pool.
+        own: whether a scenario enters the pool when an episode in it fails.
+    """
+
+    def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:
+        super().__init__(observe)
+        self._pool = pool
+        self._own = own
+        self._running: list[Any] = []
+
+    def _on_training_start(self) -> None:
+        super()._on_training_start()
+        self._running = self.training_env.get_attr("scenario")
+
+    def _on_step(self) -> bool:
+        for i in np.flatnonzero(self.locals["dones"]).tolist():
+            self._ended(self._running[i], self.locals["infos"][i])
+            (self._running[i],) = self.training_env.get_attr("scenario", [i])
+        return super()._on_step()
+
+    def _ended(self, scenario: Any, info: Mapping[str, Any]) -> None:
+        trace = info["trace"]
+        if not own_violations(trace, judge(trace).violated):
+            self._pool.discard(scenario)
+        elif self._own:
+            self._pool.add(scenario)

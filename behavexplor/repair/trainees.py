@@ -1,0 +1,150 @@
+"""Policies that go on learning: a network of `train`, or a model of Stable-Baselines3."""
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+import yaml
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from behavexplor.ads.learned.learning import LearningVecEnv
+from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
+from behavexplor.ads.learned.shipped import policy_file
+from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
+from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, describe, find_model
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.scripted_logical import scripted
+from behavexplor.data.target import Target
+from behavexplor.envs.making import make_vector_env
+from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
+from behavexplor.errors import InputError
+from behavexplor.execution.simulation import Simulation
+from behavexplor.training import TrainingConfig, network_layers, new_model
+
+_ENVS: Final = 64  # sub-environments for a network of `train`
+_RATE: Final = 2.5e-4  # learning rate where none is known
+
+
+@dataclass(frozen=True)
+class Trainee:
+    """A policy that goes on learning.
+
+    Attributes:
+        model: the model.
+        venv: its environment.
+        suffix: suffix of its file.
+        rate: learning rate of the training so far, or a usual one.
+        entropy: weight of the entropy bonus in that training.
+        new_critic: whether its critic is untrained, because the file has none.
+        write: function that writes the present policy to a file.
+        scenarios: the environment that draws the scenarios.
+    """
+
+    model: OnPolicyAlgorithm
+    venv: VecEnv
+    suffix: str
+    rate: float
+    entropy: float
+    new_critic: bool
+    write: Callable[[Path], None]
+    scenarios: ScenarioVecEnv
+
+
+def given_file(policy: str) -> Path:
+    """Return the file of a policy: a network of `train`, or a model of Stable-Baselines3.
+
+    Raises:
+        InputError: if there is no such file.
+    """
+    path = policy_file(policy)
+    if not path.exists():
+        raise InputError(f"There is no policy {path}")
+    return path if path.suffix == ".npz" else find_model(path)
+
+
+def open_trainee(target: Target, seed: int, envs: int | None = None) -> Trainee:
+    """Return a policy that can go on learning. Its environment draws from the logical scenario.
+
+    Args:
+        target: the policy and its environment.
+        seed: seed of the weights that the file does not have.
+        envs: number of sub-environments; by default as in the training so far, or a usual one.
+
+    Raises:
+        InputError: if the policy cannot go on learning, or not in this environment.
+    """
+    simulation = Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
+    path = given_file(target.ads)
+    made = _of_network if path.suffix == ".npz" else _of_model
+    return made(simulation, path, seed, envs)
+
+
+def _of_network(simulation: Simulation, path: Path, seed: int, envs: int | None) -> Trainee:
+    """Return a policy whose network is that of a file, with a new critic."""
+    network = read_network(path)
+    scenarios = _scenarios(simulation, envs or _ENVS)
+    venv = LearningVecEnv(scenarios, scripted(simulation.logical, "Training of a network").roadmap)
+    layers = tuple(len(bias) for _, bias in network.layers[:-1])
+    model = new_model(TrainingConfig(seed=seed, envs=venv.num_envs, layers=layers), venv)
+    for part, (weights, bias) in zip(policy_layers(model), network.layers, strict=True):
+        part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
+        part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
+
+    def write(path: Path) -> None:
+        write_network(path, TrainedNetwork(network_layers(model)))
+
+    return Trainee(model, venv, ".npz", _RATE, float(model.ent_coef), True, write, scenarios)
+
+
+def _of_model(simulation: Simulation, path: Path, seed: int, envs: int | None) -> Trainee:
+    """Return the model of a zip file of Stable-Baselines3."""
+    described = describe(path)
+    for name, given in (("normalized", described.statistics), ("stacked", described.frame_stack > 1)):
+        if given:
+            raise InputError(f"{path} cannot be trained further here: its observations are {name}")
+    archive = read_archive(path)
+    scenarios = _scenarios(simulation, envs or sub_environments_of(archive))
+    torch.manual_seed(seed)
+    model = continued(archive, scenarios)
+    settings = _settings(simulation)
+
+    def write(file: Path) -> None:
+        model.save(file)
+        file.with_suffix(".yaml").write_text(yaml.safe_dump(settings, sort_keys=False))
+
+    rate = learning_rate_of(archive) or _RATE
+    return Trainee(model, scenarios, ".zip", rate, float(model.ent_coef), False, write, scenarios)
+
+
+def _scenarios(simulation: Simulation, count: int) -> ScenarioVecEnv:
+    envs = make_vector_env(simulation.env, count, {}, rewards=True)
+    if envs is None:
+        raise InputError("The environment has no vector form, which training needs")
+    return ScenarioVecEnv(envs)
+
+
+def _settings(simulation: Simulation) -> Mapping[str, Any]:
+    """Return what the file beside a model says of its environment."""
+    if isinstance(simulation.logical, DrawnLogicalScenario):
+        return {"env": simulation.logical.name, "config": json.loads(simulation.logical.setup.config)}
+    return {key: getattr(simulation.ads, key) for key in ENVIRONMENT_KEYS if hasattr(simulation.ads, key)}
+
+
+def copy_policy(policy: Path, path: Path) -> None:
+    """Copy a policy with the file beside it."""
+    for suffix in (path.suffix, ".yaml"):
+        if policy.with_suffix(suffix).is_file():
+            shutil.copyfile(policy.with_suffix(suffix), path.with_suffix(suffix))
+
+
+def policy_layers(model: OnPolicyAlgorithm) -> list[torch.nn.Linear]:
+    """Return the dense layers from the observation to the preference of each action."""
+    policy: Any = model.policy
+    parts = [*policy.mlp_extractor.policy_net, policy.action_net]
+    return [part for part in parts if isinstance(part, torch.nn.Linear)]
