@@ -5,12 +5,19 @@ import shutil
 
 import numpy as np
 import pytest
+import yaml
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize
 
 from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
+from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.data.scenario import parse_scenario
+from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
-from behavexplor.repair.retraining import NETWORK, ROUNDS, RetrainingConfig, Round, best, finished_rounds, retrain
+from behavexplor.repair.retraining import ROUNDS, RetrainingConfig, Round, best, finished_rounds, retrain
 
 POLICY = "learned:lane-change"
 SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
@@ -57,7 +64,7 @@ def test_the_first_round_is_the_policy_as_it_was(retrained):
 def test_the_best_round_becomes_the_policy(retrained):
     rounds = finished_rounds(retrained)
     chosen = f"rounds/round-{best(rounds).number:04d}.npz"
-    assert all(map(np.array_equal, layers(retrained / NETWORK), layers(retrained / chosen)))
+    assert all(map(np.array_equal, layers(retrained / "policy.npz"), layers(retrained / chosen)))
     assert best([Round(0, 0, 0.2, 0.7), Round(1, 9, 0.1, 0.8), Round(2, 18, 0.1, 0.9)]).number == 2
 
 
@@ -91,7 +98,8 @@ def test_a_damaged_list_of_rounds_is_named(retrained, tmp_path):
         (["missing.npz"], "missing.npz"),
         (["--resume", "missing"], "has no retraining.yaml"),
         (["learned:lane-change", "--share", "2"], "share 2.0 must lie between"),
-        (["learned:lane-change", "--env", "highway-v0"], "Unknown functional scenario"),
+        (["learned:lane-change", "--env", "highway-v0"], "follows a route on the roads of this package"),
+        (["learned:lane-change", "--rate", "-1"], "rate -1.0 must lie between"),
     ],
 )
 def test_wrong_input_is_one_sentence(arguments, message, tmp_path, capsys):
@@ -108,3 +116,41 @@ def test_the_command_says_what_every_round_brought(retrained, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "at fault" in out
     assert "behavexplor compare" in out or "compare learned:lane-change" in out
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """A model of Stable-Baselines3 that was trained a little in an environment of highway-env."""
+    folder = tmp_path_factory.mktemp("model")
+    envs = make_vec_env("highway-fast-v0", n_envs=2, vec_env_cls=HighwayVecEnv)
+    settings = {"n_steps": 16, "batch_size": 16, "n_epochs": 1, "policy_kwargs": {"net_arch": [8]}, "device": "cpu"}
+    PPO("MlpPolicy", envs, seed=0, **settings).learn(64).save(folder / "model.zip")
+    (folder / "model.yaml").write_text("env: highway-fast-v0\nconfig: {duration: 8}\n")
+    return folder / "model.zip"
+
+
+def weights(path):
+    return read_archive(path).weights
+
+
+def test_a_model_of_stable_baselines3_goes_on_where_it_was_trained(model, tmp_path, capsys):
+    flags = ["--rounds", "1", "--steps", "200", "--budget", "8", "--quiet"]
+    assert main(["retrain", str(model), *flags, "--out", str(tmp_path / "out")]) == OK
+    assert "compare" in capsys.readouterr().out
+    first, second = ((tmp_path / "out" / "rounds" / f"round-000{i}.zip") for i in (0, 1))
+    assert weights(first) == weights(model)
+    assert weights(second) != weights(model)
+    told = yaml.safe_load((tmp_path / "out" / "policy.yaml").read_text())
+    assert (told["env"], told["config"]["duration"]) == ("highway-fast-v0", 8)
+    scenarios = (tmp_path / "out" / "rounds" / "round-0001.jsonl").read_text().splitlines()
+    assert all(parse_scenario(line).functional == "highway-fast-v0" for line in scenarios)
+    assert main(["fuzz", "--ads", str(second), "--budget", "2", "--out", str(tmp_path / "run"), "--quiet"]) == OK
+
+
+def test_normalized_observations_are_refused(model, tmp_path, capsys):
+    copy = shutil.copytree(model.parent, tmp_path / "copy")
+    envs = VecNormalize(make_vec_env("highway-fast-v0", n_envs=1, vec_env_cls=HighwayVecEnv))
+    envs.save(str(copy / "vecnormalize.pkl"))
+    assert main(["retrain", str(copy / "model.zip"), "--out", str(tmp_path / "out")]) == BAD_INPUT
+    assert "its observations are normalized" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,78 @@
+"""Models that go on learning are those that were saved, and none of their code runs."""
+
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
+from behavexplor.errors import InputError
+from tests.ads.sb3.models import BOX, COMMANDS, META, Payload, Still, make_model
+
+
+def venv(observation_space=BOX, action_space=COMMANDS):
+    return DummyVecEnv([lambda: Still(observation_space, action_space)])
+
+
+def same(first, second):
+    return all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("PPO", {"n_steps": 16, "batch_size": 8, "n_epochs": 3, "gamma": 0.9, "ent_coef": 0.01, "learning_rate": 1e-3}),
+        ("A2C", {"n_steps": 7, "gae_lambda": 0.8, "vf_coef": 0.3}),
+        ("TRPO", {"n_steps": 16, "batch_size": 8, "gamma": 0.95}),
+    ],
+)
+def test_weights_optimizer_and_hyperparameters_go_on(name, settings, tmp_path):
+    model = make_model(name, **settings)
+    model.learn(64)
+    model.save(tmp_path / "model.zip")
+    again = continued(read_archive(tmp_path / "model.zip"), venv())
+    assert type(again) is type(model)
+    assert same(again.policy.state_dict().values(), model.policy.state_dict().values())
+    old, new = model.policy.optimizer.state_dict()["state"], again.policy.optimizer.state_dict()["state"]
+    assert old.keys() == new.keys()
+    assert all(same(old[key].values(), new[key].values()) for key in old if name == "PPO")
+    for key, value in settings.items():
+        if key != "learning_rate":
+            assert getattr(again, key) == value
+    again.learn(32)
+    assert not same(again.policy.state_dict().values(), model.policy.state_dict().values())
+
+
+def test_the_learning_rate_and_the_number_of_environments_are_read(tmp_path):
+    make_model("PPO", learning_rate=2e-3).save(tmp_path / "number.zip")
+    make_model("PPO", learning_rate=lambda _: 1e-3).save(tmp_path / "function.zip")
+    number, function = (read_archive(tmp_path / f"{name}.zip") for name in ("number", "function"))
+    assert (learning_rate_of(number), learning_rate_of(function)) == (2e-3, None)
+    assert sub_environments_of(number) == 1
+
+
+@pytest.mark.parametrize("name", ["DQN", "SAC", "RecurrentPPO", "MaskablePPO"])
+def test_other_algorithms_are_refused(name, tmp_path):
+    make_model(name).save(tmp_path / "model.zip")
+    with pytest.raises(InputError, match="only models of PPO, A2C and TRPO with a feed-forward network"):
+        continued(read_archive(tmp_path / "model.zip"), venv())
+
+
+def test_a_model_of_another_environment_is_refused(tmp_path):
+    make_model("PPO").save(tmp_path / "model.zip")
+    with pytest.raises(InputError, match="cannot be trained further in this environment"):
+        continued(read_archive(tmp_path / "model.zip"), venv(action_space=META))
+
+
+def test_no_code_in_the_file_runs(tmp_path):
+    proof = tmp_path / "proof"
+    model = make_model("PPO")
+    model.payload = Payload(proof)
+    model.save(tmp_path / "model.zip")
+    again = continued(read_archive(tmp_path / "model.zip"), venv())
+    assert isinstance(again, PPO)
+    assert not proof.exists()
+    action, _ = again.predict(np.zeros(BOX.shape), deterministic=True)
+    assert action.shape == COMMANDS.shape
