@@ -67,7 +67,7 @@ class ADS(Protocol):
 
 @runtime_checkable
 class StochasticADS(Protocol):
-    """An ADS that chooses the most probable actions in `predict`, and can also draw its actions.
+    """An ADS that decides deterministically in `predict`, and can also draw its actions.
 
     Attributes:
         noise: number of random numbers that an action needs; 0 if the ADS cannot draw its actions.

@@ -74,7 +74,7 @@ class CampaignConfig:
         env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
             highway-env, see docs/highway-env.md.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
-        stochastic: whether the ADS draws its actions instead of choosing the most probable ones.
+        stochastic: whether the ADS draws its actions instead of deciding deterministically.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
         options: options of the search method; see its `Options`.
         revision: revision of the search methods, the environments and the judgment. The same campaign has the same

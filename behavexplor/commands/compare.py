@@ -82,7 +82,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         env_config: YAML file with highway-env's configuration of the environment, as in the first policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         out: Folder for the results, new or empty.
-        stochastic: Draw the actions of both policies, as in their training, instead of taking the most probable ones.
+        stochastic: Draw the actions of both policies, as in their training, instead of deciding deterministically.
         unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
         quiet: Print only the tables.
     """

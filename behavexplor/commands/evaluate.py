@@ -78,8 +78,8 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         json_file: Also write the counts to this JSON file.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
-        stochastic: Draw the actions of a stochastic policy, as in its training. By default, it takes the most probable
-            ones, and the rates with drawn actions are shown beside.
+        stochastic: Draw the actions of a stochastic policy, as in its training. By default, it decides
+            deterministically, and the rates with drawn actions are shown beside.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.

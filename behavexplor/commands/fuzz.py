@@ -103,8 +103,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
         unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network.
-        stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of taking the most
-            probable ones.
+        stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
+            deterministically.
         confirm: Repeat each failure in highway-env's own environments with highway-env itself, which takes longer than
             all else if the driver fails often.
         stop_after: Stop after this many failures, before the budget is used up.

@@ -23,7 +23,7 @@ class Target:
         memory_limit: limit of one worker process [GiB], where the system can set it.
         env_config: configuration of the environment, as far as it differs from what the driving system declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
-        stochastic: whether the driving system draws its actions instead of choosing the most probable ones.
+        stochastic: whether the driving system draws its actions instead of deciding deterministically.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
     """
 

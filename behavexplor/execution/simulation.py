@@ -38,7 +38,7 @@ class Simulation:
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
-        stochastic: whether the ADS draws its actions instead of choosing the most probable ones.
+        stochastic: whether the ADS draws its actions instead of deciding deterministically.
 
     Attributes:
         env: the environment.

@@ -72,7 +72,7 @@ class SB3Policy:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,  # noqa: ARG002 - `draw` draws
     ) -> tuple[NDArray[Any], Any]:
-        """Choose the most probable actions of a batch of egos; see `behavexplor.ads.interface.ADS`.
+        """Decide deterministically for a batch of egos; see `behavexplor.ads.interface.ADS`.
 
         The state is a pair: the observations stacked so far, and the state of a recurrent network.
         """
