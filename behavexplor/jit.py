@@ -121,14 +121,6 @@ def kernel_inner(function: Function) -> Function:
     return cast("Function", _njit(pipeline_class=_PartCompiler, **options)(function))
 
 
-def kernel_inline(function: Function) -> Function:
-    """Compile a function as a part of every kernel that calls it, not on its own.
-
-    Numba copies its statements, and compiles each copy. `kernel_inner` takes less time and is as fast.
-    """
-    return cast("Function", _njit(_nrt=False, inline="always", **_OPTIONS)(function))
-
-
 def compiled_for(function: Function, *arguments: object) -> Function:
     """Compile a kernel for the types of some arguments, and return its machine code.
 
