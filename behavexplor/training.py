@@ -21,6 +21,7 @@ import torch
 import yaml
 from numpy.typing import NDArray
 from pydantic import ConfigDict
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -153,7 +154,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     return folder / NETWORK
 
 
-def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
+def save_model(model: BaseAlgorithm, path: Path) -> None:
     """Save the learned state of a model atomically."""
     part = path.with_suffix(".part")
     learned = {
@@ -166,7 +167,7 @@ def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
     part.replace(path)
 
 
-def restore_model(model: OnPolicyAlgorithm, path: Path) -> None:
+def restore_model(model: BaseAlgorithm, path: Path) -> None:
     """Load a saved state into a new model. Only numbers are read from the file, never code.
 
     Raises:
@@ -225,7 +226,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
     return int(saved[-1].stem.removeprefix("stage-")), model
 
 
-def begin_stage(model: OnPolicyAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
+def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
     """Set new episodes, random generators and the learning rate.
 
     Args:
@@ -237,6 +238,7 @@ def begin_stage(model: OnPolicyAlgorithm, venv: VecEnv, seed: Sequence[int], rat
     networks, episodes = np.random.SeedSequence(seed).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))
+    model.action_space.seed(int(networks))
     model._last_obs = None  # noqa: SLF001 - so that `learn` resets the environment
     model.learning_rate = rate
     model._setup_lr_schedule()  # noqa: SLF001 - the only way to change the learning rate of a model

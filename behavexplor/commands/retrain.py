@@ -48,7 +48,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     The best round is chosen by scenarios of its own. `compare` then shows on other ones what was fixed and broken.
 
     Args:
-        policy: Model of Stable-Baselines3 (PPO, A2C or TRPO), policy.npz of `train`, or learned:NAME.
+        policy: Model of Stable-Baselines3 (PPO, A2C, TRPO, DQN or QR-DQN), policy.npz of `train`, or learned:NAME.
         env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id". By default, the
             one that the file beside the model names.
         pool: Scenarios in which the policy fails: none; those of its own training; those that campaigns find; or both.

@@ -15,7 +15,6 @@ import yaml
 from pydantic import ConfigDict
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from behavexplor.campaign.store import write_durably
 from behavexplor.data.drawn_scenario import DEFAULT
@@ -26,8 +25,8 @@ from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures
 from behavexplor.repair.pool_watch import PoolWatch
 from behavexplor.repair.scenario_pool import Pool, read_pool
-from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee, policy_layers
-from behavexplor.training import MOST_ENVS, Learned, begin_stage, log_formats, restore_model, save_model
+from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
+from behavexplor.training import MOST_ENVS, Learned, log_formats, restore_model, save_model
 
 CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
 VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
@@ -242,18 +241,13 @@ class _Work:
         return len(failures), decisions
 
     def train(self, number: int, steps: int, watch: BaseCallback) -> None:
-        """Train for one round. If the critic is new, it learns alone in the first one, for as many steps before."""
-        config, model, venv = self.config, self.trainee.model, self.trainee.venv
-        first_rate = config.rate or self.trainee.rate
-        left = 1 - (number - 1) / max(config.rounds - 1, 1)
-        model.ent_coef = self.trainee.entropy * left
-        if number == 1 and self.trainee.new_critic:
-            _freeze(model, frozen=True)
-            begin_stage(model, venv, (config.seed, 0), first_rate)
-            model.learn(steps, reset_num_timesteps=False)
-            _freeze(model, frozen=False)
-        begin_stage(model, venv, (config.seed, number), first_rate * max(left, _LAST_RATE))
-        model.learn(steps, callback=watch, reset_num_timesteps=False)
+        """Train for one round. The learning rate and the entropy bonus fall over the rounds."""
+        left = 1 - (number - 1) / max(self.config.rounds - 1, 1)
+        model: Any = self.trainee.model
+        if self.trainee.entropy:
+            model.ent_coef = self.trainee.entropy * left
+        rate = (self.config.rate or self.trainee.rate) * max(left, _LAST_RATE)
+        self.trainee.learn((self.config.seed, number), steps, rate, watch)
 
     def finish(self, number: int, found: int | None) -> Round:
         """Save and validate the policy, and return the result. Round 0 is the policy as it was given."""
@@ -281,8 +275,3 @@ def validated_rates(target: Target, count: int, seed: int = VALIDATION_SEED) -> 
 
 def _pool_of(folder: Path, rounds: list[Round]) -> list[Any]:
     return read_pool(folder / "rounds" / f"round-{rounds[-1].number:04d}.jsonl") if rounds else []
-
-
-def _freeze(model: OnPolicyAlgorithm, *, frozen: bool) -> None:
-    for layer in policy_layers(model):
-        layer.requires_grad_(not frozen)

@@ -9,7 +9,9 @@ from typing import Any, Final
 
 import torch
 import yaml
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from behavexplor.ads.learned.learning import LearningVecEnv
@@ -25,7 +27,7 @@ from behavexplor.envs.making import make_vector_env
 from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
-from behavexplor.training import TrainingConfig, network_layers, new_model
+from behavexplor.training import TrainingConfig, begin_stage, network_layers, new_model
 
 _ENVS: Final = 64  # sub-environments for a network of `train`
 _RATE: Final = 2.5e-4  # learning rate where none is known
@@ -36,7 +38,7 @@ class Trainee:
     """A policy that goes on learning.
 
     Attributes:
-        model: the model.
+        model: the model. A replay buffer is filled anew at the beginning of each round.
         venv: its environment.
         suffix: suffix of its file.
         rate: learning rate of the training so far, or a usual one.
@@ -46,7 +48,7 @@ class Trainee:
         scenarios: the environment that draws the scenarios.
     """
 
-    model: OnPolicyAlgorithm
+    model: BaseAlgorithm
     venv: VecEnv
     suffix: str
     rate: float
@@ -54,6 +56,36 @@ class Trainee:
     new_critic: bool
     write: Callable[[Path], None]
     scenarios: ScenarioVecEnv
+
+    def learn(self, seed: tuple[int, int], steps: int, rate: float, watch: BaseCallback) -> None:
+        """Train for one round.
+
+        Args:
+            seed: seed of the retraining, and number of the round. In the first round, a new critic learns alone before
+                the policy does, for as many steps.
+            steps: number of decisions.
+            rate: learning rate.
+            watch: callback for the training.
+        """
+        model: Any = self.model
+        if self.new_critic and seed[1] == 1:
+            _freeze(model, frozen=True)
+            begin_stage(model, self.venv, (seed[0], 0), self.rate)
+            model.learn(steps, reset_num_timesteps=False)
+            _freeze(model, frozen=False)
+        begin_stage(model, self.venv, seed, rate)
+        if isinstance(model, OffPolicyAlgorithm):
+            self._fill(model)
+        model.learn(steps, callback=watch, reset_num_timesteps=False)
+
+    def _fill(self, model: Any) -> None:
+        """Fill the replay buffer by the present policy, with as many decisions as before the first training."""
+        model.replay_buffer.reset()
+        model._n_calls = 0  # noqa: SLF001 - when the target network is next updated
+        count, model.learning_starts = model.learning_starts, 0
+        gradient_steps, model.gradient_steps = model.gradient_steps, 0
+        model.learn(max(count, model.batch_size), reset_num_timesteps=False)
+        model.learning_starts, model.gradient_steps = count, gradient_steps
 
 
 def given_file(policy: str) -> Path:
@@ -92,14 +124,14 @@ def _of_network(simulation: Simulation, path: Path, seed: int, envs: int | None)
     venv = LearningVecEnv(scenarios, scripted(simulation.logical, "Training of a network").roadmap)
     layers = tuple(len(bias) for _, bias in network.layers[:-1])
     model = new_model(TrainingConfig(seed=seed, envs=venv.num_envs, layers=layers), venv)
-    for part, (weights, bias) in zip(policy_layers(model), network.layers, strict=True):
+    for part, (weights, bias) in zip(_policy_layers(model), network.layers, strict=True):
         part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
         part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
 
     def write(path: Path) -> None:
         write_network(path, TrainedNetwork(network_layers(model)))
 
-    return Trainee(model, venv, ".npz", _RATE, float(model.ent_coef), True, write, scenarios)
+    return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
 
 
 def _of_model(simulation: Simulation, path: Path, seed: int, envs: int | None) -> Trainee:
@@ -119,7 +151,11 @@ def _of_model(simulation: Simulation, path: Path, seed: int, envs: int | None) -
         file.with_suffix(".yaml").write_text(yaml.safe_dump(settings, sort_keys=False))
 
     rate = learning_rate_of(archive) or _RATE
-    return Trainee(model, scenarios, ".zip", rate, float(model.ent_coef), False, write, scenarios)
+    return Trainee(model, scenarios, ".zip", rate, _entropy(model), False, write, scenarios)
+
+
+def _entropy(model: Any) -> float:
+    return float(getattr(model, "ent_coef", 0.0))
 
 
 def _scenarios(simulation: Simulation, count: int) -> ScenarioVecEnv:
@@ -143,7 +179,12 @@ def copy_policy(policy: Path, path: Path) -> None:
             shutil.copyfile(policy.with_suffix(suffix), path.with_suffix(suffix))
 
 
-def policy_layers(model: OnPolicyAlgorithm) -> list[torch.nn.Linear]:
+def _freeze(model: BaseAlgorithm, *, frozen: bool) -> None:
+    for layer in _policy_layers(model):
+        layer.requires_grad_(not frozen)
+
+
+def _policy_layers(model: BaseAlgorithm) -> list[torch.nn.Linear]:
     """Return the dense layers from the observation to the preference of each action."""
     policy: Any = model.policy
     parts = [*policy.mlp_extractor.policy_net, policy.action_net]

@@ -1,12 +1,14 @@
 """Retraining: resumable, reproducible, and it keeps the best round."""
 
+import io
 import json
 import shutil
 
 import numpy as np
 import pytest
+import torch
 import yaml
-from stable_baselines3 import PPO
+from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -154,3 +156,27 @@ def test_normalized_observations_are_refused(model, tmp_path, capsys):
     assert main(["retrain", str(copy / "model.zip"), "--out", str(tmp_path / "out")]) == BAD_INPUT
     assert "its observations are normalized" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_model_with_a_replay_buffer_resumes_as_if_it_had_not_been_cut_off(tmp_path):
+    envs = make_vec_env("highway-fast-v0", n_envs=2, vec_env_cls=HighwayVecEnv)
+    settings = {"buffer_size": 300, "batch_size": 8, "learning_starts": 20, "target_update_interval": 8}
+    DQN("MlpPolicy", envs, seed=0, policy_kwargs={"net_arch": [8]}, **settings).learn(60).save(tmp_path / "model.zip")
+    given = {"env": "highway-fast-v0", "policy": str(tmp_path / "model.zip"), "env_config": {"duration": 5}}
+    config = RetrainingConfig(**given, pool="own", rounds=2, steps=60, validation=3)
+
+    def cut(one):
+        if one.number == 1:
+            raise CutError
+
+    whole = retrain(config, tmp_path / "whole", lambda _: None, lambda _: None)
+    with pytest.raises(CutError):
+        retrain(config, tmp_path / "cut", lambda _: None, cut)
+    assert retrain(config, tmp_path / "cut", lambda _: None, lambda _: None) == whole
+    first, second = (read_archive(tmp_path / name / "rounds" / "round-0002.zip") for name in ("whole", "cut"))
+    assert same_weights(first, second)
+
+
+def same_weights(first, second):
+    one, other = (torch.load(io.BytesIO(archive.weights), weights_only=True) for archive in (first, second))
+    return all(torch.equal(one[name], other[name]) for name in one)

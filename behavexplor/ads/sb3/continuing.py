@@ -8,21 +8,27 @@ from typing import Any, Final
 import sb3_contrib
 import stable_baselines3
 import torch
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecEnv
 
 from behavexplor.ads.sb3.archive import Archive
 from behavexplor.ads.sb3.building import UntrustedError, policy_recipe
+from behavexplor.ads.sb3.inert import Inert
 from behavexplor.errors import InputError
 
-# The file does not name the algorithm. It is the first one whose number of this name is in the file.
-_ALGORITHMS: Final[Mapping[str, type[OnPolicyAlgorithm]]] = {
+# The file does not name the algorithm. Its policy may tell it, by the module; PPO, A2C and TRPO have the same policies,
+# and are told by the first of these numbers that the file has.
+_OF_MODULES: Final[Mapping[str, type[BaseAlgorithm]]] = {
+    "stable_baselines3.dqn.policies": stable_baselines3.DQN,
+    "sb3_contrib.qrdqn.policies": sb3_contrib.QRDQN,
+}
+_OF_NUMBERS: Final[Mapping[str, type[BaseAlgorithm]]] = {
     "cg_max_steps": sb3_contrib.TRPO,
     "n_epochs": stable_baselines3.PPO,
     "gae_lambda": stable_baselines3.A2C,
 }
-# Hyperparameters that go on. The learning rate and the clipping range may be functions; they have defaults.
+# Hyperparameters that go on. Others may be functions, such as the clipping range; they have their defaults.
 _KEPT: Final = (
     "n_steps",
     "batch_size",
@@ -36,14 +42,22 @@ _KEPT: Final = (
     "target_kl",
     "use_sde",
     "sde_sample_freq",
+    "buffer_size",
+    "learning_starts",
+    "tau",
+    "gradient_steps",
+    "target_update_interval",
+    "exploration_final_eps",
 )
 
 
-def continued(archive: Archive, venv: VecEnv) -> OnPolicyAlgorithm:
+def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
     """Build a model with the weights, the optimizer and the hyperparameters of a file.
 
+    DQN and QR-DQN explore as at the end of their training; the file has no replay buffer.
+
     Args:
-        archive: the file of a PPO, A2C or TRPO model with a feed-forward network.
+        archive: the file of a PPO, A2C, TRPO, DQN or QR-DQN model with a feed-forward network.
         venv: environment in which the model goes on learning.
 
     Raises:
@@ -56,9 +70,9 @@ def continued(archive: Archive, venv: VecEnv) -> OnPolicyAlgorithm:
         raise InputError(f"{path} cannot be trained further without running code from it: {error}") from None
     algorithm: Any = algorithm_of(archive, policy_class)
     accepted = inspect.signature(algorithm).parameters
-    settings = {name: archive.numbers[name] for name in _KEPT if name in archive.numbers and name in accepted}
+    settings = {name: value for name, value in _settings(archive).items() if name in accepted}
     try:
-        model: OnPolicyAlgorithm = algorithm(policy_class, venv, policy_kwargs=keywords, device="cpu", **settings)
+        model: BaseAlgorithm = algorithm(policy_class, venv, policy_kwargs=keywords, device="cpu", **settings)
         model.policy.load_state_dict(_tensors(archive.weights))
         if archive.optimizer is not None:
             model.policy.optimizer.load_state_dict(_tensors(archive.optimizer))
@@ -68,19 +82,22 @@ def continued(archive: Archive, venv: VecEnv) -> OnPolicyAlgorithm:
     return model
 
 
-def algorithm_of(archive: Archive, policy_class: type[Any]) -> type[OnPolicyAlgorithm]:
+def algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
     """Return the algorithm that trained a model.
 
     Raises:
-        InputError: if it is not PPO, A2C or TRPO with a feed-forward network.
+        InputError: if models of this algorithm cannot go on learning here.
     """
-    if issubclass(policy_class, ActorCriticPolicy) and policy_class.__module__.startswith("stable_baselines3."):
-        for name, algorithm in _ALGORITHMS.items():
+    module = policy_class.__module__
+    if module in _OF_MODULES:
+        return _OF_MODULES[module]
+    if issubclass(policy_class, ActorCriticPolicy) and module.startswith("stable_baselines3."):
+        for name, algorithm in _OF_NUMBERS.items():
             if name in archive.numbers:
                 return algorithm
     raise InputError(
         f"{archive.path} cannot be trained further: its policy is a {policy_class.__name__}, but only models of PPO, "
-        "A2C and TRPO with a feed-forward network can go on learning here"
+        "A2C, TRPO, DQN and QR-DQN with a feed-forward network can go on learning here"
     )
 
 
@@ -93,6 +110,24 @@ def learning_rate_of(archive: Archive) -> float | None:
 def sub_environments_of(archive: Archive) -> int:
     """Return the number of sub-environments in a model's training."""
     return max(int(archive.numbers.get("n_envs", 1)), 1)
+
+
+def _settings(archive: Archive) -> dict[str, Any]:
+    """Return the hyperparameters of a file that go on."""
+    settings: dict[str, Any] = {name: archive.numbers[name] for name in _KEPT if name in archive.numbers}
+    if "exploration_final_eps" in settings:
+        settings["exploration_initial_eps"] = settings["exploration_final_eps"]
+    frequency = archive.settings.get("train_freq")
+    if isinstance(frequency, Inert) and frequency.arguments:
+        settings["train_freq"] = _train_frequency(frequency)
+    return settings
+
+
+def _train_frequency(frequency: Inert) -> int | tuple[int, str]:
+    """Return how often a model is trained, as Stable-Baselines3 takes it."""
+    count, *units = frequency.arguments
+    unit = units[0].arguments[0] if units and isinstance(units[0], Inert) and units[0].arguments else "step"
+    return (int(count), str(unit)) if unit == "episode" else int(count)
 
 
 def _tensors(content: bytes) -> Any:

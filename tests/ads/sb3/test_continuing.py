@@ -26,13 +26,15 @@ def same(first, second):
         ("PPO", {"n_steps": 16, "batch_size": 8, "n_epochs": 3, "gamma": 0.9, "ent_coef": 0.01, "learning_rate": 1e-3}),
         ("A2C", {"n_steps": 7, "gae_lambda": 0.8, "vf_coef": 0.3}),
         ("TRPO", {"n_steps": 16, "batch_size": 8, "gamma": 0.95}),
+        ("DQN", {"buffer_size": 500, "batch_size": 8, "gamma": 0.8, "learning_starts": 10, "gradient_steps": 2}),
+        ("QRDQN", {"buffer_size": 500, "batch_size": 8, "target_update_interval": 5, "learning_starts": 10}),
     ],
 )
 def test_weights_optimizer_and_hyperparameters_go_on(name, settings, tmp_path):
     model = make_model(name, **settings)
     model.learn(64)
     model.save(tmp_path / "model.zip")
-    again = continued(read_archive(tmp_path / "model.zip"), venv())
+    again = continued(read_archive(tmp_path / "model.zip"), venv(action_space=model.action_space))
     assert type(again) is type(model)
     assert same(again.policy.state_dict().values(), model.policy.state_dict().values())
     old, new = model.policy.optimizer.state_dict()["state"], again.policy.optimizer.state_dict()["state"]
@@ -53,10 +55,21 @@ def test_the_learning_rate_and_the_number_of_environments_are_read(tmp_path):
     assert sub_environments_of(number) == 1
 
 
-@pytest.mark.parametrize("name", ["DQN", "SAC", "RecurrentPPO", "MaskablePPO"])
+@pytest.mark.parametrize("given", [4, (2, "step"), (1, "episode")])
+def test_dqn_is_trained_as_often_as_before_and_explores_as_at_the_end(given, tmp_path):
+    model = make_model("DQN", train_freq=given, exploration_final_eps=0.2)
+    model.save(tmp_path / "model.zip")
+    again = continued(read_archive(tmp_path / "model.zip"), venv(action_space=META))
+    model._convert_train_freq()
+    again._convert_train_freq()
+    assert again.train_freq == model.train_freq
+    assert (again.exploration_schedule(1.0), again.exploration_schedule(0.0)) == (0.2, 0.2)
+
+
+@pytest.mark.parametrize("name", ["SAC", "RecurrentPPO", "MaskablePPO"])
 def test_other_algorithms_are_refused(name, tmp_path):
     make_model(name).save(tmp_path / "model.zip")
-    with pytest.raises(InputError, match="only models of PPO, A2C and TRPO with a feed-forward network"):
+    with pytest.raises(InputError, match="only models of PPO, A2C, TRPO, DQN and QR-DQN with a feed-forward network"):
         continued(read_archive(tmp_path / "model.zip"), venv())
 
 
