@@ -34,6 +34,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     ] = None,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
     budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
+    validation: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     out: Annotated[
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ENV-retrain-SEED)")
@@ -58,6 +59,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         rate: Learning rate of the first round.
         method: Search method of the campaigns.
         budget: Number of executions of each campaign.
+        validation: Number of scenarios by which the best round is chosen.
         seed: Random seed. The same seed gives the same policy on the same kind of machine.
         out: Folder for rounds and logs, new or empty.
         resume: Resume the retraining in this folder.
@@ -90,6 +92,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
             rate=rate,
             method=method,
             budget=budget,
+            validation=validation,
             env_config=read_yaml(env_config) if env_config else {},
             traffic=traffic,
         )

@@ -136,7 +136,7 @@ def weights(path):
 
 
 def test_a_model_of_stable_baselines3_goes_on_where_it_was_trained(model, tmp_path, capsys):
-    flags = ["--rounds", "1", "--steps", "200", "--budget", "8", "--quiet"]
+    flags = ["--rounds", "1", "--steps", "200", "--budget", "8", "--validation", "8", "--quiet"]
     assert main(["retrain", str(model), *flags, "--out", str(tmp_path / "out")]) == OK
     assert "compare" in capsys.readouterr().out
     first, second = ((tmp_path / "out" / "rounds" / f"round-000{i}.zip") for i in (0, 1))
