@@ -41,6 +41,11 @@ class Outcomes(NamedTuple):
     asked: list[str]
     at_fault: bool
 
+    @property
+    def passed(self) -> bool:
+        """True if the driver did not fail."""
+        return set(self.found) <= {ARRIVED}
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -50,14 +55,10 @@ class Evaluation:
         n: number of scenarios.
         counts: number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each
             verdict on a collision. Outcomes are in the order in which they are reported.
-        at_fault: number of scenarios in which the driver failed by its own fault.
-        passed: number of scenarios without any failure.
     """
 
     n: int
     counts: Mapping[str, int]
-    at_fault: int = 0
-    passed: int = 0
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
@@ -72,9 +73,7 @@ class Evaluation:
         asked = {outcome for one in judged for outcome in one.asked}
         faults = sorted(outcome for outcome in found if ": " in outcome)
         names = [ARRIVED, SPECS[0].name, *faults, *(spec.name for spec in SPECS[1:])]
-        counts = {name: found[name] for name in names if name in asked or name in faults}
-        passed = sum(set(one.found) <= {ARRIVED} for one in judged)
-        return cls(len(judged), counts, sum(one.at_fault for one in judged), passed)
+        return cls(len(judged), {name: found[name] for name in names if name in asked or name in faults})
 
     def rate(self, outcome: str) -> float:
         """Return the share of scenarios with an outcome."""
@@ -130,8 +129,15 @@ def estimate_rates(
         ADSError: if the ADS fails in a scenario.
         RuntimeError: if a scenario could not be executed.
     """
+    return Evaluation.of_outcomes(uniform_outcomes(judge, logical, n, seed, observe))
+
+
+def uniform_outcomes(
+    judge: Executor, logical: LogicalScenario, n: int, seed: int, observe: Callable[[int], None] | None = None
+) -> Iterator[Outcomes]:
+    """Yield the outcomes of uniformly drawn scenarios in their order; see `estimate_rates`."""
     generator = np.random.default_rng([STREAM, seed])
-    return Evaluation.of_outcomes(_judged(judge, (logical.sample(generator) for _ in range(n)), observe))
+    return _judged(judge, (logical.sample(generator) for _ in range(n)), observe)
 
 
 def _judged(

@@ -131,13 +131,16 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
 
 def _words(one: "Round") -> str:
     found = "" if one.found is None else f"; {one.found} failures found, {one.pool} scenarios in the pool"
-    return f"{one.at_fault:.1%} failures at fault, {one.passed:.1%} without failure{found}"
+    return f"{one.at_fault:.1%} failures at fault{found}"
 
 
 def _table(rounds: "list[Round]") -> str:
-    columns = ("round", "decisions", "at fault", "passed", "found", "pool")
+    """Return the results of all rounds. Fixed and broken are counted against the policy as it was given."""
+    columns = ("round", "decisions", "at fault", "fixed", "broken", "passed", "found", "pool")
     made = grid(*columns, numbers=columns)
+    first = rounds[0]
     for one in rounds:
-        found = "" if one.found is None else str(one.found)
-        made.add_row(str(one.number), str(one.steps), f"{one.at_fault:.1%}", f"{one.passed:.1%}", found, str(one.pool))
+        cells = (one.number, one.steps, f"{one.at_fault:.1%}", one.fixed(first), one.broken(first))
+        found = "" if one.found is None else one.found
+        made.add_row(*map(str, (*cells, f"{one.passed / one.validated:.1%}", found, one.pool)))
     return plain_text(made)

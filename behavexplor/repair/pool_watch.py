@@ -38,6 +38,10 @@ class PoolWatch(Watch):
             (self._running[i],) = self.training_env.get_attr("scenario", [i])
         return super()._on_step()
 
+    def _on_rollout_end(self) -> None:
+        self.logger.record("pool/scenarios", len(self._pool))
+        super()._on_rollout_end()
+
     def _ended(self, scenario: Any, info: Mapping[str, Any]) -> None:
         trace = info["trace"]
         if not own_violations(trace, judge(trace).violated):

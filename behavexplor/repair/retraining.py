@@ -20,7 +20,7 @@ from behavexplor.campaign.store import write_durably
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
-from behavexplor.evaluation import estimate_rates, start_judge
+from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures
 from behavexplor.repair.pool_watch import PoolWatch
@@ -110,8 +110,9 @@ class Round:
     Attributes:
         number: number of the round; 0 for the policy as it was given.
         steps: number of decisions in which the policy was trained so far.
-        at_fault: share of the validation scenarios in which the policy failed by its own fault.
-        passed: share of the validation scenarios without any failure.
+        validated: number of scenarios in the validation.
+        failures: numbers of those in which the policy failed by its own fault.
+        passed: number of those without any failure.
         pool: number of scenarios in the pool at the end of the round.
         digest: digest of the pool.
         found: number of failures that the round's campaign found, or None without a campaign.
@@ -119,16 +120,33 @@ class Round:
 
     number: int
     steps: int
-    at_fault: float
-    passed: float
+    validated: int
+    failures: tuple[int, ...]
+    passed: int
     pool: int = 0
     digest: str = ""
     found: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "failures", tuple(self.failures))  # JSON has lists only
 
     @classmethod
     def from_json(cls, line: str) -> Self:
         """Return the round that a line of `ROUNDS` describes."""
         return cls(**json.loads(line))
+
+    @property
+    def at_fault(self) -> float:
+        """Share of the validation scenarios in which the policy failed by its own fault."""
+        return len(self.failures) / self.validated
+
+    def fixed(self, before: Self) -> int:
+        """Return in how many validation scenarios the policy no longer fails by its own fault."""
+        return len(set(before.failures) - set(self.failures))
+
+    def broken(self, before: Self) -> int:
+        """Return in how many validation scenarios the policy fails by its own fault, and did not before."""
+        return len(set(self.failures) - set(before.failures))
 
 
 def retrain(
@@ -258,19 +276,26 @@ class _Work:
         if number == 0:
             copy_policy(given_file(config.policy), policy)
         self.pool.write(self.file(number, ".jsonl"))
-        at_fault, passed = validated_rates(replace(config.target, ads=str(policy)), config.validation)
-        steps = self.trainee.model.num_timesteps
-        result = Round(number, steps, at_fault, passed, len(self.pool), self.pool.digest, found)
+        outcomes = validated(replace(config.target, ads=str(policy)), config.validation)
+        result = Round(
+            number,
+            self.trainee.model.num_timesteps,
+            len(outcomes),
+            tuple(i for i, one in enumerate(outcomes) if one.at_fault),
+            sum(one.passed for one in outcomes),
+            len(self.pool),
+            self.pool.digest,
+            found,
+        )
         earlier = (self.folder / ROUNDS).read_text() if (self.folder / ROUNDS).is_file() else ""
         write_durably(self.folder / ROUNDS, earlier + json.dumps(asdict(result)) + "\n")
         return result
 
 
-def validated_rates(target: Target, count: int, seed: int = VALIDATION_SEED) -> tuple[float, float]:
-    """Return the share of scenarios in which a policy fails by its own fault, and the share without any failure."""
-    with start_judge(target, 0) as executor:  # the policy is plain numbers
-        found = estimate_rates(executor, logical_of_target(executor, target.env), count, seed)
-    return found.at_fault / found.n, found.passed / found.n
+def validated(target: Target, count: int, seed: int = VALIDATION_SEED) -> list[Outcomes]:
+    """Drive the scenarios of the validation, which are the same for all policies, and return their outcomes."""
+    with start_judge(target, 0) as executor:
+        return list(uniform_outcomes(executor, logical_of_target(executor, target.env), count, seed))
 
 
 def _pool_of(folder: Path, rounds: list[Round]) -> list[Any]:

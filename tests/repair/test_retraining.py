@@ -67,7 +67,13 @@ def test_the_best_round_becomes_the_policy(retrained):
     rounds = finished_rounds(retrained)
     chosen = f"rounds/round-{best(rounds).number:04d}.npz"
     assert all(map(np.array_equal, layers(retrained / "policy.npz"), layers(retrained / chosen)))
-    assert best([Round(0, 0, 0.2, 0.7), Round(1, 9, 0.1, 0.8), Round(2, 18, 0.1, 0.9)]).number == 2
+
+
+def test_the_best_round_fails_least_and_what_it_fixed_and_broke_is_counted():
+    rounds = [Round(0, 0, 10, (1, 2), 7), Round(1, 9, 10, (3,), 8), Round(2, 18, 10, (2,), 9)]
+    assert best(rounds).number == 2
+    assert (rounds[1].fixed(rounds[0]), rounds[1].broken(rounds[0])) == (2, 1)
+    assert rounds[0].at_fault == 0.2
 
 
 def test_every_round_keeps_its_campaign_and_its_pool(retrained):
