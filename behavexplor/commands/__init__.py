@@ -17,6 +17,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
@@ -61,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
-    with _notices(quiet="--quiet" in given):
+    with _notices(quiet="--quiet" in given), folder_for_matplotlib():
         return _run(given)
 
 
@@ -111,6 +112,9 @@ def _failed(error: Exception) -> int:
     """Report an error and return the exit code. Wrong input, including bad file names and rights, gets one sentence."""
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
+        return BAD_INPUT
+    if isinstance(error, OSError) and not has_temporary_folder():
+        print(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
         return BAD_INPUT
     for line in "".join(traceback.format_exception(error)).splitlines():
         print(printable(line), file=sys.stderr)  # an exception may quote what a file or a driver contains
