@@ -47,8 +47,9 @@ def brief(value: object) -> str:
 
 def missing_library(what: str, library: str | None, extra: str) -> InputError:
     """Return the error for a feature that needs a library of one of this package's extras."""
-    command = f"pip install -c constraints.txt -e '.[{extra}]'"
-    return InputError(f"{what} needs {library}: install the extra {extra!r} (in a checkout: {command})")
+    in_checkout = (Path(__file__).parents[1] / "constraints.txt").is_file()
+    command = f"-c constraints.txt -e '.[{extra}]'" if in_checkout else f"'behavexplor[{extra}]'"
+    return InputError(f"{what} needs {library}: install the extra {extra!r} with pip install {command}")
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:

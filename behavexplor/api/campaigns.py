@@ -66,13 +66,13 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
             driver.
     """
     given = given_driver(driver)
-    config = _config(given, env, env_config, specs, method=method, budget=str(budget), seed=seed, **settings)
+    config = config_of(given, env, env_config, specs, method=method, budget=str(budget), seed=seed, **settings)
     folder = Path(out) if out is not None else run_folder(config, RUNS)
     conduct(config, folder, given, workers=workers, stop_after=stop_after, progress=progress)
     return Run(folder, given)
 
 
-def _config(
+def config_of(
     given: GivenDriver,
     env: str | gymnasium.Env[Any, Any] | None,
     env_config: Mapping[str, Any] | None,
@@ -80,6 +80,13 @@ def _config(
     **values: Any,
 ) -> CampaignConfig:
     """Return the configuration of a campaign.
+
+    Args:
+        given: its driver.
+        env: see `find_failures`.
+        env_config: see `find_failures`.
+        specs: see `find_failures`.
+        values: the other keys.
 
     Raises:
         InputError: if a value cannot be used.

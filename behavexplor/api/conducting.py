@@ -65,7 +65,7 @@ def conduct(
             opened(config, folder, count, resume=resume, driver=given.driver, stop_after=stop_after)
         )
         for warning in ready.warnings:
-            warnings.warn(warning, stacklevel=4)
+            warnings.warn(warning, stacklevel=3)
         show = stack.enter_context(observed(progress, Budget.parse(config.budget)))
         stack.enter_context(_stoppable(ready.campaign))
         ready.campaign.run(show)

@@ -1,11 +1,13 @@
-"""Records as a pandas DataFrame with plain columns, one row for each execution."""
+"""Records and paired statistics as pandas DataFrames with plain columns."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from behavexplor.bench.statistics import holm
 from behavexplor.campaign.record import Record
 from behavexplor.errors import missing_library
 from behavexplor.judge.classes import words_of
+from behavexplor.repair.pairs import Pairs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,13 +24,56 @@ def frame_of(records: Iterable[Record]) -> "pd.DataFrame":
     Raises:
         InputError: if pandas is not installed.
     """
+    rows = [_row(record) for record in records]
+    columns = list(dict.fromkeys(name for row in rows for name in row)) or list(_row(_EMPTY))
+    return _frame(rows, columns, "id")
+
+
+def frame_of_pairs(pairs: Sequence[Pairs]) -> "pd.DataFrame":
+    """Return paired statistics as a DataFrame.
+
+    The index is the outcome. The columns are `first` and `second`, the rates of the drivers; `fixed`, `broken`, `both`
+    and `neither`, the numbers of scenarios in which only the first driver, only the second one, both or neither showed
+    the outcome; `change` with its interval `low` and `high`, the second rate minus the first one; and `p`, the p-value
+    of McNemar's exact test, adjusted by Holm's method.
+
+    Raises:
+        InputError: if pandas is not installed.
+    """
+    adjusted = holm([one.p for one in pairs])
+    rows = [_pairs_row(one, p) for one, p in zip(pairs, adjusted, strict=True)]
+    return _frame(rows, list(rows[0]), "outcome")
+
+
+def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], index: str) -> "pd.DataFrame":
+    """Return rows as a DataFrame.
+
+    Raises:
+        InputError: if pandas is not installed.
+    """
     try:
         import pandas as pd  # noqa: PLC0415 - optional
     except ModuleNotFoundError as error:
         raise missing_library("A DataFrame", error.name, "pandas") from None
-    rows = [_row(record) for record in records]
-    columns = list(dict.fromkeys(name for row in rows for name in row)) or list(_row(_EMPTY))
-    return pd.DataFrame(rows, columns=columns).set_index("id")
+    return pd.DataFrame(rows, columns=columns).set_index(index)
+
+
+def _pairs_row(one: Pairs, p: float) -> dict[str, Any]:
+    first, second = one.rates
+    change, low, high = one.difference
+    return {
+        "outcome": one.outcome,
+        "first": first,
+        "second": second,
+        "fixed": len(one.only_first),
+        "broken": len(one.only_second),
+        "both": one.both,
+        "neither": one.neither,
+        "change": change,
+        "low": low,
+        "high": high,
+        "p": p,
+    }
 
 
 def _row(record: Record) -> dict[str, Any]:

@@ -13,8 +13,7 @@ from behavexplor.campaign.store import Execution
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.report.captions import outcome
-from behavexplor.report.drawing import decisive_frame, draw, save_animation
+from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_animation
 
 _SUFFIXES: Final = (".gif", ".png")
 
@@ -34,10 +33,9 @@ class Replay:
 
     def __init__(self, execution: Execution, shape: RoadShape) -> None:
         self.number = execution.id
-        self.trace: Trace = execution.load_trace()
-        self.caption = outcome(execution.record.violated, execution.record.end)
-        self._violated = execution.record.violated
-        self._shape = shape
+        self._footage = footage_of(execution, shape)
+        self.trace: Trace = self._footage.trace
+        self.caption = self._footage.caption
 
     def __repr__(self) -> str:
         return f"<Replay of execution {self.number}: {self.caption}>"
@@ -46,13 +44,13 @@ class Replay:
     def gif(self) -> bytes:
         """The animation as a GIF file."""
         file = BytesIO()
-        save_animation(file, self.trace, self._shape, self.caption)
+        save_animation(file, self._footage)
         return file.getvalue()
 
     @property
     def picture(self) -> Image.Image:
         """The decisive frame: the collision, the first touch of a line, or the end."""
-        return draw(self.trace, self._shape, decisive_frame(self.trace, self._violated), self.caption)
+        return draw(self._footage, decisive_frame(self.trace, self._footage.violated))
 
     def save(self, path: str | Path) -> Path:
         """Write the animation (.gif) or the decisive frame (.png) to a file, and return its path.

@@ -190,13 +190,8 @@ class Run:
         Raises:
             InputError: if the run has no executions yet, or the page cannot be written.
         """
-        target = self.folder / PAGE if path is None else Path(path)
         text = page([read_run(self.folder)], replays)
-        try:
-            write_durably(target, text)
-        except OSError as error:
-            raise InputError(f"The report {target} cannot be written: {error.strerror}") from None
-        return target
+        return written(self.folder / PAGE if path is None else Path(path), text)
 
     def resume(
         self,
@@ -278,6 +273,19 @@ class Run:
             f"({found.failure_rate:.1%}), {found.at_fault} at fault<br><code>{escape(str(self.folder))}</code></p>"
             f"<table><tr><th>class of failures</th><th>count</th><th>at fault</th><th>first</th></tr>{rows}</table>"
         )
+
+
+def written(path: Path, text: str) -> Path:
+    """Write a page, and return its path.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    try:
+        write_durably(path, text)
+    except OSError as error:
+        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
+    return path
 
 
 def open_run(folder: str | Path, driver: Any = None) -> Run:

@@ -7,6 +7,7 @@ carried out or the run folder could not be written, 70 a bug in this package, 13
 import logging
 import os
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.errors import InputError, printable, sentence
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
-    with _notices(quiet="--quiet" in given):
+    with _notices(quiet="--quiet" in given), folder_for_matplotlib():
         return _run(given)
 
 
@@ -111,10 +113,31 @@ def _failed(error: Exception) -> int:
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
+    if isinstance(error, OSError) and not has_temporary_folder():
+        print(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
+        return BAD_INPUT
     for line in "".join(traceback.format_exception(error)).splitlines():
         print(printable(line), file=sys.stderr)  # an exception may quote what a file or a driver contains
-    print(f"{program()}: This is a bug in behavexplor or in one of its extensions; please report it.", file=sys.stderr)
+    place = _own_place(error)
+    if place is not None:
+        print(f"{program()}: The error is in {place}, which behavexplor has called", file=sys.stderr)
+        return BAD_INPUT
+    print(
+        f"{program()}: This is a bug in behavexplor, or in a search method, requirement or environment of your own, "
+        "which behavexplor.testing checks; please report it if it is ours",
+        file=sys.stderr,
+    )
     return INTERNAL_ERROR
+
+
+def _own_place(error: Exception) -> str | None:
+    """Return the innermost place in code of the user that raised an exception; None if it went through none."""
+    ours = [Path(__file__).parents[1], *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib"))]
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        file = Path(frame.filename)
+        if file.is_file() and not any(file.resolve().is_relative_to(folder.resolve()) for folder in ours):
+            return printable(f"{file.name}, line {frame.lineno}")
+    return None
 
 
 def program() -> str:

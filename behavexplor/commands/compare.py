@@ -25,7 +25,9 @@ from behavexplor.repair.pair_campaigns import (
     DIFFERENCES,
     FIRST,
     GIVEN,
+    PAGE,
     SECOND,
+    SETTINGS,
     compared,
     differences,
     driven,
@@ -35,7 +37,7 @@ from behavexplor.repair.pairs import AT_FAULT, COLUMNS, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
-PAGE, TABLE, SEARCH = "comparison.html", "comparison.json", "search"
+TABLE, SEARCH = "comparison.json", "search"
 _REPLAYS = 100
 _DEFAULTS = CampaignConfig()
 
@@ -93,10 +95,9 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         {
             "env": env or trained_in(first) or _DEFAULTS.env,
             "ads": first,
-            "method": "uniform",
+            **SETTINGS,
             "budget": str(scenarios),
             "seed": seed,
-            "batch": 32,
             "specs": spec,
             "trust": trust,
             "env_config": read_yaml(env_config) if env_config else {},
@@ -196,8 +197,9 @@ def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
         for row in pairs
     ]
     runs = [read_run(place / name) for place in pages for name in (FIRST, SECOND)]
+    text = page(runs, _REPLAYS, (COLUMNS, rows(pairs)))
     try:
         write_durably(folder / TABLE, json.dumps(values, indent=1) + "\n")
-        write_durably(folder / PAGE, page(runs, _REPLAYS, (COLUMNS, rows(pairs))))
+        write_durably(folder / PAGE, text)
     except OSError as error:
         raise InputError(f"{folder} cannot be written: {error.strerror}") from None

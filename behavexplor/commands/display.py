@@ -24,6 +24,12 @@ from behavexplor.judge.specs import ERROR
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _LISTED_FAILURES = 3  # number of listed failures for each spec
 _LISTED_CLASSES = 8  # number of listed classes
+_FIGURES = {  # figures of search methods, in words
+    "corpus": "kept scenarios",
+    "mean_energy": "mean weight in selection",
+    "max_energy": "greatest weight in selection",
+    "novel_kept": "kept for new behavior",
+}
 
 
 class Display:
@@ -76,7 +82,7 @@ class Display:
         return (
             f"{clock(progress.elapsed)}  {self._done(progress)}, {rate(progress):.1f}/s, "
             f"{progress.failed} failed ({violations}) in {class_count(len(progress.classes))}, {_at_fault(progress)}, "
-            f"{share(progress.novel, progress)} novel, "
+            f"{share(progress.novel, progress)} with new behavior, "
             f"{self._left(progress)} left"
         )
 
@@ -90,13 +96,14 @@ class Display:
             ("executions", self._done(progress)),
             ("speed", f"{rate(progress):.1f} per second"),
             ("executing", f"{progress.executing / max(progress.elapsed - progress.earlier, 1e-9):.0%} of the time"),
-            ("novelty rate", f"{share(progress.novel, progress)}{_ago(progress, 'novel')}"),
+            ("new behavior", f"{share(progress.novel, progress)}{_ago(progress, 'novel')}"),
         ]
         right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
         right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
         right += [("classes of failures", f"{len(progress.classes)}{_ago(progress, 'class')}")]
         right += [("at fault", f"{sum(progress.at_fault.values())} in {class_count(len(progress.at_fault))}")]
-        right += [(name.replace("_", " "), f"{value:.4g}") for name, value in progress.method.items()]
+        figures = {_FIGURES.get(name, name.replace("_", " ")): value for name, value in progress.method.items()}
+        right += [(name, f"{value:.4g}") for name, value in figures.items()]
         blank = ("", "")
         for i in range(max(len(left), len(right))):
             table.add_row(*(left[i] if i < len(left) else blank), *(right[i] if i < len(right) else blank))
@@ -124,22 +131,20 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     ]
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
-        lines += [f"None failed. All results are in {store.folder}", f"Search with a larger budget: {command}"]
+        lines += [f"None failed. All results are in {store.folder}", "Search with a larger budget:", command]
         return "\n".join(lines)
     failures = [_Failure(*row) for row in store.failures()]
     kinds = [failure.kind for failure in failures if failure.kind is not None]
     unique = f" in {class_count(len(set(kinds)))}, {_at_fault(progress)}" if kinds else ""
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
-    lines += [f"{failed}; each failure is counted under its most severe type:"]
+    lines += [hanging("", f"{failed}; each failure is counted under its most severe type:")]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
     lines += [*_errors(failures, progress, store), *_listed_classes(failures), *_outlook(kinds, progress)]
-    lines += [f"All results are in {store.folder}, with a file for each failure in its folder failures"]
+    lines += [f"All results are in {store.folder}", "with a file for each failure in its folder failures."]
     folder = shlex.quote(str(store.folder))
-    lines += [
-        f"Replay the first failure: {program} replay {folder} {failures[0].number}",
-        f"Write a report on the run: {program} report {folder}",
-    ]
+    lines += ["Replay the first failure:", f"{program} replay {folder} {failures[0].number}"]  # on lines of their own,
+    lines += ["Write a report on the run:", f"{program} report {folder}"]  # so that they can be copied
     return "\n".join(line for line in lines if line)
 
 
@@ -154,8 +159,8 @@ def _outlook(kinds: Sequence[str], progress: Progress) -> list[str]:
         return []
     found = Discovery.of(kinds, progress.executions)
     chance = f"The next execution shows a new class with a probability of about {found.new_chance:.2%}"
-    more = f"an estimated {found.unseen:.0f} classes (95 %: {found.unseen_low:.0f} to {found.unseen_high:.0f})"
-    return [f"{chance}; {more} have not been seen yet"]
+    unseen = f"{found.unseen:.0f} (95 %: {found.unseen_low:.0f} to {found.unseen_high:.0f})"
+    return [hanging("", f"{chance}; estimated number of classes not seen yet: {unseen}")]
 
 
 class _Failure(NamedTuple):

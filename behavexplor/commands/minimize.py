@@ -14,6 +14,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
+from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
 from behavexplor.triage.findings import known_findings
@@ -86,7 +87,7 @@ def table(found: Sequence[Minimized]) -> str:
         lines += [
             plain_text(made),
             "",
-            f"{len(kept)} failures; in the median, vehicles {parts[0]:g} -> {parts[1]:g}, "
+            f"{counted(len(kept), 'failure')}; in the median, vehicles {parts[0]:g} -> {parts[1]:g}, "
             f"free values {values[0]:g} -> {values[1]:g}",
         ]
         unfinished = sum(not one.is_minimal for one in kept)

@@ -1,6 +1,8 @@
 """`behavexplor replay`: draw one execution, and check that it is reproducible."""
 
+import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,19 +11,21 @@ import tyro
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.repetition import repeat_execution
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.commands import CHECK_FAILED, OK
+from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
-from behavexplor.report.captions import outcome
-from behavexplor.report.drawing import decisive_frame, draw, save_animation
+from behavexplor.judge.specs import SPECS
+from behavexplor.report.drawing import Footage, decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.road_shapes import known_road
 from behavexplor.triage.closed_loop import drive_again
-from behavexplor.triage.findings import OtherDriver, Witness, read_witness, witness_path
+from behavexplor.triage.findings import OtherDriver, Witness, known_findings, read_witness, witness_path
 from behavexplor.triage.witness import avoids, replay_witness
+
+COLLISION = SPECS[0].name
 
 
 def replay(
@@ -78,17 +82,18 @@ def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
 
 def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
-    trace, caption = execution.load_trace(), outcome(execution.record.violated, execution.record.end)
+    footage = footage_of(execution, shape)
+    trace, caption = footage.trace, footage.caption
     frame = decisive_frame(trace, execution.record.violated)
     degrees = ", ".join(f"{name} {degree:.2f}" for name, degree in execution.record.degrees.items())
-    animation, picture = _save(trace, shape, frame, caption, folder / f"{execution.id:06d}")
+    animation, picture = _save(footage, frame, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
     print(f"Violation degrees, which guide the search (lower is nearer to a violation): {degrees}")
     print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
-def _save(trace: Trace, shape: RoadShape, frame: int, caption: str, path: Path) -> tuple[Path, Path]:
-    """Write an animation of a trace and a picture of one frame, and return their paths.
+def _save(footage: Footage, frame: int, path: Path) -> tuple[Path, Path]:
+    """Write an animation and a picture of one frame, and return their paths.
 
     Raises:
         InputError: if they cannot be written.
@@ -99,8 +104,8 @@ def _save(trace: Trace, shape: RoadShape, frame: int, caption: str, path: Path) 
     except OSError as error:
         raise InputError(f"The folder {path.parent} cannot be created: {error.strerror}") from None
     try:
-        draw(trace, shape, frame, caption).save(picture)
-        save_animation(animation, trace, shape, caption)
+        draw(footage, frame).save(picture)
+        save_animation(animation, footage)
     except OSError as error:
         raise InputError(f"The pictures in {path.parent} cannot be written: {error.strerror}") from None
     return animation, picture
@@ -114,10 +119,7 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
     """
     file = witness_path(run, execution.id)
     if not file.is_file():
-        raise InputError(
-            f"No avoidance is stored for execution {execution.id}: `behavexplor triage {run}` stores one for each "
-            "collision that it calls preventable"
-        )
+        raise InputError(_why_not_avoided(execution, run))
     witness, recorded = read_witness(file), execution.load_trace()
     trace, is_avoided = _driven(execution, config, witness, recorded)
     if not is_avoided:
@@ -127,10 +129,22 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
     begin = witness.begin if isinstance(witness, Witness) else 0.0
     caption = f"{witness.name} from {begin:.2f} s on"
     path = folder / f"{execution.id:06d}-avoided"
-    animation, picture = _save(trace, _road(config, run), frame, caption, path)
+    footage = replace(footage_of(execution, _road(config, run)), trace=trace, caption=caption, violated=())
+    animation, picture = _save(footage, frame, path)
     print(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
     print(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK
+
+
+def _why_not_avoided(execution: Execution, run: Path) -> str:
+    """Return why no avoidance of a collision is stored, as a sentence."""
+    number, known = execution.id, known_findings(run)
+    if COLLISION not in execution.record.violated:
+        return f"Execution {number} has no collision that could be avoided"
+    if number in known:
+        return f"No avoidance of the collision in execution {number} is known: its fault is {known[number].fault}"
+    command = f"{program()} triage {shlex.quote(str(run))}"
+    return f"The collision in execution {number} has not been examined yet: {command} looks for ways to avoid it"
 
 
 def _driven(

@@ -13,6 +13,7 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import TEST, Case, Suite
@@ -67,7 +68,7 @@ def suite(
         cases=tuple(cases.values()),
     ).write(out)
     folder = shlex.quote(str(out))
-    print(f"{len(cases)} scenarios, one of each class of failures, are in {folder}")
+    print(f"{counted(len(cases), 'scenario')}, one for each class of failures, in {folder}")
     print(f"Check a driver with: {program()} check {folder} --ads NAME")
     print(f"The same as tests: ADS=NAME pytest {folder}/{TEST}")
     return OK

@@ -53,7 +53,7 @@ def triage(
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
-        print(f"\nTo see how the first preventable collision could have been avoided: {command} --avoided")
+        print(f"\nTo see how the first preventable collision could have been avoided:\n{command} --avoided")
     return OK
 
 

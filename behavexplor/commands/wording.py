@@ -6,9 +6,14 @@ import textwrap
 WIDEST = 100  # of a line of text [characters]
 
 
+def counted(number: int, one: str) -> str:
+    """Return a number of things in words, such as "1 class" or "2 classes"."""
+    return f"{number} {one}" if number == 1 else f"{number} {one}{'es' if one.endswith('s') else 's'}"
+
+
 def class_count(number: int) -> str:
-    """Return a number of classes in words, such as "1 class"."""
-    return f"{number} class{'' if number == 1 else 'es'}"
+    """Return a number of classes in words."""
+    return counted(number, "class")
 
 
 def clock(seconds: float) -> str:

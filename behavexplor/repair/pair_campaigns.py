@@ -1,10 +1,11 @@
 """The campaigns of a comparison: both drivers in the same scenarios, each in a run folder of its own."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import Budget, CampaignConfig
@@ -17,7 +18,8 @@ from behavexplor.judge.robustness import load_specs
 from behavexplor.repair.differential import Difference, Driven, search_differences
 from behavexplor.repair.pairs import Pairs, paired
 
-FIRST, SECOND = "first", "second"  # run folders of a comparison
+FIRST, SECOND, PAGE = "first", "second", "comparison.html"  # run folders and page of a comparison
+SETTINGS: Mapping[str, Any] = {"method": "uniform", "batch": 32}  # of both campaigns
 DIFFERENCES = "differences.jsonl"
 GIVEN = "behavexplor.fuzz.given:Given"
 

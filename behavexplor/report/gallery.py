@@ -6,19 +6,16 @@ from itertools import islice
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.campaign.record import Record
-from behavexplor.data.geometry import box_corners
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ARRIVED, Trace
-from behavexplor.judge.events import R1, R2, ViolationEvent, violation_event
+from behavexplor.judge.events import R1, violation_event
+from behavexplor.report.marks import violation_place
 from behavexplor.report.packing import pack
 from behavexplor.report.reading import Run
 from behavexplor.triage.findings import Finding, counted
 from behavexplor.triage.minimized import Minimized
-
-Floats = NDArray[np.float64]
 
 PASSED: Final = "passed"  # replaces the class of executions without a violation
 _NEAREST: Final = 3  # number of these executions on their card, those nearest to a violation
@@ -142,7 +139,7 @@ def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]
     packed = pack(trace, event.frame if event else len(trace.time) - 1)
     scenario = record.load_scenario()
     npcs = scenario.npcs if isinstance(scenario, ScriptedScenario) else ()
-    mark = None if event is None else _mark(trace, event)
+    mark = None if event is None else violation_place(trace, event)
     return {
         **packed.values(),
         **_own_way(trace),
@@ -164,33 +161,3 @@ def _own_way(trace: Trace) -> dict[str, Any]:
         return {}
     route = trace.route[:: max(1, len(trace.route) // 120)].round(2).tolist()
     return {"route": route, "destination": route[-1] if ARRIVED in trace.signals else None}
-
-
-def _mark(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
-    """Return the place of a violation [m]."""
-    ego = trace.position[event.frame, 0]
-    if event.spec == R2 and event.partner < 0:  # it left the road of a stock environment
-        place = ego
-    elif event.spec == R2:
-        start, end = trace.illegal_lines[event.partner]
-        along = end - start
-        place = start + np.clip((ego - start) @ along / max(along @ along, 1e-12), 0.0, 1.0) * along
-    elif event.spec == R1:
-        place = ego
-        for _ in range(20):  # alternating projections converge to a point of both boxes
-            place = _into_box(place, trace, event.frame, event.partner)
-            place = _into_box(place, trace, event.frame, 0)
-    else:
-        place = trace.destination
-    return float(place[0]), float(place[1])
-
-
-def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
-    """Return the point of a vehicle's box nearest to a given point."""
-    front_right, front_left, _, back_right = box_corners(
-        trace.position[frame, vehicle], trace.heading[frame, vehicle], trace.size[vehicle]
-    )
-    place = front_right.copy()
-    for edge in (front_left - front_right, back_right - front_right):
-        place += np.clip((point - front_right) @ edge / (edge @ edge), 0.0, 1.0) * edge
-    return np.asarray(place)

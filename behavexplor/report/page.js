@@ -83,11 +83,12 @@
       });
       this.pick.addEventListener("change", () => this.load(this.pick.value));
       this.canvas.addEventListener("click", () => this.toggle());
-      this.canvas.addEventListener("keydown", (event) => this.key(event));
+      this.card.addEventListener("keydown", (event) => this.key(event));
       new ResizeObserver(() => this.draw()).observe(this.canvas);
     }
 
-    key(event) {
+    key(event) { // anywhere in the card, but for what a slider, a list or a button does with the key itself
+      if (event.target.matches("input, select") || (event.key === " " && event.target.matches("button, a"))) return;
       const keys = {
         " ": () => this.toggle(),
         ArrowLeft: () => this.step(-1),
@@ -150,10 +151,20 @@
       this.now = Math.min(Math.max(time, 0), this.end);
       const i = this.frame(this.now);
       this.scrub.value = i;
-      const text = `${this.now.toFixed(1)} s  ${this.motion.speed[i].toFixed(1)} m/s`;
+      const state = this.state();
+      const text = `${this.now.toFixed(1)} s  ${this.motion.speed[i].toFixed(1)} m/s${state && `  state ${state}`}`;
       this.output.textContent = text;
       this.scrub.setAttribute("aria-valuetext", text);
       this.draw();
+    }
+
+    state() { // the letter of the abstract state at this time
+      let end = 0;
+      for (const [letter, count] of this.replay.states) {
+        end += 0.1 * count;
+        if (this.now < end) return letter;
+      }
+      return this.replay.states.length ? this.replay.states.at(-1)[0] : "";
     }
 
     step(count) {
@@ -363,6 +374,22 @@
   }, { rootMargin: "300px" });
   for (const card of players.keys()) near.observe(card);
 
+  // Filters, one for each run.
+  for (const field of document.querySelectorAll(".filter")) {
+    const own = cards.filter((card) => card.dataset.run === field.dataset.run), output = field.querySelector("output");
+    const filter = () => {
+      const words = field.querySelector("input").value.toLowerCase().split(/\s+/);
+      for (const card of own) {
+        const text = `${card.dataset.class} ${card.getAttribute("aria-label")}`.toLowerCase();
+        card.hidden = !words.every((word) => text.includes(word));
+      }
+      output.textContent = `${own.filter((card) => !card.hidden).length} of ${own.length} cards`;
+    };
+    field.addEventListener("input", filter);
+    field.hidden = false;
+    filter();
+  }
+
   // Deep links: #run/class/execution, as in the anchors, or #run/execution.
   function open() {
     let parts;
@@ -379,6 +406,7 @@
     const card = cards.find((c) => c.dataset.run === run && (name ? c.dataset.class === name : holds(c)));
     if (!card) return;
     for (const other of cards) other.classList.toggle("here", other === card);
+    card.hidden = false; // whatever the filter says
     const player = players.get(card);
     if (player && execution && holds(card)) player.load(execution);
     else if (player && !player.replay) first(player);

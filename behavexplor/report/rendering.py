@@ -22,7 +22,7 @@ def rendered(template: str, scripts: Sequence[str], **values: object) -> str:
         scripts: file names of the scripts, which run at the end of the page in this order.
         values: variables of the template.
     """
-    style, script = _source("page.css"), "".join(map(_source, scripts))
+    style, script = source("page.css"), "".join(map(source, scripts))
     environment = Environment(
         loader=_Sources(), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -41,10 +41,11 @@ class _Sources(BaseLoader):
     """Loader of the templates beside this module, also from a zipped package."""
 
     def get_source(self, environment: Environment, template: str) -> tuple[str, str | None, Any]:  # noqa: ARG002
-        return _source(template), None, None
+        return source(template), None, None
 
 
-def _source(name: str) -> str:
+def source(name: str) -> str:
+    """Return the text of a file of this package."""
     return files("behavexplor.report").joinpath(name).read_text("utf-8")
 
 

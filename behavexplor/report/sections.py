@@ -15,6 +15,7 @@ from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
 from behavexplor.report.charts import Chart, Series, chart
+from behavexplor.report.colors import type_color
 from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.reading import Run, stored
 from behavexplor.report.road_shapes import known_road, road_values
@@ -24,7 +25,6 @@ Floats = NDArray[np.float64]
 
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
 _PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
-_TYPES: Final = tuple(VEHICLE_SIZES)  # vehicle types with a color of their own
 _SYMBOLS: Final = {
     "R1": "R1: collision",
     "R2": "R2: illegal line touched",
@@ -112,8 +112,8 @@ class Section:
     def types(self) -> list[tuple[str, int]]:
         """Vehicle types in the replays, with the numbers of their colors."""
         names = {name for replay in self.values["replays"].values() for name in replay["types"]}
-        known = [(name, index) for index, name in enumerate(_TYPES) if name in names]
-        return known + ([("other", len(_TYPES))] if names - set(_TYPES) else [])
+        known = [(name, type_color(name)) for name in VEHICLE_SIZES if name in names]
+        return known + ([("other", type_color("other"))] if names - VEHICLE_SIZES.keys() else [])
 
     @property
     def symbols(self) -> list[tuple[str, str]]:

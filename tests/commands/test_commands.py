@@ -19,8 +19,9 @@ from behavexplor import commands
 from behavexplor.campaign.campaign import run_folder
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
-from behavexplor.commands import INTERNAL_ERROR, main
+from behavexplor.commands import BAD_INPUT, INTERNAL_ERROR, main
 from behavexplor.errors import InputError
+from behavexplor.fuzz.uniform import Uniform
 from behavexplor.report import drawing
 
 ROOT = Path(__file__).parents[2]
@@ -423,11 +424,33 @@ def test_every_campaign_has_a_folder_of_its_own(tmp_path):
 
 
 def test_the_words_of_a_bug_do_not_reach_the_terminal_as_they_are(monkeypatch, capsys):
-    def broken() -> int:
-        raise RuntimeError("clears \x1b[2J")
-
-    monkeypatch.setattr(commands, "_command", lambda _: broken)
+    ours = {}
+    exec("def broken() -> int:\n    raise RuntimeError('clears \x1b[2J')\n", ours)
+    monkeypatch.setattr(commands, "_command", lambda _: ours["broken"])
     assert main(["records"]) == INTERNAL_ERROR
     printed = capsys.readouterr().err
     assert "RuntimeError: clears \\x1b[2J" in printed
     assert all(line.isprintable() for line in printed.splitlines())
+    assert "This is a bug in behavexplor, or in a search method" in printed
+
+
+class Absent(Uniform):
+    """A search method that cannot be made."""
+
+    def __init__(self, logical, seed, options):
+        raise ValueError("no seed")
+
+
+def test_an_error_in_code_of_the_user_is_said_to_be_there(tmp_path, capsys):
+    assert main([*FUZZ, "--method", f"{__name__}:Absent", "--out", str(tmp_path / "a")]) == BAD_INPUT
+    printed = capsys.readouterr().err
+    assert "ValueError: no seed" in printed
+    assert "The error is in test_commands.py, line " in printed
+
+
+def test_an_execution_without_an_avoidance_says_why(finished):
+    folder, _ = finished
+    hit = next(record["id"] for record in records(folder) if "collision" in record["violated"])
+    passed = next(record["id"] for record in records(folder) if not record["violated"])
+    assert "has not been examined yet" in run("replay", folder, hit, "--avoided").stderr
+    assert "has no collision that could be avoided" in run("replay", folder, passed, "--avoided").stderr

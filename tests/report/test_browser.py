@@ -289,3 +289,27 @@ def test_charts_have_tables_and_replays_have_names(browser):
     return [...document.querySelectorAll(wanted)].filter((e) => !named(e)).length;
     """
     assert browser.execute_script(unnamed) == 0
+
+
+def test_arrow_keys_step_anywhere_in_a_card(browser):
+    card = Card(browser)
+    before = card.time
+    browser.execute_script("arguments[0].focus({preventScroll: true})", card.element)
+    card.element.send_keys(Keys.ARROW_LEFT * 5)
+    wait(browser, lambda: card.time < before)
+    assert re.search(r"state [A-J]$", card.output.text)
+
+
+def test_a_filter_leaves_the_cards_with_its_words(browser):
+    cards = browser.find_elements("css selector", ".card")
+    field = browser.find_element("css selector", ".filter input")
+    kinds = [card.get_attribute("data-class") for card in cards]
+    field.send_keys("R1 RIGHT")
+    shown = [card.get_attribute("data-class") for card in cards if card.is_displayed()]
+    assert shown == [kind for kind in kinds if kind.startswith("R1") and "right" in kind]
+    assert 0 < len(shown) < len(kinds)
+    output = browser.find_element("css selector", ".filter output").text
+    assert output == f"{len(shown)} of {len(kinds)} cards"
+    hidden = next(kind for kind in kinds if kind not in shown)
+    browser.execute_script(f"location.hash = '#1/{hidden}'")
+    wait(browser, cards[kinds.index(hidden)].is_displayed)

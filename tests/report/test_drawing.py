@@ -8,7 +8,8 @@ from PIL import Image
 
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.report import drawing
-from behavexplor.report.drawing import SIDE, decisive_frame, draw, save_animation
+from behavexplor.report.colors import page_colors
+from behavexplor.report.drawing import SIDE, Footage, decisive_frame, draw, save_animation
 from behavexplor.report.road_shapes import shape_of
 from tests.fakes import make_trace, simulate
 
@@ -16,6 +17,7 @@ LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
 ROAD = shape_of(ROADMAP)
+PAGE = page_colors()
 SCENARIO = LOGICAL.sample(np.random.default_rng(0))
 
 
@@ -33,19 +35,23 @@ def meeting():
 
 def test_a_frame_shows_the_road_and_the_vehicles():
     trace = meeting()
-    picture = draw(trace, ROAD, 5, "meeting")
+    footage = Footage(trace, ROAD, "meeting", ["jeep"])
+    picture = draw(footage, 5)
     assert picture.size == (SIDE, SIDE)
-    assert {drawing._EGO, drawing._NPCS[0], drawing._ASPHALT, drawing._GROUND} <= colors(picture)
+    assert {PAGE[name] for name in ("ego", "v2", "road", "ground", "accent")} <= colors(picture)
+    assert PAGE["v5"] in colors(draw(replace(footage, types=()), 5))
     middle = picture.getpixel((SIDE // 2, SIDE // 2))
-    assert middle == drawing._EGO
+    assert middle == PAGE["ego"]
 
 
-def test_a_vehicle_that_is_hit_is_red():
+def test_a_violation_has_a_circle_from_its_frame_on():
     trace = meeting()
     position = np.array(trace.position)
     position[:, 1] = position[:, 0] + (0.0, -4.0)
-    assert drawing._HIT in colors(draw(replace(trace, position=position), ROAD, 5, ""))
-    assert drawing._HIT not in colors(draw(trace, ROAD, 5, ""))
+    crash = Footage(replace(trace, position=position), ROAD, "", violated=["collision"])
+    assert PAGE["hit"] in colors(draw(crash, 10))
+    assert PAGE["hit"] not in colors(draw(crash, 9))
+    assert PAGE["hit"] not in colors(draw(replace(crash, violated=()), 10))
 
 
 def test_the_decisive_frame():
@@ -67,7 +73,7 @@ def test_an_animation_shows_the_whole_trace(tmp_path, frames, monkeypatch):
     trace = make_trace(
         np.column_stack([np.resize(trace.position[:, 0], (frames, 2)), np.zeros(frames)]), lines=ROADMAP.illegal_lines
     )
-    save_animation(tmp_path / "a.gif", trace, ROAD, "caption")
+    save_animation(tmp_path / "a.gif", Footage(trace, ROAD, "caption"))
     with Image.open(tmp_path / "a.gif") as animation:
         assert 1 <= animation.n_frames <= 30
         if frames == 900:

@@ -1,30 +1,13 @@
-"""The code in docs/python.md and the notebooks in docs/notebooks run as they are printed."""
+"""The notebooks in docs/notebooks run as they are printed, and an interrupted one resumes."""
 
 import os
-import re
-import sys
-import warnings
 from pathlib import Path
-from types import ModuleType
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
 
 DOCS = Path(__file__).parent.parent / "docs"
-
-
-@pytest.mark.slow
-def test_the_code_of_the_page_runs(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    page = ModuleType("page")  # requirements are found again by the name of their module
-    monkeypatch.setitem(sys.modules, "page", page)
-    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text(), re.DOTALL)
-    assert len(blocks) >= 8
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a policy that has hardly been trained may be constant
-        for block in blocks:
-            exec(compile(block, "docs/python.md", "exec"), page.__dict__)
 
 
 def execute(notebook, folder):

@@ -1,0 +1,69 @@
+"""Comparison of two drivers from Python: the records are those of the command."""
+
+import pytest
+
+import behavexplor
+from behavexplor.commands import OK, main
+from behavexplor.repair.pairs import COLUMNS
+from tests.drivers import Cruiser, Swerver
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare") / "out"
+    return behavexplor.compare(Swerver(), Cruiser(), "intersection-straight", scenarios=8, seed=5, out=folder)
+
+
+def lines(run):
+    return [record.to_json() for record in run.records]
+
+
+def test_the_records_are_those_of_the_command(compared, tmp_path):
+    arguments = ["compare", "tests.drivers:Swerver", "tests.drivers:Cruiser", "--scenarios", "8", "--seed", "5"]
+    assert main([*arguments, "--workers", "0", "--unconfined", "--quiet", "--out", str(tmp_path / "a")]) == OK
+    command = behavexplor.Comparison(tmp_path / "a")
+    assert lines(compared.first) == lines(command.first)
+    assert lines(compared.second) == lines(command.second)
+    assert compared.pairs == command.pairs
+
+
+def test_the_table_counts_what_was_fixed_and_broken(compared):
+    first, second = (
+        {record.id for record in run.records if record.at_fault} for run in (compared.first, compared.second)
+    )
+    assert set(compared.fixed) == first - second != set()
+    assert set(compared.broken) == second - first
+    row = compared.to_pandas().loc["failure at fault"]
+    assert (row.fixed, row.broken, row.both) == (len(first - second), len(second - first), len(first & second))
+    assert row["first"] == len(first) / 8
+    assert row.low <= row.change <= row.high
+    assert 0 < row.p <= 1
+
+
+def test_a_comparison_shows_itself_and_writes_a_page(compared, tmp_path):
+    assert f"8 scenarios, {len(compared.fixed)} fixed" in repr(compared)
+    html = compared._repr_html_()
+    assert all(f"<th>{name}</th>" in html for name in COLUMNS)
+    assert "A is in-memory:Swerver, B is in-memory:Cruiser" in html
+    assert "The same scenarios with both drivers" in compared.report().read_text()
+    assert compared.report(tmp_path / "a.html", replays=0).is_file()
+    with pytest.raises(behavexplor.InputError, match="cannot be written"):
+        compared.report(tmp_path / "nowhere" / "a.html")
+
+
+def test_its_runs_can_execute_their_drivers_again(compared):
+    assert compared.first.repeat(0).reproduced
+    assert compared.second.repeat(0).reproduced
+
+
+def test_ctrl_c_ends_a_comparison(tmp_path):
+    def interrupt(progress):
+        raise behavexplor.Interrupted(tmp_path)
+
+    with pytest.raises(KeyboardInterrupt, match="is not complete"):
+        behavexplor.compare(Cruiser(), Swerver(), scenarios=4, out=tmp_path / "a", progress=interrupt)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    with pytest.raises(behavexplor.InputError, match="is not a run folder"):
+        behavexplor.Comparison(tmp_path)

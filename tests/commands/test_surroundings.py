@@ -1,0 +1,50 @@
+"""Commands where folders that libraries write to cannot be written."""
+
+import os
+import tempfile
+
+import pytest
+
+from behavexplor import commands
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """The folders of matplotlib that a command has seen."""
+    found = []
+
+    def command() -> int:
+        found.append(os.environ.get("MPLCONFIGDIR"))
+        return OK
+
+    monkeypatch.setattr(commands, "_command", lambda _: command)
+    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+    return found
+
+
+def test_matplotlib_gets_a_folder_where_home_cannot_be_written(seen, monkeypatch):
+    assert main(["records"]) == OK
+    monkeypatch.setenv("HOME", "/nonexistent")
+    assert main(["records"]) == OK
+    monkeypatch.setenv("MPLCONFIGDIR", "/mine")
+    assert main(["records"]) == OK
+    own, temporary, given = seen
+    assert (own, given) == (None, "/mine")
+    assert temporary.startswith(tempfile.gettempdir())
+    assert not os.path.exists(temporary)  # noqa: PTH110 - removed in the end
+
+
+def test_a_missing_folder_for_temporary_files_is_one_sentence(monkeypatch, capsys):
+    def nowhere():
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    def command() -> int:
+        nowhere()
+        return OK
+
+    monkeypatch.setattr(commands, "_command", lambda _: command)
+    monkeypatch.setattr(tempfile, "gettempdir", nowhere)
+    assert main(["records"]) == BAD_INPUT
+    assert capsys.readouterr().err.splitlines()[-1].endswith(NO_TEMPORARY_FOLDER)
