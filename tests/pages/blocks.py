@@ -25,7 +25,7 @@ SMALL = {
     "evaluate": "--scenarios 2 --workers 0 --unconfined",
     "fuzz": f"--budget {MOST} --workers 0 --unconfined",
     "minimize": "--workers 0",
-    "retrain": "--rounds 1 --steps 128 --budget 2",
+    "retrain": "--rounds 1 --steps 128 --budget 2 --validation 2",
     "suite": "--workers 0",
     "train": "--steps 128 --envs 2",
     "triage": "--workers 0",
