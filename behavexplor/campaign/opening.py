@@ -70,17 +70,18 @@ def opened(
             used, or if the campaign has another revision.
     """
     check_revision(stored_config(folder) if resume else config, str(folder))
+    recipe = evaluator_recipe(config.target, -(-config.batch // max(workers, 1)))
     if workers and not cluster and driver is None:
-        share_imports(evaluator_recipe(config.target))
+        share_imports(recipe)
     logical = None if is_stock(config.env) else logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
     with ExitStack() as stack:
         with patience or nullcontext():
             executor = (
-                start_executor(config.target, workers, cluster)
+                start_executor(config.target, workers, cluster, recipe)
                 if driver is None
-                else start_in_process(config.target, driver)
+                else start_in_process(config.target, driver, recipe)
             )
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor, meanwhile=load_clustering)
