@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from highway_env.envs.common.action import ActionType, DiscreteAction, DiscreteMetaAction
+from highway_env.utils import lmap
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import MANEUVERS
@@ -22,10 +23,11 @@ def make_commands(action_type: ActionType) -> Commands:
         return partial(_looked_up, np.array(codes))
     if isinstance(action_type, DiscreteAction):
         return partial(_looked_up, _discrete_commands(action_type))
-    low, high = np.array([action_type.acceleration_range, action_type.steering_range], dtype=np.float64).T
-    chosen = slice(0 if action_type.longitudinal else 1, 2 if action_type.lateral else 1)
     return partial(
-        _continuous_commands, clip=action_type.clip, chosen=chosen, low=low[chosen], width=(high - low)[chosen]
+        _continuous_commands,
+        clip=action_type.clip,
+        acceleration_range=action_type.acceleration_range if action_type.longitudinal else None,
+        steering_range=action_type.steering_range if action_type.lateral else None,
     )
 
 
@@ -44,20 +46,18 @@ def _discrete_commands(action_type: DiscreteAction) -> Floats:
 
 
 def _continuous_commands(
-    actions: NDArray[Any], *, clip: bool, chosen: slice, low: Floats, width: Floats
+    actions: NDArray[Any],
+    *,
+    clip: bool,
+    acceleration_range: tuple[float, float] | None,
+    steering_range: tuple[float, float] | None,
 ) -> Floats:
-    """Compute `ContinuousAction.get_action` for a batch, in the precision of the actions, as highway-env does.
-
-    Args:
-        actions: numbers in [-1, 1], one for each chosen command, shape (B, chosen).
-        clip: whether actions are clipped.
-        chosen: columns of the commands that the actions give; the others are 0.
-        low: command for the action -1, shape (chosen,).
-        width: command for the action 1 minus `low`, shape (chosen,).
-    """
+    """Compute `ContinuousAction.get_action` for a batch, in the precision of the actions, as highway-env does."""
     commands = np.zeros((len(actions), 2))
     if clip:
         actions = np.clip(actions, -1, 1)
-    kind = np.result_type(actions.dtype, 0.0)
-    commands[:, chosen] = low.astype(kind) + (actions + 1) * width.astype(kind) / 2
+    if acceleration_range is not None:
+        commands[:, 0] = lmap(actions[:, 0], [-1, 1], acceleration_range)
+    if steering_range is not None:
+        commands[:, 1] = lmap(actions[:, -1], [-1, 1], steering_range)
     return commands

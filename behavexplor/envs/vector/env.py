@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from behavexplor.data.npc_motion import SPEED, motion_table
+from behavexplor.data.npc_motion import SPEED
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
@@ -22,7 +22,7 @@ from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import TERMS, reward_terms
-from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, put_scenario
+from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, motion_of, put_scenario
 from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
@@ -222,7 +222,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             roadmap,
             time=self._time[:frames],
             ego=slots.record[b, :frames],
-            motion=motion_table(self.scenarios[b], roadmap, self._time[:frames]),
+            motion=motion_of(self._world, slots, b, self._time[:frames]),
             sizes=slots.size[b, : 1 + slots.numbers[b, N_NPCS]],
             actions=self._actions[b, : len(decisions)],
             action_frames=decisions,

@@ -46,7 +46,7 @@ def _fill_terms(weights: Floats, numbers: Ints, outcome: Floats, active: Bools, 
             1.0 if end == COLLISION and not rear_end else 0.0,
             1.0 if end == COLLISION and rear_end else 0.0,
             1.0 if end == ARRIVED else 0.0,
-            1.0 if end >= 0 and end != COLLISION and end != ARRIVED else 0.0,
+            1.0 if end >= 0 and end not in (COLLISION, ARRIVED) else 0.0,
         )
         for i in range(N_TERMS):
             terms[i, b] = weights[i] * happened[i]
