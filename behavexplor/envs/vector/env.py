@@ -194,9 +194,9 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
         if not mask.any():
             return {}
-        values = np.where(mask, [self._slots.ego[:, SPEED], *terms], 0.0)
-        rewards = dict(zip(TERMS, values[1:], strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
-        infos: dict[str, Any] = {"speed": values[0], "_speed": mask, "rewards": rewards, "_rewards": mask}
+        speeds, terms = np.where(mask, self._slots.ego[:, SPEED], 0.0), np.where(mask, terms, 0.0)
+        rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
+        infos: dict[str, Any] = {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
         done = mask & (self._slots.numbers[:, END] >= 0)
         if done.any():
             ends, traces = np.full((2, self.num_envs), None, dtype=object)
