@@ -40,7 +40,8 @@ def execution(count: int) -> list[Row]:
 
 def workers(count: int) -> list[Row]:
     """Wall time with one and two worker processes, and of plain arithmetic."""
-    return arithmetic_rows() + worker_rows(FIRST, "rule", count, (1, 2))
+    policy = worker_rows(FIRST, f"learned:{FIRST}", 4 * count, (1, 2))
+    return arithmetic_rows() + worker_rows(FIRST, "rule", count, (1, 2)) + policy
 
 
 def arithmetic_rows() -> list[Row]:
