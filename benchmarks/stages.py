@@ -1,4 +1,4 @@
-"""Where the wall time of a campaign from the shell goes, by the program's own clock, and the CPU time that it takes."""
+"""Where the wall time of a campaign from the shell goes, by its own clock, and the CPU time of its process."""
 
 import resource
 import subprocess
@@ -16,7 +16,7 @@ FIRST = "intersection-straight"
 
 
 def stage_rows(budget: int) -> list[Row]:
-    """Return the time in each stage [s] of campaigns of several kinds, and their CPU time with all processes [s].
+    """Return the time in each stage [s] of campaigns of several kinds, and the CPU time of their own process [s].
 
     Args:
         budget: number of executions of each campaign.
@@ -44,7 +44,7 @@ def _campaign(flags: tuple[str, ...], folder: Path) -> Row:
     store = Store.read(folder)
     stages = store.stages
     store.close()
-    return {"CPU": _cpu_of_children() - before, **stages}
+    return {"CPU of its own process": _cpu_of_children() - before, **stages}
 
 
 def _cpu_of_children() -> float:
