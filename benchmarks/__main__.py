@@ -1,4 +1,4 @@
-"""Measure speed and print tables: `python -m benchmarks [execution] [workers] [analysis] [startup] [highway]`.
+"""Measure speed and print tables: `python -m benchmarks [execution] [workers] [analysis] [startup] [stages] ...`.
 
 All parts, and plain highway-env, are measured in one run on one machine. Compare the ratios, not the milliseconds,
 because machines differ and may be busy. Times are CPU times of one process, unless they are labeled as wall times.
@@ -16,6 +16,7 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from benchmarks.analysis import analysis_rows
 from benchmarks.execution import lock_step_rows, main_systems, stock_rows, worker_rows
 from benchmarks.highway import highway_rows
+from benchmarks.stages import stage_rows
 from benchmarks.startup import startup_rows
 
 Row = dict[str, Any]
@@ -39,7 +40,8 @@ def execution(count: int) -> list[Row]:
 
 def workers(count: int) -> list[Row]:
     """Wall time with one and two worker processes, and of plain arithmetic."""
-    return arithmetic_rows() + worker_rows(FIRST, "rule", count, (1, 2))
+    policy = worker_rows(FIRST, f"learned:{FIRST}", 4 * count, (1, 2))
+    return arithmetic_rows() + worker_rows(FIRST, "rule", count, (1, 2)) + policy
 
 
 def arithmetic_rows() -> list[Row]:
@@ -72,6 +74,11 @@ def startup(count: int) -> list[Row]:
     return startup_rows(750 if count >= 256 else 50)
 
 
+def stages(count: int) -> list[Row]:
+    """Where the time of campaigns goes [s]."""
+    return stage_rows(750 if count >= 256 else 50)
+
+
 def highway(count: int) -> list[Row]:
     """highway-env's own environments: CPU time of a decision, resets included."""
     return highway_rows(count / 256)
@@ -82,6 +89,7 @@ PARTS: dict[str, Callable[[int], list[Row]]] = {
     "workers": workers,
     "analysis": analysis,
     "startup": startup,
+    "stages": stages,
     "highway": highway,
 }
 

@@ -10,9 +10,8 @@ Resuming a campaign means running it again with the stored traces in place of ex
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.record import ERROR, Record
+from behavexplor.campaign.stage_clock import ASKING, EXECUTING, JUDGING, MINING, STORING, WAITING, StageClock
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
@@ -58,6 +58,7 @@ class Campaign:
         executor: executor of scenarios, see `behavexplor.execution.evaluator.Evaluator`.
         specs: requirements that judge each execution.
         stop_after: number of failures after which the campaign stops; None for no such number.
+        clock: clock of its stages; by default one that begins now.
 
     Attributes:
         progress: progress of the campaign.
@@ -73,6 +74,7 @@ class Campaign:
         executor: Executor,
         specs: Sequence[Spec] = SPECS,
         stop_after: int | None = None,
+        clock: StageClock | None = None,
     ) -> None:
         self._config = config
         self._method = method
@@ -82,6 +84,8 @@ class Campaign:
         self._executor = executor
         self._specs = specs
         self._stop_after = stop_after
+        self._clock = clock or StageClock(store.stages)
+        self._executing = EXECUTING if executor.runs_here else WAITING
         self._failures = 0  # those that the method has been told, stored or not
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
@@ -137,7 +141,8 @@ class Campaign:
         """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
         while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
             try:
-                candidate = self._method.ask()
+                with self._clock.during(ASKING):
+                    candidate = self._method.ask()
             except SearchExhausted as end:
                 return str(end)
             self._asked += 1
@@ -152,7 +157,7 @@ class Campaign:
     def _execute(self, candidate: Candidate) -> Future[bytes] | Execution:
         stored = self._store.recall(candidate.number) if candidate.number < self._stored else None
         if stored is None:
-            with self._waiting():
+            with self._clock.during(self._executing):
                 return self._submit(candidate)
         if stored.scenario != candidate.scenario:
             raise InputError(
@@ -173,7 +178,7 @@ class Campaign:
             return
         data, failure = b"", None
         try:
-            with self._waiting():
+            with self._clock.during(self._executing):
                 data = result.result()
         except ADSError as error:
             failure = ads_failure(error)
@@ -183,18 +188,13 @@ class Campaign:
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
         self._told(candidate, data, failure, None)
 
-    @contextmanager
-    def _waiting(self) -> Iterator[None]:
-        """Count the time in this context as time spent on executions."""
-        before = time.monotonic()
-        yield
-        self.progress = replace(self.progress, executing=self.progress.executing + time.monotonic() - before)
-
     def _told(
         self, candidate: Candidate, data: bytes, failure: dict[str, str] | None, stored: Execution | None
     ) -> None:
         """Judge an execution, tell the method, and store the record unless it is already stored."""
-        record = self._record(candidate, Trace.from_bytes(data), failure)
+        with self._clock.during(JUDGING):
+            trace = Trace.from_bytes(data)
+        record = self._record(candidate, trace, failure)
         self._failures += record.failed
         if stored is None:
             self._store.add(Execution(record, data, self.elapsed))
@@ -207,11 +207,14 @@ class Campaign:
             self._count(stored, resumed=1)
 
     def _record(self, candidate: Candidate, trace: Trace, failure: dict[str, str] | None) -> Record:
-        verdict = self._judge(candidate, trace)
-        if failure is not None:
-            verdict = replace(verdict, violated=(ERROR,))
-        novelty = self._archive.observe(trace)
-        learned = self._method.tell(candidate, trace, verdict)
+        with self._clock.during(JUDGING):
+            verdict = self._judge(candidate, trace)
+            if failure is not None:
+                verdict = replace(verdict, violated=(ERROR,))
+            kind, fault = class_id(trace, verdict, failure), _fault(trace, verdict)
+        with self._clock.during(MINING):
+            novelty = self._archive.observe(trace)
+            learned = self._method.tell(candidate, trace, verdict)
         return Record(
             id=candidate.number,
             origin=candidate.origin,
@@ -220,8 +223,8 @@ class Campaign:
             error=failure,
             duration=trace.duration,
             violated=verdict.violated,
-            violation_class=class_id(trace, verdict, failure),
-            fault=_fault(trace, verdict),
+            violation_class=kind,
+            fault=fault,
             degree=verdict.degree,
             degrees=dict(verdict.degrees),
             novelty=novelty,
@@ -242,10 +245,17 @@ class Campaign:
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
-        for execution in self._store.commit():
+        with self._clock.during(STORING):
+            committed = self._store.commit(self._clock.total)
+        for execution in committed:
             self._count(execution)
         self._committed = time.monotonic()
-        self.progress = replace(self.progress, elapsed=self.elapsed, method=dict(self._method.status()))
+        self.progress = replace(
+            self.progress,
+            elapsed=self.elapsed,
+            executing=self._clock.seconds[self._executing],
+            method=dict(self._method.status()),
+        )
         observe(self.progress)
 
     def _count(self, execution: Execution, resumed: int = 0) -> None:

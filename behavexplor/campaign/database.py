@@ -6,11 +6,12 @@ Every row has two checksums, so that a record can be checked without its trace.
 import os
 import sqlite3
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 FORMAT = 3  # in format 2, traces were npz files; in format 1, rows also had a single checksum of record and trace
@@ -140,9 +141,16 @@ def upgrade(connection: sqlite3.Connection, found: str) -> None:
     connection.executescript(f"BEGIN IMMEDIATE; {_ADD_CHECKSUM if found == '1' else ''}{_SET_FORMAT}COMMIT;")
 
 
-def insert(connection: sqlite3.Connection, rows: list[Row]) -> None:
-    """Write rows to disk in one transaction, replacing rows with the same number."""
+def insert(connection: sqlite3.Connection, rows: list[Row], notes: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Write rows and notes to disk in one transaction, replacing rows with the same number and notes of the same name.
+
+    Args:
+        connection: connection to the database.
+        rows: the rows.
+        notes: texts by name, see `read_note`.
+    """
     with connection:
+        connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", notes.items())
         connection.executemany(
             _INSERT,
             [
@@ -150,6 +158,15 @@ def insert(connection: sqlite3.Connection, rows: list[Row]) -> None:
                 for row in rows
             ],
         )
+
+
+def read_note(connection: sqlite3.Connection, name: str) -> bytes:
+    """Return a note that `insert` wrote; nothing if there is none or it cannot be read."""
+    try:
+        row = connection.execute("SELECT value FROM meta WHERE key = ?", (name,)).fetchone()
+    except sqlite3.DatabaseError:
+        return b""
+    return row[0] if row and isinstance(row[0], bytes) else b""
 
 
 class ExecutionTable:

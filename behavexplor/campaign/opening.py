@@ -1,5 +1,6 @@
 """Setup and teardown of a campaign: its search method, executor, ADS check and run folder."""
 
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.behavior.miner import load_clustering
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
+from behavexplor.campaign.stage_clock import STARTING, StageClock
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.road_shape import ROAD_FILE
@@ -69,18 +71,20 @@ def opened(
         InputError: if the ADS, the environment, the search method, a spec, the cluster or the run folder cannot be
             used, or if the campaign has another revision.
     """
+    begun = time.monotonic()
     check_revision(stored_config(folder) if resume else config, str(folder))
+    recipe = evaluator_recipe(config.target, -(-config.batch // max(workers, 1)))
     if workers and not cluster and driver is None:
-        share_imports(evaluator_recipe(config.target))
+        share_imports(recipe)
     logical = None if is_stock(config.env) else logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
     with ExitStack() as stack:
         with patience or nullcontext():
             executor = (
-                start_executor(config.target, workers, cluster)
+                start_executor(config.target, workers, cluster, recipe)
                 if driver is None
-                else start_in_process(config.target, driver)
+                else start_in_process(config.target, driver, recipe)
             )
             stack.callback(executor.shutdown, wait=False)
             warnings = check_ads(executor, meanwhile=load_clustering)
@@ -90,7 +94,9 @@ def opened(
         stack.callback(store.close)
         if isinstance(logical, DrawnLogicalScenario) and not resume:
             (folder / ROAD_FILE).write_bytes(executor.submit(ROAD, b"").result())
-        campaign = Campaign(config, search, logical, store, executor, specs, stop_after)
+        clock = StageClock(store.stages)
+        clock.seconds[STARTING] = time.monotonic() - begun
+        campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)
         yield Ready(campaign, store, warnings)
 
 

@@ -9,10 +9,11 @@ import json
 import os
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any, Self
 
 from behavexplor.campaign.config import CONFIG
@@ -29,13 +30,16 @@ from behavexplor.campaign.database import (
     is_empty,
     is_whole,
     read_format,
+    read_note,
     rebuild,
     upgrade,
     written_format,
 )
 from behavexplor.campaign.record import Record
+from behavexplor.campaign.stage_clock import known_stages
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError
 
 try:
@@ -44,6 +48,7 @@ except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
 LOCK = "campaign.lock"
+_STAGES = "stages"  # name of the note with the time in each stage
 _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it begins
 
 
@@ -197,6 +202,14 @@ class Store:
         """Running time of the campaign up to the last committed execution [s]."""
         return float(self._ask("SELECT coalesce(max(elapsed), 0.0) FROM executions"))
 
+    @property
+    def stages(self) -> dict[str, float]:
+        """Time of the campaign in each stage [s], see `behavexplor.campaign.stage_clock`; empty if it is not known."""
+        try:
+            return known_stages(parse_json(read_note(self._connection, _STAGES).decode(), "the time in each stage"))
+        except ValueError:
+            return {}
+
     def _ask(self, query: str) -> Any:
         try:
             return self._connection.execute(query).fetchone()[0]
@@ -212,8 +225,11 @@ class Store:
         """Number of executions that were added since the last `commit`."""
         return len(self._pending)
 
-    def commit(self) -> list[Execution]:
+    def commit(self, stages: Mapping[str, float] = MappingProxyType({})) -> list[Execution]:
         """Write the added executions to disk, and each failure also to a file of its own.
+
+        Args:
+            stages: time in each stage so far [s], see `stages`.
 
         Returns:
             The executions that were written.
@@ -224,7 +240,7 @@ class Store:
             rows.append(Row(execution.id, record, execution.trace, float(execution.elapsed)))
             if execution.record.failed:
                 self._write_failure(execution)
-        insert(self._connection, rows)
+        insert(self._connection, rows, {_STAGES: json.dumps(dict(stages))} if stages else {})
         committed, self._pending = self._pending, []
         return committed
 

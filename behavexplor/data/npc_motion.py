@@ -118,7 +118,12 @@ def routes_as_arrays(routes: Sequence[Route]) -> Routes:
 def fill_motion(routes: Routes, route: int, waypoints: Floats, time: Floats, table: Floats) -> None:
     """Fill one NPC's columns of a motion table, shape (T, 5)."""
     phases = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))
-    n_phases = fill_phases(waypoints, phases)
+    fill_frames(routes, route, phases, fill_phases(waypoints, phases), time, table)
+
+
+@kernel
+def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time: Floats, table: Floats) -> None:
+    """Fill one NPC's columns of a motion table, shape (T, 5), from its phases; see `fill_phases`."""
     phase = 0
     for frame in range(len(time)):
         while phase + 1 < n_phases and phases[phase + 1, BEGIN] <= time[frame]:

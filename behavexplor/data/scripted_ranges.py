@@ -6,17 +6,19 @@ Source: paper section 2.2, for the parameters that are searched (the NPCs' route
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.roadmap import RoadMap, Route
+from behavexplor.data.roadmap import Lane, RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 
 Floats = NDArray[np.float64]
+Pose = tuple[float, ...]  # x [m], y [m] and heading [rad]
 
 
 @dataclass(frozen=True)
@@ -51,15 +53,12 @@ class ScriptedRanges:
         return self.min_speed, self.roadmap.speed_limit
 
     def position_ranges(self, route: Route) -> Floats:
-        """Return the range of positions of each waypoint on a route, shape (waypoints, 2) [m].
+        """Return the range of positions of each waypoint on a route, read-only, shape (waypoints, 2) [m].
 
         Each waypoint lies within its lane. The first waypoint, at which the vehicle starts, also keeps a distance of
         `end_gap` from both ends of its lane.
         """
-        lanes = np.stack([route.bounds[:-1], route.bounds[1:]], axis=1)
-        ranges = np.repeat(lanes, self.waypoints_per_lane, axis=0)
-        ranges[0] += self.end_gap, -self.end_gap
-        return ranges
+        return _position_ranges(route, self.waypoints_per_lane, self.end_gap)
 
     def check(self, scenario: ScriptedScenario) -> None:
         """Check that a concrete scenario is valid in this logical scenario.
@@ -86,7 +85,7 @@ class ScriptedRanges:
             raise InputError(f"type: {unknown_name('vehicle type', npc.type, self.vehicle_types)}")
         if npc.route not in self.roadmap.routes:
             raise InputError(f"route: {unknown_name('route', npc.route, self.roadmap.routes)}")
-        ranges = self.position_ranges(self.roadmap.routes[npc.route])
+        ranges = self.position_ranges(self.roadmap.routes[npc.route]).tolist()
         if len(npc.waypoints) != len(ranges):
             raise InputError(f"waypoints: route {npc.route!r} takes {len(ranges)}, got {len(npc.waypoints)}")
         low, high = self.speed_range
@@ -108,8 +107,8 @@ class ScriptedRanges:
         Returns:
             The broken rule as the end of the sentence "the vehicle starts ...", or None.
         """
-        start, size = self.start_pose_of(npc), VEHICLE_SIZES[npc.type]
-        ego = self.roadmap.start_pose
+        start, size = self._start_of(npc), VEHICLE_SIZES[npc.type]
+        ego = tuple(self.roadmap.start_pose.tolist())
         ego_gap = math.dist(start[:2], ego[:2])
         if ego_gap < self.ego_gap:
             return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
@@ -117,7 +116,7 @@ class ScriptedRanges:
             return "where the ego stands"
         lane = self.roadmap.routes[npc.route].lanes[0]
         for i, other in enumerate(others):
-            pose = self.start_pose_of(other)
+            pose = self._start_of(other)
             gap = math.dist(start[:2], pose[:2])
             if lane is self.roadmap.routes[other.route].lanes[0] and gap < self.npc_gap:
                 return f"{gap:.2f} m from NPC {i} in the same lane, closer than {self.npc_gap:g} m"
@@ -127,7 +126,10 @@ class ScriptedRanges:
 
     def start_pose_of(self, npc: NPC) -> Floats:
         """Return the pose at which a vehicle starts: x, y [m] and heading [rad], shape (3,)."""
-        return self.roadmap.routes[npc.route].lanes[0].pose(npc.waypoints[0].position)
+        return np.array(self._start_of(npc))
+
+    def _start_of(self, npc: NPC) -> Pose:
+        return _pose(self.roadmap.routes[npc.route].lanes[0], npc.waypoints[0].position)
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
         """Sample a scenario with every parameter uniform in its range.
@@ -167,10 +169,26 @@ class ScriptedRanges:
         )
 
 
-def _overlap(pose: Floats, size: tuple[float, float], other_pose: Floats, other_size: tuple[float, float]) -> bool:
-    """Return whether two boxes touch, given their poses, each of shape (3,)."""
+@lru_cache
+def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> Floats:
+    lanes = np.stack([route.bounds[:-1], route.bounds[1:]], axis=1)
+    ranges = np.repeat(lanes, waypoints_per_lane, axis=0)
+    ranges[0] += end_gap, -end_gap
+    ranges.setflags(write=False)
+    return ranges
+
+
+@lru_cache  # a vehicle is compared with several others, and a scenario is checked wherever it comes from outside
+def _pose(lane: Lane, position: float) -> Pose:
+    return tuple(lane.pose(position).tolist())
+
+
+def _overlap(pose: Pose, size: tuple[float, float], other_pose: Pose, other_size: tuple[float, float]) -> bool:
+    """Return whether two boxes touch."""
     if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
         return False  # the circles around the boxes do not touch, which decides most pairs of vehicles
-    corners = box_corners(pose[:2], pose[2], np.array(size))
-    other_corners = box_corners(other_pose[:2], other_pose[2], np.array(other_size))
-    return bool(boxes_overlap(corners, other_corners))
+    return bool(boxes_overlap(_corners(pose, size), _corners(other_pose, other_size)))
+
+
+def _corners(pose: Pose, size: tuple[float, float]) -> Floats:
+    return box_corners(np.array(pose[:2]), np.array(pose[2]), np.array(size))

@@ -79,10 +79,8 @@ class Trace:
     def __post_init__(self) -> None:
         for name in _ARRAYS:
             kind = np.int64 if name == "action_frame" else np.float64
-            object.__setattr__(self, name, _frozen(name, getattr(self, name), kind))
-        for name in _MOTION:
-            rounded = np.rint(getattr(self, name) / RESOLUTION) * RESOLUTION
-            object.__setattr__(self, name, _frozen(name, rounded, np.float64))
+            step = RESOLUTION if name in _MOTION else None
+            object.__setattr__(self, name, _frozen(name, getattr(self, name), kind, step))
         for name in ("decisions", "signals"):
             object.__setattr__(self, name, _frozen_mapping(name, getattr(self, name)))
         present = _frozen("present", self.present, np.bool_)
@@ -114,7 +112,7 @@ class Trace:
             _check_shape(f"signals[{name!r}]", values, (frames,))
         if frames == 0 or vehicles == 0:
             raise InputError("time: a trace needs at least one frame, and an ego in size")
-        if self.time[0] != 0 or (np.diff(self.time) <= 0).any():
+        if self.time[0] != 0 or (self.time[1:] <= self.time[:-1]).any():
             raise InputError("time: must begin at 0 and increase")
         if len(self.route) < 2:
             raise InputError("route: at least two points are needed")
@@ -247,8 +245,11 @@ def _frozen_mapping(name: str, values: Any) -> Mapping[str, Floats]:
     return MappingProxyType({key: _frozen(f"{name}[{key!r}]", values[key], np.float64) for key in sorted(values)})
 
 
-def _frozen(name: str, values: Any, kind: type[np.generic]) -> NDArray[Any]:
-    """Return a read-only copy of an array. Values that are not numbers, or would lose a fraction, are refused."""
+def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None = None) -> NDArray[Any]:
+    """Return a read-only copy of an array, rounded to multiples of `step` if that is given.
+
+    Values that are not numbers, or would lose a fraction, are refused.
+    """
     try:
         given = np.asarray(values)
     except ValueError:  # rows of different lengths
@@ -258,15 +259,15 @@ def _frozen(name: str, values: Any, kind: type[np.generic]) -> NDArray[Any]:
     if kind is np.int64 and not (np.isfinite(given) & (given == np.rint(given))).all():
         raise InputError(f"{name}: every value must be a whole number")
     array: NDArray[Any] = given.astype(kind)
+    if step is not None:
+        array = np.rint(array / step) * step
     array.setflags(write=False)
     return array
 
 
 def _check_shape(name: str, array: NDArray[np.generic], expected: tuple[int | None, ...]) -> None:
-    matches = array.ndim == len(expected) and all(
-        size is None or size == actual for size, actual in zip(expected, array.shape, strict=True)
-    )
-    if not matches:
+    known = tuple(actual if size is None else size for size, actual in zip(expected, array.shape, strict=False))
+    if array.shape != known or len(expected) != array.ndim:
         wanted = tuple("any" if size is None else size for size in expected)
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
     if array.dtype == np.float64 and not np.isfinite(array).all():

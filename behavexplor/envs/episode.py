@@ -34,12 +34,16 @@ def episode_trace(
         action_frames: frame at which each command was given, shape (D,).
         end: kind of end, one of `behavexplor.data.trace.ENDS`.
     """
-    velocity = motion[..., SPEED, None] * np.stack([np.cos(motion[..., HEADING]), np.sin(motion[..., HEADING])], -1)
+    moved = np.empty((len(time), len(sizes), ego.shape[1]))  # the columns of `ego`, for every vehicle
+    moved[:, 0] = ego
+    moved[:, 1:, :3] = motion[..., [X, Y, HEADING]]
+    moved[:, 1:, 3] = motion[..., SPEED] * np.cos(motion[..., HEADING])
+    moved[:, 1:, 4] = motion[..., SPEED] * np.sin(motion[..., HEADING])
     return Trace(
         time=time,
-        position=np.concatenate([ego[:, None, :2], motion[..., [X, Y]]], axis=1),
-        heading=np.concatenate([ego[:, None, 2], motion[..., HEADING]], axis=1),
-        velocity=np.concatenate([ego[:, None, 3:], velocity], axis=1),
+        position=moved[..., :2],
+        heading=moved[..., 2],
+        velocity=moved[..., 3:],
         size=sizes,
         actions=actions,
         action_frame=action_frames,

@@ -24,6 +24,7 @@ from behavexplor.execution.simulation import Simulation, compile_kernels
 from behavexplor.jit import keep_no_code
 
 LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
+_LEAST_LOCK_STEP: Final = 2  # a single episode would run in the environment that is not compiled, with other last bits
 
 EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
 PREFLIGHT: Final = "preflight"
@@ -36,6 +37,7 @@ class Evaluator(Service):
     """Executes scenarios, checks the ADS before a campaign, and reports the fingerprint that results depend on.
 
     Args:
+        lock_step: greatest number of episodes that run in lock-step.
         target: the fields of a `behavexplor.data.target.Target`.
 
     Attributes:
@@ -48,8 +50,9 @@ class Evaluator(Service):
 
     confirms = True
 
-    def __init__(self, **target: Any) -> None:
+    def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = Target(**target)
+        self._lock_step = lock_step
         self.driver: ADS | None = None
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
             EXECUTE: self.execute,
@@ -85,7 +88,7 @@ class Evaluator(Service):
                 self.simulation = simulation_of(self.target, self.driver)
         except InputError as error:
             raise InputError(_explained(str(error))) from None
-        episodes = self.simulation.lock_step(LOCK_STEP)
+        episodes = self.simulation.lock_step(self._lock_step)
         if episodes is not None:
             confirms = self.confirms and self.target.confirm
             self.batch = ScenarioBatch(self.simulation, episodes, self.answer, confirms=confirms)
@@ -201,9 +204,15 @@ def simulation_of(target: Target, driver: ADS | None = None) -> Simulation:
     return Simulation(target.env, ads, *settings, stochastic=target.stochastic)
 
 
-def evaluator_recipe(target: Target) -> Recipe:
-    """Return the recipe by which worker processes make the evaluator of a target."""
-    return recipe_for(Evaluator, target)
+def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:
+    """Return the recipe by which worker processes make the evaluator of a target.
+
+    Args:
+        target: the driving system and its environment.
+        at_a_time: number of scenarios that a process executes at a time. A driver also decides for the episodes in
+            lock-step that are not there, so there are no more of them than necessary.
+    """
+    return recipe_for(Evaluator, target, lock_step=min(max(at_a_time, _LEAST_LOCK_STEP), LOCK_STEP))
 
 
 def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Recipe:

@@ -4,14 +4,19 @@ import os
 from abc import ABC, abstractmethod
 from concurrent.futures import Future
 from types import TracebackType
-from typing import Self
+from typing import ClassVar, Self
 
 
 class Executor(ABC):
     """Calls functions of a service by name. Results do not depend on which executor calls them.
 
     An executor is a context manager: on exit it finishes all calls and shuts down.
+
+    Attributes:
+        runs_here: whether calls run in this process, while their results are waited for.
     """
+
+    runs_here: ClassVar[bool] = False
 
     @abstractmethod
     def submit(self, function: str, data: bytes) -> "Future[bytes]":

@@ -17,6 +17,8 @@ class InProcessExecutor(Executor):
         batched: name of the function that is called in batches; see `behavexplor.execution.service.Recipe`.
     """
 
+    runs_here = True
+
     def __init__(self, service: Service, batched: str = "") -> None:
         self._functions = service.functions
         self._batched = batched

@@ -78,6 +78,7 @@ class Run:
         weaknesses: coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`.
         minimized: minimized failures by the numbers of their executions.
         digests: SHA-256 of the read data, by name.
+        stages: time in each stage [s], see `behavexplor.campaign.stage_clock`; empty if it is not known.
     """
 
     folder: Path
@@ -88,6 +89,7 @@ class Run:
     weaknesses: Mapping[str, WeaknessRecord]
     minimized: Mapping[int, Minimized]
     digests: Mapping[str, str]
+    stages: Mapping[str, float]
 
     @property
     def name(self) -> str:
@@ -160,7 +162,8 @@ def read_run(folder: Path) -> Run:
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
     minimized = read_minimized(folder)
-    return Run(folder, config, tuple(entries), tuple(findings), examined, weaknesses, minimized, digests)
+    found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
+    return Run(folder, config, *found, digests, _stages(folder))
 
 
 def stored(folder: Path) -> Iterator[Execution]:
@@ -168,6 +171,14 @@ def stored(folder: Path) -> Iterator[Execution]:
     store = Store.read(folder)
     try:
         yield from store.executions()
+    finally:
+        store.close()
+
+
+def _stages(folder: Path) -> dict[str, float]:
+    store = Store.read(folder)
+    try:
+        return store.stages
     finally:
         store.close()
 

@@ -19,6 +19,7 @@ from behavexplor.report.colors import type_color
 from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.reading import Run, stored
 from behavexplor.report.road_shapes import known_road, road_values
+from behavexplor.report.stage_bar import StagePart, stage_parts
 from behavexplor.triage.minimized import trace_path
 
 Floats = NDArray[np.float64]
@@ -121,6 +122,11 @@ class Section:
         present = {place.spec for place in self.places}
         known = [(spec, name) for spec, name in _SYMBOLS.items() if spec in present]
         return known + ([("other", "other failure")] if present - _SYMBOLS.keys() else [])
+
+    @property
+    def stages(self) -> tuple[StagePart, ...]:
+        """Where the time of the run went; empty if it is not known."""
+        return stage_parts(self.run.stages)
 
     @property
     def parameters(self) -> list[tuple[str, str]]:

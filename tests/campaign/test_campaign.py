@@ -28,6 +28,8 @@ LOGICAL = IntersectionStraightEnv.logical
 class FakeExecutor(Executor):
     """Runs the ten-line simulator in place of what is submitted."""
 
+    runs_here = True
+
     def __init__(self, executed=None, fail_at=None):
         self.executed = [] if executed is None else executed
         self.fail_at = fail_at
@@ -44,6 +46,8 @@ class FakeExecutor(Executor):
 
 class FakeThreads(ThreadPoolExecutor):
     """The same in threads, which finish in any order."""
+
+    runs_here = False
 
     def submit(self, _evaluate, scenario):
         return super().submit(lambda: simulate(ScriptedScenario.from_json(scenario.decode())).to_bytes())

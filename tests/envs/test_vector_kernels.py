@@ -24,7 +24,7 @@ from behavexplor.envs.reward import WEIGHTS
 from behavexplor.envs.reward import reward_terms as terms_of_one
 from behavexplor.envs.vector import meta, slots, step
 from behavexplor.envs.vector.contact import boxes_touch, corners, line_distance, line_meets_box, touches_line
-from behavexplor.envs.vector.rewards import reward_terms
+from behavexplor.envs.vector.rewards import TERMS, reward_terms
 from behavexplor.envs.vector.slots import END, LINE_FRAME, N_NPCS, RUNNING, make_slots, move_npcs, put_scenario
 from behavexplor.envs.vector.world import make_world
 from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
@@ -215,7 +215,7 @@ def test_the_reward_of_many_is_that_of_each():
     state.outcome[:, 2:] = rng.integers(0, 2, (60, 2))
     weights = {name: float(rng.normal()) for name in WEIGHTS}
     active = rng.random(60) < 0.8
-    many = reward_terms(weights, state, active)
+    many = dict(zip(TERMS, reward_terms(np.array([weights[name] for name in TERMS]), state, active), strict=True))
     for b, (progress, acceleration, touched, rear_end) in enumerate(state.outcome):
         end = ENDS[state.numbers[b, END]] if state.numbers[b, END] >= 0 else None
         one = terms_of_one(

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from behavexplor.data.npc_motion import SPEED, motion_table
+from behavexplor.data.npc_motion import SPEED
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
@@ -21,8 +21,8 @@ from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
-from behavexplor.envs.vector.rewards import reward_terms
-from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, put_scenario
+from behavexplor.envs.vector.rewards import TERMS, reward_terms
+from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, motion_of, put_scenario
 from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
@@ -33,6 +33,7 @@ Floats = NDArray[np.float64]
 
 _TERMINAL = np.array([end in TERMINAL for end in ENDS])
 _OPTIONS = ("scenario", "scenarios", "reset_mask")
+_MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 
 
 class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
@@ -142,8 +143,9 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._actions[active, decision] = actions[active].reshape(-1, self._actions.shape[2])
         step(self._world, self._slots, self._commands(actions), active)
         self._observe(active)
-        terms = reward_terms(self.config["reward"], self._slots, active)
-        rewards: Floats = sum(terms.values(), np.zeros(self.num_envs))
+        weights = np.array([self.config["reward"][name] for name in TERMS], dtype=np.float64)
+        terms = reward_terms(weights, self._slots, active)
+        rewards: Floats = sum(terms, np.zeros(self.num_envs))
         done = active & (numbers[:, END] >= 0)
         infos: dict[str, Any] = {}
         if self._mode is AutoresetMode.SAME_STEP and done.any():
@@ -183,30 +185,28 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         else:
             observe_kinematics(self._world, self._slots, self._view, mask, self._observations)
 
-    def _step_infos(self, mask: Bools, terms: Mapping[str, Floats]) -> dict[str, Any]:
+    def _step_infos(self, mask: Bools, terms: Floats) -> dict[str, Any]:
         """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
         if not mask.any():
             return {}
-        rewards: dict[str, Any] = {}
-        for name, values in terms.items():
-            rewards |= {name: np.where(mask, values, 0.0), f"_{name}": mask.copy()}
-        infos: dict[str, Any] = {"speed": np.where(mask, self._slots.ego[:, SPEED], 0.0), "_speed": mask.copy()}
-        infos |= {"rewards": rewards, "_rewards": mask.copy()}
+        speeds, terms = np.where(mask, self._slots.ego[:, SPEED], 0.0), np.where(mask, terms, 0.0)
+        rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
+        infos: dict[str, Any] = {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
         done = mask & (self._slots.numbers[:, END] >= 0)
         if done.any():
             ends, traces = np.full((2, self.num_envs), None, dtype=object)
             for b in np.flatnonzero(done).tolist():
                 ends[b] = ENDS[self._slots.numbers[b, END]]
                 traces[b] = self._trace(b)
-            infos |= {"end": ends, "_end": done.copy(), "trace": traces, "_trace": done.copy()}
+            infos |= {"end": ends, "_end": done, "trace": traces, "_trace": done}
         return infos
 
-    def _final_infos(self, done: Bools, terms: Mapping[str, Floats]) -> dict[str, Any]:
+    def _final_infos(self, done: Bools, terms: Floats) -> dict[str, Any]:
         observations = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(done).tolist():
             observations[b] = self._observations[b].copy()
-        infos = {"final_obs": observations, "_final_obs": done.copy()}
-        return infos | {"final_info": self._step_infos(done, terms), "_final_info": done.copy()}
+        infos = {"final_obs": observations, "_final_obs": done}
+        return infos | {"final_info": self._step_infos(done, terms), "_final_info": done}
 
     def _trace(self, b: int) -> Trace:
         """Return the trace of the episode that has ended in slot b."""
@@ -217,7 +217,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             roadmap,
             time=self._time[:frames],
             ego=slots.record[b, :frames],
-            motion=motion_table(self.scenarios[b], roadmap, self._time[:frames]),
+            motion=motion_of(self._world, slots, b, self._time[:frames]),
             sizes=slots.size[b, : 1 + slots.numbers[b, N_NPCS]],
             actions=self._actions[b, : len(decisions)],
             action_frames=decisions,

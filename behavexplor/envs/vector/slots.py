@@ -18,6 +18,7 @@ from behavexplor.data.npc_motion import (
     Routes,
     X,
     Y,
+    fill_frames,
     fill_phases,
     npc_at,
     route_index,
@@ -156,6 +157,19 @@ def move_npcs(
             phases[b, i, n, PHASE_ACCELERATION],
         )
         npc[b, i, ACCELERATION] = phases[b, i, n, PHASE_ACCELERATION]
+
+
+def motion_of(world: World, slots: Slots, b: int, time: Floats) -> Floats:
+    """Return the NPCs' motion table in slot b at given times; see `behavexplor.data.npc_motion.motion_table`."""
+    table = np.empty((len(time), slots.numbers[b, N_NPCS], N_COLUMNS))
+    _fill_table(world.npc_routes, slots.npc_numbers[b], slots.phases[b], time, table)
+    return table
+
+
+@kernel
+def _fill_table(routes: Routes, npc_numbers: Ints, phases: Floats, time: Floats, table: Floats) -> None:
+    for i in range(table.shape[1]):
+        fill_frames(routes, npc_numbers[i, ROUTE], phases[i], npc_numbers[i, N_PHASES], time, table[:, i])
 
 
 def put_scenario(world: World, slots: Slots, b: int, scenario: ScriptedScenario, roadmap: RoadMap) -> None:

@@ -1,0 +1,73 @@
+"""Where the time of a campaign goes: it is counted, stored with the executions, and read from damaged files."""
+
+import sqlite3
+import time
+from contextlib import suppress
+
+import pytest
+
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.stage_clock import EXECUTING, JUDGING, STAGES, STARTING, WAITING, StageClock, known_stages
+from behavexplor.campaign.store import Store
+from behavexplor.commands import OK, main
+from behavexplor.report.stage_bar import stage_parts
+
+
+@pytest.fixture
+def run(tmp_path):
+    arguments = ["--ads", "tests.drivers:cruiser", "--method", "uniform", "--budget", "4", "--unconfined"]
+    assert main(["fuzz", *arguments, "--workers", "0", "--quiet", "--out", str(tmp_path / "run")]) == OK
+    return tmp_path / "run"
+
+
+def stages_of(run):
+    store = Store.read(run)
+    try:
+        return store.stages, store.elapsed
+    finally:
+        store.close()
+
+
+def test_the_clock_counts_each_stage_and_continues_after_an_interruption():
+    clock = StageClock({JUDGING: 10.0})
+    with suppress(KeyError), clock.during(JUDGING):
+        time.sleep(0.02)
+        raise KeyError
+    assert 0.02 <= clock.seconds[JUDGING] < 5
+    assert clock.total[JUDGING] == 10 + clock.seconds[JUDGING]
+    assert sum(clock.seconds.values()) == clock.seconds[JUDGING]
+
+
+def test_a_run_keeps_the_time_in_each_stage_and_a_resumed_one_adds_to_it(run):
+    first, elapsed = stages_of(run)
+    assert list(first) == list(STAGES)
+    assert first[STARTING] > 0 < first[EXECUTING]
+    assert first[WAITING] == 0
+    assert sum(first.values()) - first[STARTING] < elapsed + 1
+    assert main(["fuzz", "--resume", str(run), "--budget", "6", "--workers", "0", "--quiet"]) == OK
+    second, _ = stages_of(run)
+    assert all(second[name] >= first[name] for name in STAGES)
+    assert second[EXECUTING] > first[EXECUTING]
+
+
+@pytest.mark.parametrize("note", ["", "[]", '{"judging": "1"}', '{"judging": NaN, "more": 1}', "[" * 100_000, "1e999"])
+def test_a_run_without_a_readable_note_has_no_stages(run, note):
+    with sqlite3.connect(run / DATABASE) as connection:
+        connection.execute("UPDATE meta SET value = ? WHERE key = 'stages'", (note,))
+    connection.close()
+    assert stages_of(run)[0] == {}
+    assert stage_parts({}) == ()
+
+
+def test_only_known_stages_with_times_are_read():
+    values = {"storing": 2, "asking": 0.5, "judging": -1, "mining": True, "waiting": 10**400, "<b>": 1}
+    assert known_stages(values) == {"asking": 0.5, "storing": 2.0}
+
+
+def test_the_parts_of_the_bar_fill_it_in_order():
+    parts = stage_parts({"asking": 1.0, "executing": 5.0, "waiting": 0.0, "storing": 2.0})
+    assert [(part.name, part.begin, part.share) for part in parts] == [
+        ("asking", 0, 12.5),
+        ("executing", 12.5, 62.5),
+        ("storing", 75, 25),
+    ]
