@@ -38,7 +38,7 @@ class Comparison:
         second: the run of the second driver.
 
     Raises:
-        InputError: if the folder is not that of a comparison, or a driver is another one.
+        InputError: if the folder is not that of a comparison, or a given driver is not that of its run.
     """
 
     def __init__(self, folder: str | Path, first: Any = None, second: Any = None) -> None:

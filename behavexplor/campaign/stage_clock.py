@@ -31,13 +31,13 @@ _MOST_SECONDS: Final = 1e12
 
 
 class StageClock:
-    """Adds up the time in each stage, which do not overlap.
+    """A clock that adds up the time in each stage. Stages do not overlap.
 
     Args:
         earlier: time in each stage before the campaign was resumed [s].
 
     Attributes:
-        seconds: time in each stage since then [s].
+        seconds: time in each stage since this clock was made [s].
     """
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
@@ -46,7 +46,7 @@ class StageClock:
 
     @contextmanager
     def during(self, stage: str) -> Iterator[None]:
-        """Count the time in this context."""
+        """Return a context whose time counts for a stage."""
         begun = time.monotonic()
         try:
             yield

@@ -17,7 +17,7 @@ class ScenarioVecEnv(LockStepVecEnv):
     """A vector environment whose episodes drive the scenarios of a sampler.
 
     For a sub-environment whose episode has just ended, `infos` contains its `trace`, the `end` of the trace, and the
-    `terminal_observation`. `seed` seeds the sampler at the next `reset`, for all sub-environments together.
+    `terminal_observation`. `seed` seeds the sampler for all sub-environments together, at once.
 
     Args:
         env: vector environment with autoreset disabled and an attribute `logical` that takes

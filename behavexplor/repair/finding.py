@@ -1,4 +1,4 @@
-"""Failures of a policy that are worth training on: those for which it was at fault, and that could be avoided."""
+"""Failures of a policy that are worth training on: the policy was at fault, and could have avoided them."""
 
 from contextlib import closing
 from pathlib import Path
@@ -27,8 +27,8 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
         folder: run folder.
 
     Returns:
-        The scenarios of the failures for which the policy was at fault, without collisions that no driver could have
-        avoided; and the number of decisions of the whole campaign.
+        The scenarios of the failures for which the policy was at fault, without collisions that no tried evasion
+        avoids; and the number of decisions of the whole campaign.
 
     Raises:
         ExecutionError: if an execution could not be carried out.
@@ -57,7 +57,7 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
 
 
 def _preventable(simulation: Simulation, execution: Execution, seed: int) -> bool:
-    """Return whether a failure is not a collision that no tried evasion avoids."""
+    """Return False for a collision that no tried evasion avoids, and True for any other failure."""
     if execution.record.fault is None:
         return True
     rng = np.random.default_rng([STREAM, seed, execution.id])

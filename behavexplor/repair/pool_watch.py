@@ -14,12 +14,12 @@ from behavexplor.training import Learned, Watch
 class PoolWatch(Watch):
     """Callback that keeps a pool up to date with the ends of the training's episodes.
 
-    A scenario leaves the pool when an episode in it passes.
+    A scenario leaves the pool when an episode in it ends without a failure at fault.
 
     Args:
         observe: callback that gets the progress after each batch of experience.
         pool: the pool.
-        own: whether a scenario enters the pool when an episode in it fails.
+        own: whether a scenario enters the pool when an episode in it ends with a failure at fault.
     """
 
     def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:

@@ -1,7 +1,8 @@
 """Retraining of a policy on the scenarios in which it fails, in resumable rounds.
 
-A round searches for failures of the present policy (if the pool is to have found ones), trains the policy on a mixture
-of these scenarios and ordinary ones, and validates it as it is driven, without chance.
+A round searches for failures of the present policy if the configuration asks for them. It trains the policy on a
+mixture of ordinary scenarios and those in which the policy fails. Then it validates the policy as it is driven, without
+chance.
 """
 
 import json
@@ -46,7 +47,8 @@ class RetrainingConfig:
             campaigns find ("found"); or both.
         share: probability that an episode is drawn from the pool.
         rounds: number of rounds of training.
-        steps: number of decisions in a round, the campaign's included.
+        steps: number of decisions in a round, including those of the campaign. The training of a new critic and the
+            filling of a replay buffer come on top.
         seed: random seed.
         envs: number of sub-environments in lock-step; None for as many as in the training so far.
         rate: learning rate of the first round; None for that of the training so far.
@@ -161,7 +163,7 @@ def retrain(
         report: callback that gets each finished round.
 
     Returns:
-        All rounds. The best one has the lowest rate at fault in the validation, then the most arrivals.
+        All rounds; see `best`.
 
     Raises:
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.
@@ -207,7 +209,7 @@ def policy_in(folder: Path, config: RetrainingConfig) -> Path:
 
 
 def best(rounds: list[Round]) -> Round:
-    """Return the round with the lowest rate at fault, then the fewest failures, then the fewest steps."""
+    """Return the round with the lowest rate at fault, then the most passed scenarios, then the fewest steps."""
     return min(rounds, key=lambda one: (one.at_fault, -one.passed, one.steps))
 
 

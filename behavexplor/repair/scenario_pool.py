@@ -18,7 +18,7 @@ MOST: Final = 2000  # scenarios in a pool; the newest are kept
 class Pool:
     """Scenarios in which a policy fails at present. It follows the policy.
 
-    A scenario enters when the policy fails in it, and leaves when an episode in it passes.
+    A scenario enters when the policy fails in it by its own fault. It leaves when an episode in it ends otherwise.
 
     Args:
         logical: logical scenario from which all other episodes are drawn.
@@ -46,7 +46,7 @@ class Pool:
         return self._logical.sample(rng)
 
     def add(self, scenario: Scenario) -> None:
-        """Add a scenario in which the policy failed. The oldest one leaves a full pool."""
+        """Add a scenario in which the policy failed. If the pool is full, the oldest one leaves."""
         if scenario in self._known:
             return
         self._known.add(scenario)
@@ -55,7 +55,7 @@ class Pool:
             self._known.discard(self._scenarios.pop(0))
 
     def discard(self, scenario: Scenario) -> None:
-        """Remove a scenario in which the policy passed, if the pool has it."""
+        """Remove a scenario in which the policy did not fail by its own fault, if the pool has it."""
         if scenario in self._known:
             self._known.discard(scenario)
             self._scenarios.remove(scenario)

@@ -1,9 +1,9 @@
 """Decisions for the outputs of a policy's network, which are the preferences of its actions.
 
-The probabilities of the actions are the softmax of the preferences. PPO and its kin train a policy whose actions are
-drawn with them. Drawn several times a second, the accelerations average out, so the deterministic driver nearest to the
-one that was trained takes their mean. The most probable action can be another driver: where braking has 40 %, and two
-accelerations have 30 % each, it always brakes.
+The probabilities of the actions are the softmax of the preferences. PPO and similar algorithms train a policy that
+draws its actions with them. Drawn several times a second, the accelerations average out, so the deterministic driver
+nearest to the one that was trained takes their mean. Taking the most probable action can make another driver: where
+braking has 40 %, and two accelerations have 30 % each, it always brakes.
 """
 
 import math

@@ -39,6 +39,7 @@ class LearnedDriver:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: decisions per second, 5 Hz.
+        vectorized: True, because each row is decided independently.
         noise: see `behavexplor.ads.interface.StochasticADS`.
 
     Args:

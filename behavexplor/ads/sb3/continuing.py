@@ -17,8 +17,8 @@ from behavexplor.ads.sb3.building import UntrustedError, policy_recipe
 from behavexplor.ads.sb3.inert import Inert
 from behavexplor.errors import InputError
 
-# The file does not name the algorithm. Its policy may tell it, by the module; PPO, A2C and TRPO have the same policies,
-# and are told by the first of these numbers that the file has.
+# The file does not name the algorithm. The module of its policy tells DQN and QR-DQN. PPO, A2C and TRPO have the same
+# policies, and are told apart by the first of these numbers that the file has.
 _OF_MODULES: Final[Mapping[str, type[BaseAlgorithm]]] = {
     "stable_baselines3.dqn.policies": stable_baselines3.DQN,
     "sb3_contrib.qrdqn.policies": sb3_contrib.QRDQN,
@@ -28,7 +28,7 @@ _OF_NUMBERS: Final[Mapping[str, type[BaseAlgorithm]]] = {
     "n_epochs": stable_baselines3.PPO,
     "gae_lambda": stable_baselines3.A2C,
 }
-# Hyperparameters that go on. Others may be functions, such as the clipping range; they have their defaults.
+# Hyperparameters that are kept. All others have their defaults; some of them are functions, such as the clipping range.
 _KEPT: Final = (
     "n_steps",
     "batch_size",
@@ -52,7 +52,7 @@ _KEPT: Final = (
 
 
 def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
-    """Build a model with the weights, the optimizer and the hyperparameters of a file.
+    """Build a model with the weights, the optimizer and most hyperparameters of a file.
 
     DQN and QR-DQN explore as at the end of their training; the file has no replay buffer.
 
@@ -113,7 +113,7 @@ def sub_environments_of(archive: Archive) -> int:
 
 
 def _settings(archive: Archive) -> dict[str, Any]:
-    """Return the hyperparameters of a file that go on."""
+    """Return the hyperparameters of a file that are kept."""
     settings: dict[str, Any] = {name: archive.numbers[name] for name in _KEPT if name in archive.numbers}
     if "exploration_final_eps" in settings:
         settings["exploration_initial_eps"] = settings["exploration_final_eps"]
