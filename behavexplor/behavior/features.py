@@ -3,7 +3,6 @@
 Source: paper section 3.2.1, state interpolation and state merging.
 """
 
-import math
 from typing import Final, Literal
 
 import numpy as np
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.trace import Trace
-from behavexplor.jit import kernel
 
 Floats = NDArray[np.float64]
 Tail = Literal["padded", "cut"]
@@ -38,8 +36,7 @@ STATISTICS: Final = (  # the paper's D = 8 statistics of an attribute in a windo
     "non-linearity",
     "complexity",
 )
-N_STATISTICS: Final = len(STATISTICS)
-N_FEATURES: Final = len(ATTRIBUTES) * N_STATISTICS
+N_FEATURES: Final = len(ATTRIBUTES) * len(STATISTICS)
 
 STILL: Final = 1e-3  # a smaller deviation of any attribute, in its unit, is jitter and not behavior
 NEGLIGIBLE: Final = np.tile(  # effect of such a deviation on each feature, shape (64,)
@@ -102,45 +99,13 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     Returns:
         The eight statistics of the first attribute, then of the second, and so on; shape (windows, 64).
     """
+    from behavexplor.behavior.window_statistics import fill_statistics  # noqa: PLC0415 - numba is slow to import
+
     x = np.asarray(states, dtype=np.float64)
     if not len(x):
         return np.zeros((0, N_FEATURES))
     padding = window - 1 if tail == "padded" else max(window - len(x), 0)
     x = np.concatenate([x, np.repeat(x[-1:], padding, axis=0)])
     merged = np.empty((len(x) - window + 1, N_FEATURES))
-    _merge(x, window, merged)
+    fill_statistics(x, window, STILL, merged)
     return merged
-
-
-@kernel
-def _merge(x: Floats, window: int, merged: Floats) -> None:
-    for i in range(len(merged)):
-        for j in range(x.shape[1]):
-            first = j * N_STATISTICS
-            merged[i, first : first + N_STATISTICS] = _statistics(x[i : i + window, j])
-
-
-@kernel
-def _statistics(x: Floats) -> tuple[float, float, float, float, float, float, float, float]:
-    """Compute the `STATISTICS` of one window. All sums run in the order of time."""
-    n = len(x)
-    total, least, greatest = 0.0, x[0], x[0]
-    for value in x:
-        total += value
-        least, greatest = min(least, value), max(greatest, value)
-    mean, squares = total / n, 0.0
-    for value in x:
-        squares += (value - mean) * (value - mean)
-    variance = squares / n
-    moved, energy, triples = 0.0, 0.0, 0.0
-    for k in range(1, n):
-        step = x[k] - x[k - 1]
-        moved += abs(step)
-        energy += step * step
-    for k in range(2, n):
-        triples += x[k] * x[k - 1] * x[k - 2]
-    deviation = math.sqrt(variance)
-    complexity = math.sqrt(energy) / deviation if deviation > STILL else 0.0
-    change, mean_abs_change = ((x[-1] - x[0]) / (n - 1), moved / (n - 1)) if n > 1 else (0.0, 0.0)
-    non_linearity = triples / (n - 2) if n > 2 else 0.0
-    return mean, variance, least, greatest, change, mean_abs_change, non_linearity, complexity

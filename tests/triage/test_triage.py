@@ -101,9 +101,9 @@ def test_a_witness_is_replayed_to_pictures(run, tmp_path, capsys):
     assert (tmp_path / "000002-avoided.png").is_file()
 
 
-def test_a_collision_without_a_witness_is_one_sentence(run, tmp_path, capsys):
+def test_without_a_collision_there_is_nothing_to_avoid(run, tmp_path, capsys):
     assert main(["replay", str(run), "1", "--avoided", "--out", str(tmp_path)]) == BAD_INPUT
-    assert "No avoidance is stored for execution 1: `behavexplor triage" in capsys.readouterr().err
+    assert "Execution 1 has no collision that could be avoided" in capsys.readouterr().err
 
 
 def test_a_witness_that_avoids_nothing_is_said_so(run, tmp_path, capsys):
