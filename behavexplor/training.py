@@ -185,10 +185,15 @@ def restore_model(model: BaseAlgorithm, path: Path) -> None:
 
 def network_layers(model: OnPolicyAlgorithm) -> Layers:
     """Return weights and biases of all layers, from the observation to the preference of each action."""
+    layers = policy_layers(model)
+    return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in layers]
+
+
+def policy_layers(model: BaseAlgorithm) -> list[torch.nn.Linear]:
+    """Return the dense layers from the observation to the preference of each action."""
     policy: Any = model.policy
     parts = [*policy.mlp_extractor.policy_net, policy.action_net]
-    linear = [part for part in parts if isinstance(part, torch.nn.Linear)]
-    return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in linear]
+    return [part for part in parts if isinstance(part, torch.nn.Linear)]
 
 
 def training_env(config: TrainingConfig) -> LearningVecEnv:

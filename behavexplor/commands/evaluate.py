@@ -176,7 +176,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
     if not differing:
         return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."
     return (
-        f"With drawn actions, as in training, other rates differ significantly (Fisher's exact test, 1 %): "
+        f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
         f"{', '.join(differing)}.\nSo the driven policy is not the trained one, which --stochastic tests."
     )
 

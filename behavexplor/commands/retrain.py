@@ -110,7 +110,8 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
         if not quiet:
             print(f"round {one.number} of {config.rounds}: {_words(one)}", file=sys.stderr)
 
-    total = config.steps * (config.rounds + 1)
+    trains_critic = retraining.policy_in(folder, config).suffix == ".npz"
+    total = config.steps * (config.rounds + trains_critic)
     try:
         with Meter(sys.stderr, total, "steps", quiet=quiet) as meter:
             rounds = retraining.retrain(

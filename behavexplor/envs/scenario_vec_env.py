@@ -65,7 +65,7 @@ class ScenarioVecEnv(LockStepVecEnv):
     def _begin(self, mask: NDArray[np.bool_]) -> Any:
         """Begin episodes where the mask is True, and return the observations of all sub-environments."""
         new = [self.sampler(self._rng) if chosen else None for chosen in mask.tolist()]
-        self.scenarios = [one or other for one, other in zip(new, self.scenarios, strict=True)]
+        self.scenarios = [other if one is None else one for one, other in zip(new, self.scenarios, strict=True)]
         observations, _ = self.env.reset(options={"scenarios": new, "reset_mask": mask})
         return observations
 

@@ -46,14 +46,14 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
     )
     with opened(config, folder, 0, resume=folder.is_dir()) as ready:
         ready.campaign.run(lambda _: None)
-    simulation = Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
     with closing(Store.read(folder)) as store:
         executions = list(store.executions())
-    failures = [one.scenario for one in executions if one.record.at_fault and _preventable(simulation, one, seed)]
-    seconds = sum(one.record.duration or 0.0 for one in executions)
-    frequency = simulation.env.get_wrapper_attr("config")["policy_frequency"]
-    simulation.close()
-    return failures, round(seconds * frequency)
+    with closing(
+        Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
+    ) as simulation:
+        failures = [one.scenario for one in executions if one.record.at_fault and _preventable(simulation, one, seed)]
+        frequency = simulation.env.get_wrapper_attr("config")["policy_frequency"]
+    return failures, round(sum(one.record.duration or 0.0 for one in executions) * frequency)
 
 
 def _preventable(simulation: Simulation, execution: Execution, seed: int) -> bool:

@@ -267,7 +267,7 @@ class _Work:
         if self.trainee.entropy:
             model.ent_coef = self.trainee.entropy * left
         rate = (self.config.rate or self.trainee.rate) * max(left, _LAST_RATE)
-        self.trainee.learn((self.config.seed, number), steps, rate, watch)
+        self.trainee.learn(self.config.seed, number, steps, rate, watch)
 
     def finish(self, number: int, found: int | None) -> Round:
         """Save and validate the policy, and return the result. Round 0 is the policy as it was given."""
@@ -278,7 +278,7 @@ class _Work:
         if number == 0:
             copy_policy(given_file(config.policy), policy)
         self.pool.write(self.file(number, ".jsonl"))
-        outcomes = validated(replace(config.target, ads=str(policy)), config.validation)
+        outcomes = validation_outcomes(replace(config.target, ads=str(policy)), config.validation)
         result = Round(
             number,
             self.trainee.model.num_timesteps,
@@ -294,10 +294,10 @@ class _Work:
         return result
 
 
-def validated(target: Target, count: int, seed: int = VALIDATION_SEED) -> list[Outcomes]:
+def validation_outcomes(target: Target, count: int) -> list[Outcomes]:
     """Drive the scenarios of the validation, which are the same for all policies, and return their outcomes."""
     with start_judge(target, 0) as executor:
-        return list(uniform_outcomes(executor, logical_of_target(executor, target.env), count, seed))
+        return list(uniform_outcomes(executor, logical_of_target(executor, target.env), count, VALIDATION_SEED))
 
 
 def _pool_of(folder: Path, rounds: list[Round]) -> list[Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from behavexplor.campaign.store import write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.errors import InputError
 
 FULL: Final = 100  # scenarios that a pool needs to be drawn from with its full share
 MOST: Final = 2000  # scenarios in a pool; the newest are kept
@@ -77,6 +78,10 @@ def read_pool(path: Path) -> list[Scenario]:
     """Return the scenarios of a file that `Pool.write` wrote.
 
     Raises:
-        InputError: if a scenario is not valid.
+        InputError: if the file cannot be read, or a scenario is not valid.
     """
-    return [parse_scenario(line) for line in path.read_text().splitlines()]
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"The pool {path} cannot be read: {error}") from None
+    return [parse_scenario(line) for line in lines]

@@ -27,7 +27,7 @@ from behavexplor.envs.making import make_vector_env
 from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
-from behavexplor.training import TrainingConfig, begin_stage, network_layers, new_model
+from behavexplor.training import TrainingConfig, begin_stage, network_layers, new_model, policy_layers
 
 _ENVS: Final = 64  # sub-environments for a network of `train`
 _RATE: Final = 2.5e-4  # learning rate where none is known
@@ -57,23 +57,24 @@ class Trainee:
     write: Callable[[Path], None]
     scenarios: ScenarioVecEnv
 
-    def learn(self, seed: tuple[int, int], steps: int, rate: float, watch: BaseCallback) -> None:
+    def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
         """Train for one round.
 
         Args:
-            seed: seed of the retraining, and number of the round. In the first round, a new critic learns alone before
-                the policy does, for as many steps.
+            seed: seed of the retraining.
+            number: number of the round. In the first round, a new critic learns alone before the policy does, for as
+                many steps.
             steps: number of decisions.
             rate: learning rate.
             watch: callback for the training.
         """
         model: Any = self.model
-        if self.new_critic and seed[1] == 1:
+        if self.new_critic and number == 1:
             _freeze(model, frozen=True)
-            begin_stage(model, self.venv, (seed[0], 0), self.rate)
+            begin_stage(model, self.venv, (seed, 0), rate)
             model.learn(steps, reset_num_timesteps=False)
             _freeze(model, frozen=False)
-        begin_stage(model, self.venv, seed, rate)
+        begin_stage(model, self.venv, (seed, number), rate)
         if isinstance(model, OffPolicyAlgorithm):
             self._fill(model)
         model.learn(steps, callback=watch, reset_num_timesteps=False)
@@ -124,7 +125,7 @@ def _of_network(simulation: Simulation, path: Path, seed: int, envs: int | None)
     venv = LearningVecEnv(scenarios, scripted(simulation.logical, "Training of a network").roadmap)
     layers = tuple(len(bias) for _, bias in network.layers[:-1])
     model = new_model(TrainingConfig(seed=seed, envs=venv.num_envs, layers=layers), venv)
-    for part, (weights, bias) in zip(_policy_layers(model), network.layers, strict=True):
+    for part, (weights, bias) in zip(policy_layers(model), network.layers, strict=True):
         part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
         part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
 
@@ -180,12 +181,5 @@ def copy_policy(policy: Path, path: Path) -> None:
 
 
 def _freeze(model: BaseAlgorithm, *, frozen: bool) -> None:
-    for layer in _policy_layers(model):
+    for layer in policy_layers(model):
         layer.requires_grad_(not frozen)
-
-
-def _policy_layers(model: BaseAlgorithm) -> list[torch.nn.Linear]:
-    """Return the dense layers from the observation to the preference of each action."""
-    policy: Any = model.policy
-    parts = [*policy.mlp_extractor.policy_net, policy.action_net]
-    return [part for part in parts if isinstance(part, torch.nn.Linear)]

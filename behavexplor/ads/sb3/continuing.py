@@ -48,6 +48,11 @@ _KEPT: Final = (
     "gradient_steps",
     "target_update_interval",
     "exploration_final_eps",
+    "cg_max_steps",
+    "cg_damping",
+    "line_search_shrinking_factor",
+    "line_search_max_iter",
+    "n_critic_updates",
 )
 
 
@@ -68,9 +73,11 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
         policy_class, keywords = policy_recipe(archive)
     except UntrustedError as error:
         raise InputError(f"{path} cannot be trained further without running code from it: {error}") from None
-    algorithm: Any = algorithm_of(archive, policy_class)
+    algorithm: Any = _algorithm_of(archive, policy_class)
     accepted = inspect.signature(algorithm).parameters
     settings = {name: value for name, value in _settings(archive).items() if name in accepted}
+    if "use_rms_prop" in accepted:
+        settings["use_rms_prop"] = False  # if the training used it, it is among the keywords of the policy
     try:
         model: BaseAlgorithm = algorithm(policy_class, venv, policy_kwargs=keywords, device="cpu", **settings)
         model.policy.load_state_dict(_tensors(archive.weights))
@@ -82,7 +89,7 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
     return model
 
 
-def algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
+def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:
     """Return the algorithm that trained a model.
 
     Raises:
