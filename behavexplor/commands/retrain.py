@@ -125,7 +125,11 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
         return EXECUTION_FAILED
     print(_table(rounds))
     name = shlex.quote(str(retraining.policy_in(folder, config)))
-    print(f"\nThe policy of round {retraining.best(rounds).number} is in {name}. What it fixed and what it broke:")
+    chosen = retraining.best(rounds).number
+    if chosen == 0:
+        print(f"\nNo round was better than the policy as it was given, of which {name} is a copy.")
+        return OK
+    print(f"\nThe policy of round {chosen} is in {name}. What it fixed and what it broke:")
     print(f"{program()} compare {shlex.quote(config.policy)} {name} --env {config.env}")
     return OK
 
