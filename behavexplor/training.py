@@ -32,13 +32,13 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
+from behavexplor.ads.sb3.continuing import MOST_ENVS
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
 
 CONFIG, NETWORK, MODELS, LOGS = "training.yaml", "policy.npz", "models", "logs"  # names in the folder of a training
-MOST_ENVS: Final = 4096
 EPISODES: Final = 1000  # latest episodes over which rates are reported
 
 ALGORITHMS: Mapping[str, type[OnPolicyAlgorithm]] = {

@@ -30,7 +30,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
     steps: Annotated[int, tyro.conf.arg(metavar="N")] = 250_000,
     rate: Annotated[
-        float | None, tyro.conf.arg(metavar="RATE", help_behavior_hint="(default: that of its training)")
+        float | None, tyro.conf.arg(metavar="RATE", help_behavior_hint="(default: the model's, or 2.5e-4)")
     ] = None,
     method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
     budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
@@ -135,8 +135,9 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
 
 
 def _words(one: "Round") -> str:
-    found = "" if one.found is None else f"; {one.found} failures found, {one.pool} scenarios in the pool"
-    return f"{one.at_fault:.1%} failures at fault{found}"
+    found = "" if one.found is None else f"; {one.found} failures found"
+    pool = f"; {one.pool} scenarios in the pool" if one.pool else ""
+    return f"{one.at_fault:.1%} failures at fault{found}{pool}"
 
 
 def _table(rounds: "list[Round]") -> str:

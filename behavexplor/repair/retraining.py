@@ -6,6 +6,7 @@ chance.
 """
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from pydantic import ConfigDict
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
+from behavexplor.ads.sb3.continuing import MOST_ENVS
 from behavexplor.campaign.store import write_durably
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import Target
@@ -27,7 +29,7 @@ from behavexplor.repair.finding import found_failures
 from behavexplor.repair.pool_watch import PoolWatch
 from behavexplor.repair.scenario_pool import Pool, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
-from behavexplor.training import MOST_ENVS, Learned, log_formats, restore_model, save_model
+from behavexplor.training import Learned, log_formats, restore_model, save_model
 
 CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
 VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
@@ -50,8 +52,8 @@ class RetrainingConfig:
         steps: number of decisions in a round, including those of the campaign. The training of a new critic and the
             filling of a replay buffer come on top.
         seed: random seed.
-        envs: number of sub-environments in lock-step; None for as many as in the training so far.
-        rate: learning rate of the first round; None for that of the training so far.
+        envs: number of sub-environments in lock-step; None for the number in the model's file, or 64 for a network.
+        rate: learning rate of the first round; None for that in the model's file, or 2.5e-4 if there is none.
         method: search method of the campaigns.
         budget: number of executions in each campaign.
         validation: number of scenarios by which the best round is chosen.
@@ -276,7 +278,7 @@ class _Work:
         save_model(self.trainee.model, self.file(number, ".pt"))
         self.trainee.write(policy)
         if number == 0:
-            copy_policy(given_file(config.policy), policy)
+            shutil.copyfile(given_file(config.policy), policy)
         self.pool.write(self.file(number, ".jsonl"))
         outcomes = validation_outcomes(replace(config.target, ads=str(policy)), config.validation)
         result = Round(

@@ -112,13 +112,13 @@ def open_trainee(target: Target, seed: int, envs: int | None = None) -> Trainee:
     Raises:
         InputError: if the policy cannot go on learning, or not in this environment.
     """
+    path = given_file(target.ads)  # first, because a driver of another kind would run its code
     simulation = Simulation(target.env, target.ads, env_config=target.env_config, traffic=target.traffic)
-    path = given_file(target.ads)
     made = _of_network if path.suffix == ".npz" else _of_model
-    return made(simulation, path, seed, envs)
+    return made(simulation, target.env, path, seed, envs)
 
 
-def _of_network(simulation: Simulation, path: Path, seed: int, envs: int | None) -> Trainee:
+def _of_network(simulation: Simulation, _: str, path: Path, seed: int, envs: int | None) -> Trainee:
     """Return a policy whose network is that of a file, with a new critic."""
     network = read_network(path)
     scenarios = _scenarios(simulation, envs or _ENVS)
@@ -135,7 +135,7 @@ def _of_network(simulation: Simulation, path: Path, seed: int, envs: int | None)
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
 
 
-def _of_model(simulation: Simulation, path: Path, seed: int, envs: int | None) -> Trainee:
+def _of_model(simulation: Simulation, env: str, path: Path, seed: int, envs: int | None) -> Trainee:
     """Return the model of a zip file of Stable-Baselines3."""
     described = describe(path)
     for name, given in (("normalized", described.statistics), ("stacked", described.frame_stack > 1)):
@@ -145,7 +145,7 @@ def _of_model(simulation: Simulation, path: Path, seed: int, envs: int | None) -
     scenarios = _scenarios(simulation, envs or sub_environments_of(archive))
     torch.manual_seed(seed)
     model = continued(archive, scenarios)
-    settings = _settings(simulation)
+    settings = {"env": env, **_settings(simulation)}
 
     def write(file: Path) -> None:
         model.save(file)
@@ -167,9 +167,9 @@ def _scenarios(simulation: Simulation, count: int) -> ScenarioVecEnv:
 
 
 def _settings(simulation: Simulation) -> Mapping[str, Any]:
-    """Return what the file beside a model says of its environment."""
+    """Return what the file beside a model says of the configuration of its environment."""
     if isinstance(simulation.logical, DrawnLogicalScenario):
-        return {"env": simulation.logical.name, "config": json.loads(simulation.logical.setup.config)}
+        return {"config": json.loads(simulation.logical.setup.config)}
     return {key: getattr(simulation.ads, key) for key in ENVIRONMENT_KEYS if hasattr(simulation.ads, key)}
 
 

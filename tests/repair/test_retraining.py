@@ -4,6 +4,7 @@ import io
 import json
 import shutil
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
@@ -15,6 +16,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.description import trained_in
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
@@ -154,6 +156,24 @@ def test_a_model_of_stable_baselines3_goes_on_where_it_was_trained(model, tmp_pa
     scenarios = (tmp_path / "out" / "rounds" / "round-0001.jsonl").read_text().splitlines()
     assert all(parse_scenario(line).functional == "highway-fast-v0" for line in scenarios)
     assert main(["fuzz", "--ads", str(second), "--budget", "2", "--out", str(tmp_path / "run"), "--quiet"]) == OK
+
+
+def test_a_model_of_stable_baselines3_goes_on_in_an_environment_of_this_package(tmp_path, capsys):
+    envs = gymnasium.make("behavexplor/lane-change-v0")
+    PPO("MlpPolicy", envs, n_steps=8, batch_size=8, device="cpu", seed=0).save(tmp_path / "model.zip")
+    flags = ["--env", "lane-change", "--rounds", "1", "--steps", "16", "--budget", "2", "--validation", "2", "--quiet"]
+    assert main(["retrain", str(tmp_path / "model.zip"), *flags, "--out", str(tmp_path / "out")]) == OK
+    assert "at fault" in capsys.readouterr().out
+    policy = tmp_path / "out" / "policy.zip"
+    assert main(["fuzz", "--ads", str(policy), "--budget", "2", "--out", str(tmp_path / "run"), "--quiet"]) == OK
+    assert trained_in(str(policy)) == "lane-change"
+
+
+def test_a_driver_that_is_no_policy_is_refused_before_its_code_runs(tmp_path, capsys):
+    assert (
+        main(["retrain", "tests.drivers:cruiser", "--env", "lane-change", "--out", str(tmp_path / "out")]) == BAD_INPUT
+    )
+    assert "There is no policy tests.drivers:cruiser" in capsys.readouterr().err
 
 
 def test_normalized_observations_are_refused(model, tmp_path, capsys):

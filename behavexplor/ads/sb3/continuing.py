@@ -17,6 +17,8 @@ from behavexplor.ads.sb3.building import UntrustedError, policy_recipe
 from behavexplor.ads.sb3.inert import Inert
 from behavexplor.errors import InputError
 
+MOST_ENVS: Final = 4096  # sub-environments in lock-step
+
 # The file does not name the algorithm. The module of its policy tells DQN and QR-DQN. PPO, A2C and TRPO have the same
 # policies, and are told apart by the first of these numbers that the file has.
 _OF_MODULES: Final[Mapping[str, type[BaseAlgorithm]]] = {
@@ -75,10 +77,10 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
         raise InputError(f"{path} cannot be trained further without running code from it: {error}") from None
     algorithm: Any = _algorithm_of(archive, policy_class)
     accepted = inspect.signature(algorithm).parameters
-    settings = {name: value for name, value in _settings(archive).items() if name in accepted}
-    if "use_rms_prop" in accepted:
-        settings["use_rms_prop"] = False  # if the training used it, it is among the keywords of the policy
     try:
+        settings = {name: value for name, value in _settings(archive).items() if name in accepted}
+        if "use_rms_prop" in accepted:
+            settings["use_rms_prop"] = False  # if the training used it, it is among the keywords of the policy
         model: BaseAlgorithm = algorithm(policy_class, venv, policy_kwargs=keywords, device="cpu", **settings)
         model.policy.load_state_dict(_tensors(archive.weights))
         if archive.optimizer is not None:
@@ -109,14 +111,27 @@ def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorit
 
 
 def learning_rate_of(archive: Archive) -> float | None:
-    """Return the learning rate of a model's training; None if it was a function."""
+    """Return the learning rate of a model's training; None if it was a function.
+
+    Raises:
+        InputError: if it is not between 0 and 1.
+    """
     rate = archive.numbers.get("learning_rate")
-    return None if rate is None else float(rate)
+    if rate is not None and not 0.0 < rate < 1.0:
+        raise InputError(f"{archive.path} cannot be trained further: its learning rate is {rate}")
+    return rate
 
 
 def sub_environments_of(archive: Archive) -> int:
-    """Return the number of sub-environments in a model's training."""
-    return max(int(archive.numbers.get("n_envs", 1)), 1)
+    """Return the number of sub-environments in a model's training.
+
+    Raises:
+        InputError: if it is no such number.
+    """
+    count = archive.numbers.get("n_envs", 1)
+    if not (isinstance(count, int) and 1 <= count <= MOST_ENVS):
+        raise InputError(f"{archive.path} cannot be trained further: it was trained in {count} environments at a time")
+    return count
 
 
 def _settings(archive: Archive) -> dict[str, Any]:

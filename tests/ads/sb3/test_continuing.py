@@ -1,5 +1,7 @@
 """Models that go on learning are those that were saved, and none of their code runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -64,6 +66,16 @@ def test_dqn_is_trained_as_often_as_before_and_explores_as_at_the_end(given, tmp
     again._convert_train_freq()
     assert again.train_freq == model.train_freq
     assert (again.exploration_schedule(1.0), again.exploration_schedule(0.0)) == (0.2, 0.2)
+
+
+@pytest.mark.parametrize("value", [0, -1, 10**9, 1.5, float("nan")])
+def test_a_number_of_environments_that_is_none_is_refused(value, tmp_path):
+    make_model("PPO").save(tmp_path / "model.zip")
+    archive = replace(read_archive(tmp_path / "model.zip"), numbers={"n_envs": value, "learning_rate": value})
+    with pytest.raises(InputError, match="environments at a time"):
+        sub_environments_of(archive)
+    with pytest.raises(InputError, match="its learning rate is"):
+        learning_rate_of(archive)
 
 
 @pytest.mark.parametrize("name", ["SAC", "RecurrentPPO", "MaskablePPO"])
