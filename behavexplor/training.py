@@ -32,8 +32,8 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
-from behavexplor.ads.sb3.continuing import MOST_ENVS
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
+from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name

@@ -6,10 +6,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from behavexplor.campaign.stage_clock import STAGES
+from behavexplor.report.colors import page_colors
 
 FIGURES = Path(__file__).parent / "data" / "performance.json"
 PICTURE = Path(__file__).parent / "stages.png"
-COLORS = ("#8a9199", "#e69f00", "#0b5c99", "#dcdfe3", "#009e73", "#cc79a7", "#1c1f23")  # those of the report
+COLORS = ("v5", "v1", "accent", "rule", "v2", "v3", "ink")  # those of the bar in a report (.g0 to .g6 in page.css)
 
 
 def main() -> None:
@@ -19,7 +20,8 @@ def main() -> None:
     axes = figure.subplots()
     names = [f"{row['driver']}, {row['workers'] or 'no'} workers" for row in rows]
     before = [0.0] * len(rows)
-    for stage, color in zip(STAGES, COLORS, strict=True):
+    colors = [tuple(part / 255 for part in page_colors()[name]) for name in COLORS]
+    for stage, color in zip(STAGES, colors, strict=True):
         seconds = [row.get(stage, 0.0) for row in rows]
         axes.barh(names, seconds, left=before, color=color, label=stage, height=0.6)
         before = [start + more for start, more in zip(before, seconds, strict=True)]

@@ -113,6 +113,8 @@ def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, m
     assert "is not empty: resume with --resume" in capsys.readouterr().err
     assert main(["train", "--resume", str(folder), "--quiet"]) == OK  # there is nothing left to learn
     assert yaml.safe_load((folder / "policy.yaml").read_text()) == card
+    assert main(["train", "--resume", str(folder), "--steps", "9"]) == BAD_INPUT
+    assert "--steps cannot be changed with --resume: the training has 2000" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, m
     [
         (["--env", "lane-folow"], "did you mean 'lane-follow'"),
         (["--algo", "sac"], "Unknown algorithm 'sac'"),
-        (["--resume", "nowhere"], "is not a training folder"),
+        (["--resume", "nowhere"], "is not the folder of a training"),
     ],
 )
 def test_wrong_flags_are_refused_and_leave_nothing(flags, message, tmp_path, capsys, monkeypatch):

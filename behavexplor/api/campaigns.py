@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import gymnasium
 
@@ -11,12 +11,10 @@ from behavexplor.api.conducting import conduct
 from behavexplor.api.environments import environment_of
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run
-from behavexplor.campaign.campaign import run_folder
 from behavexplor.campaign.config import CampaignConfig, campaign_config
+from behavexplor.campaign.run_names import run_folder
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, brief
-
-RUNS: Final = Path("runs")  # folder of the run folders that are not named
 
 Requirement = str | Callable[[Trace], float]
 
@@ -67,7 +65,7 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
     """
     given = given_driver(driver)
     config = config_of(given, env, env_config, specs, method=method, budget=str(budget), seed=seed, **settings)
-    folder = Path(out) if out is not None else run_folder(config, RUNS)
+    folder = Path(out) if out is not None else run_folder(config)
     conduct(config, folder, given, workers=workers, stop_after=stop_after, progress=progress)
     return Run(folder, given)
 

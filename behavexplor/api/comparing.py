@@ -1,6 +1,5 @@
 """Comparison of two drivers in the same scenarios, from Python."""
 
-import time
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -9,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from behavexplor.ads.in_memory import given_driver
-from behavexplor.api.campaigns import RUNS, Requirement, config_of
+from behavexplor.api.campaigns import Requirement, config_of
 from behavexplor.api.conducting import Interrupted, conduct
 from behavexplor.api.dataframes import frame_of_pairs
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run, written
 from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.run_names import stamped_folder
+from behavexplor.errors import InputError
 from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, second_config
-from behavexplor.repair.pairs import AT_FAULT, COLUMNS, Pairs, rows
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
@@ -103,7 +104,7 @@ class Comparison:
         )
         return (
             f"<p><b>{title}</b><br><code>{escape(str(self.folder))}</code></p><table><tr>{head}</tr>{body}</table>"
-            "<p>fixed: only A; broken: only B; p: McNemar's exact test, adjusted by Holm's method</p>"
+            f"<p>{LEGEND}</p>"
         )
 
 
@@ -145,10 +146,15 @@ def compare(  # noqa: PLR0913 - one argument for each choice
         behavexplor.campaign.campaign.ExecutionError: if a scenario could not be executed for a reason other than the
             driver.
     """
+    if fixed := sorted({*SETTINGS, "budget"} & settings.keys()):
+        raise InputError(
+            f"A comparison drives both drivers through the same uniformly drawn scenarios, so {fixed[0]} cannot be "
+            "chosen: give scenarios and seed"
+        )
     one, other = given_driver(first), given_driver(second)
     values = {**SETTINGS, "budget": str(scenarios), "seed": seed, **settings}
     config = config_of(one, env, env_config, specs, **values)
-    folder = Path(out) if out is not None else RUNS / f"compare-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = Path(out) if out is not None else stamped_folder("compare")
     try:
         conduct(config, folder / FIRST, one, workers=workers, progress=progress)
         again = second_config(config, other.name, folder / FIRST)

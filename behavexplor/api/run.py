@@ -17,7 +17,8 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.repetition import Repetition, repeat_execution
 from behavexplor.campaign.run_summary import RunSummary, summarize
-from behavexplor.campaign.store import Execution, Store, write_durably
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.durable import write_durably
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace

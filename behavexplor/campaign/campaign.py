@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from behavexplor.behavior.novelty import NoveltyArchive
@@ -310,14 +309,3 @@ def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMet
     kind = load_method(config.method)
     options: Any = checked(kind.Options, config.options, f"options of {config.method}")
     return kind(logical, config.seed, options)
-
-
-def run_folder(config: CampaignConfig, root: Path) -> Path:
-    """Return an unused folder below `root` for a campaign, named after its configuration and the current time."""
-    names = [
-        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1]) for name in (config.env, config.ads, config.method)
-    ]
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    name = "-".join([*names, str(config.seed), stamp])
-    taken = sum(1 for _ in root.glob(f"{name}*"))
-    return root / (f"{name}-{taken + 1}" if taken else name)

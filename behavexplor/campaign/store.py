@@ -6,7 +6,6 @@ lost executions are repeated when the campaign is resumed.
 """
 
 import json
-import os
 import re
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -35,19 +34,15 @@ from behavexplor.campaign.database import (
     upgrade,
     written_format,
 )
+from behavexplor.campaign.folder_lock import LOCK, lock_folder
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.stage_clock import known_stages
+from behavexplor.data.durable import write_durably
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
-
-LOCK = "campaign.lock"
 _STAGES = "stages"  # name of the note with the time in each stage
 _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it begins
 
@@ -137,7 +132,7 @@ class Store:
     def _locked(cls, folder: Path, config: str | None) -> Self:
         """Lock a folder and open it for writing."""
         try:
-            lock = _lock(folder)
+            lock = lock_folder(folder)
         except OSError as error:
             raise _unwritable(folder, error) from None
         try:
@@ -416,44 +411,6 @@ def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:
     return InputError(f"The run folder {folder} cannot be written: {reason}")
 
 
-def _lock(folder: Path) -> IO[str]:
-    """Lock a run folder against other campaigns until the returned file is closed.
-
-    Raises:
-        InputError: if another campaign holds the lock.
-    """
-    file = (folder / LOCK).open("w")
-    if fcntl is not None:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            raise InputError(f"{folder} is in use by another campaign: wait until it ends, or stop it") from None
-    return file
-
-
-def is_being_written(folder: Path) -> bool:
-    """Return whether a campaign is writing a run folder now; False where the system has no such locks."""
-    if fcntl is None or not (folder / LOCK).is_file():
-        return False
-    with (folder / LOCK).open() as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
-
-
 def last_written(folder: Path) -> float:
     """Return when an execution was last written to a run folder [s since 1970]."""
     return max(path.stat().st_mtime for path in folder.glob(f"{DATABASE}*"))
-
-
-def write_durably(path: Path, text: str) -> None:
-    """Write a file atomically and flush it to disk, so that a crash leaves no partial file."""
-    partial = path.with_name(path.name + ".part")
-    with partial.open("w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)

@@ -18,6 +18,7 @@ from behavexplor.bench.tables import tables
 from behavexplor.bench.writing import table_csv, table_latex, table_markdown
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.interrupts import stopped_by_signals
+from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.report import PAGE
@@ -59,7 +60,7 @@ def bench(
     """
     chosen = read_experiment(experiment)
     jobs = _checked_jobs(jobs, cluster)
-    root = out or Path("runs") / chosen.name
+    root = out or RUNS / chosen.name
     if dry_run:
         print(_plan(chosen, root, jobs))
         return OK

@@ -3,7 +3,6 @@
 import json
 import shlex
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +14,12 @@ from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
-from behavexplor.campaign.store import write_durably
+from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.pair_campaigns import (
     DIFFERENCES,
@@ -33,7 +33,7 @@ from behavexplor.repair.pair_campaigns import (
     driven,
     second_config,
 )
-from behavexplor.repair.pairs import AT_FAULT, COLUMNS, Pairs, rows
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
@@ -106,7 +106,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             "stochastic": stochastic,
         }
     )
-    folder = out or Path("runs") / f"compare-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = out or stamped_folder("compare")
     try:
         _drive(config, folder / FIRST, count, quiet=quiet)
         other = second_config(config, second, folder / FIRST)
@@ -166,7 +166,7 @@ def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
     lines = [
         f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:",
         plain_text(made),
-        "fixed: only A; broken: only B; p: McNemar's exact test, adjusted by Holm's method",
+        LEGEND,
     ]
     for name, numbers in (("Fixed", fault.only_first), ("Broken", fault.only_second)):
         lines += [f"{name} failures at fault: executions {_listed(numbers)}"] if numbers else []

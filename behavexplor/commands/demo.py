@@ -2,13 +2,13 @@
 
 import shlex
 import sys
-import time
 import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import OK, program
 from behavexplor.commands.fuzz import fuzz
 from behavexplor.commands.meter import Meter
@@ -37,7 +37,7 @@ def demo(
         from behavexplor.sb3.small_policy import train_small_policy  # noqa: PLC0415 - torch need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("The demo", error.name, "rl") from None
-    folder = out or Path("runs") / f"demo-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = out or stamped_folder("demo")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -15,16 +15,18 @@ import tyro
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.loading import SYSTEMS
 from behavexplor.ads.sb3.description import trained_in
-from behavexplor.campaign.campaign import Campaign, ExecutionError, run_folder
+from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
 from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.opening import opened
+from behavexplor.campaign.run_names import run_folder
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
+from behavexplor.commands.flags import check_unchanged, flag
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
@@ -43,13 +45,6 @@ _SYSTEMS = (
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
 
 
-def _flag(metavar: str, default: object, text: str | None = None) -> Any:
-    """Return the argument settings of a flag that overrides the configuration."""
-    return tyro.conf.arg(
-        metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "", help=text
-    )
-
-
 def _methods() -> str:
     """Return a help text with one line for each search method."""
     lines = [f"{name}: {describe_method(name)}" for name in METHODS]
@@ -58,30 +53,30 @@ def _methods() -> str:
 
 def fuzz(  # noqa: PLR0913 - one argument for each flag
     *,
-    env: Annotated[str | None, _flag("NAME", f"the policy's own, or {_DEFAULTS.env}", _ENVS)] = None,
-    ads: Annotated[str | None, _flag("NAME", _DEFAULTS.ads, _SYSTEMS)] = None,
-    method: Annotated[str | None, _flag("NAME", _DEFAULTS.method, _methods())] = None,
-    config: Annotated[str | None, _flag("FILE", None)] = None,
-    budget: Annotated[str | None, _flag("N|TIME", _DEFAULTS.budget)] = None,
-    seed: Annotated[int | None, _flag("N", _DEFAULTS.seed)] = None,
-    batch: Annotated[int | None, _flag("N", _DEFAULTS.batch)] = None,
-    workers: Annotated[int | None, _flag("N", "the available cores")] = None,
-    cluster: Annotated[str | None, _flag("ray|dask[:ADDRESS]", None)] = None,
-    trust: Annotated[str | None, _flag("DIGEST", None)] = None,
-    env_config: Annotated[Path | None, _flag("FILE", None)] = None,
-    traffic: Annotated[Literal["default", "wide"] | None, _flag("default|wide", _DEFAULTS.traffic)] = None,
-    spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, _flag("MODULE:NAME", None)] = (),
-    out: Annotated[Path | None, _flag("FOLDER", "a new one in runs/")] = None,
-    resume: Annotated[Path | None, _flag("RUN", None)] = None,
+    env: Annotated[str | None, flag("NAME", f"the policy's own, or {_DEFAULTS.env}", _ENVS)] = None,
+    ads: Annotated[str | None, flag("NAME", _DEFAULTS.ads, _SYSTEMS)] = None,
+    method: Annotated[str | None, flag("NAME", _DEFAULTS.method, _methods())] = None,
+    config: Annotated[str | None, flag("FILE", None)] = None,
+    budget: Annotated[str | None, flag("N|TIME", _DEFAULTS.budget)] = None,
+    seed: Annotated[int | None, flag("N", _DEFAULTS.seed)] = None,
+    batch: Annotated[int | None, flag("N", _DEFAULTS.batch)] = None,
+    workers: Annotated[int | None, flag("N", "the available cores")] = None,
+    cluster: Annotated[str | None, flag("ray|dask[:ADDRESS]", None)] = None,
+    trust: Annotated[str | None, flag("DIGEST", None)] = None,
+    env_config: Annotated[Path | None, flag("FILE", None)] = None,
+    traffic: Annotated[Literal["default", "wide"] | None, flag("default|wide", _DEFAULTS.traffic)] = None,
+    spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, flag("MODULE:NAME", None)] = (),
+    out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
+    resume: Annotated[Path | None, flag("RUN", None)] = None,
     unconfined: bool = False,
     stochastic: bool = False,
     confirm: bool = True,
-    stop_after: Annotated[int | None, _flag("N", None)] = None,
-    summary: Annotated[Path | None, _flag("FILE", None)] = None,
+    stop_after: Annotated[int | None, flag("N", None)] = None,
+    summary: Annotated[Path | None, flag("FILE", None)] = None,
     quiet: bool = False,
     fail_on_violation: bool = False,
-    fail_above: Annotated[float | None, _flag("SHARE", None)] = None,
-    known_classes: Annotated[Path | None, _flag("FILE", None)] = None,
+    fail_above: Annotated[float | None, flag("SHARE", None)] = None,
+    known_classes: Annotated[Path | None, flag("FILE", None)] = None,
 ) -> int:
     """Search for scenarios in which a driving system fails, and store every execution in a run folder.
 
@@ -136,7 +131,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     chosen = _resumed_config(resume, given) if resume else _new_config(given, spec, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
-    folder = resume or out or run_folder(chosen, Path("runs"))
+    folder = resume or out or run_folder(chosen)
     making = opened(
         chosen,
         folder,
@@ -224,9 +219,7 @@ def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
         InputError: if a flag would change anything but the budget.
     """
     stored = stored_config(run)
-    for name, value in given.items():
-        if name != "budget" and value != getattr(stored, name):
-            raise InputError(f"--{name} cannot be changed with --resume: the run has {getattr(stored, name)!r}")
+    check_unchanged({name: value for name, value in given.items() if name != "budget"}, stored, "run")
     return replace(stored, budget=given.get("budget", stored.budget))
 
 

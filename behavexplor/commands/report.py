@@ -6,8 +6,8 @@ from typing import Annotated
 import tyro
 
 from behavexplor.bench.experiment import EXPERIMENT
-from behavexplor.campaign.store import write_durably
 from behavexplor.commands import OK
+from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page

@@ -3,45 +3,41 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, read_yaml
+from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.flags import check_unchanged, flag
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
-from behavexplor.commands.train import begin_training, progress_line
-from behavexplor.data.validation import checked
+from behavexplor.commands.train import begin_training, progress_line, resumed_config
 from behavexplor.errors import InputError, missing_library, sentence
-
-if TYPE_CHECKING:
-    from behavexplor.repair.retraining import RetrainingConfig, Round
+from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, Round, Sources, best
 
 
 def retrain(  # noqa: PLR0913 - one argument for each flag
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY", help_behavior_hint="")] = "",
+    policy: Annotated[str | None, tyro.conf.Positional, flag("POLICY", None)] = None,
     *,
-    env: Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = "",
-    pool: Literal["none", "own", "found", "both"] = "both",
-    share: Annotated[float, tyro.conf.arg(metavar="P")] = 0.5,
-    rounds: Annotated[int, tyro.conf.arg(metavar="N")] = 8,
-    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 250_000,
-    rate: Annotated[
-        float | None, tyro.conf.arg(metavar="RATE", help_behavior_hint="(default: the model's, or 2.5e-4)")
-    ] = None,
-    method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "uniform",
-    budget: Annotated[int, tyro.conf.arg(metavar="N")] = 250,
-    validation: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
-    out: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ENV-retrain-SEED)")
-    ] = None,
-    resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None,
-    env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    traffic: Literal["default", "wide"] = "default",
+    env: Annotated[str | None, flag("NAME", f"the policy's own, or {CampaignConfig.env}")] = None,
+    pool: Annotated[Sources | None, flag("none|own|found|both", RetrainingConfig.pool)] = None,
+    share: Annotated[float | None, flag("P", RetrainingConfig.share)] = None,
+    rounds: Annotated[int | None, flag("N", RetrainingConfig.rounds)] = None,
+    steps: Annotated[int | None, flag("N", RetrainingConfig.steps)] = None,
+    envs: Annotated[int | None, flag("N", "the model's, or 64")] = None,
+    rate: Annotated[float | None, flag("RATE", "the model's, or 2.5e-4")] = None,
+    method: Annotated[str | None, flag("NAME", RetrainingConfig.method)] = None,
+    budget: Annotated[int | None, flag("N", RetrainingConfig.budget)] = None,
+    validation: Annotated[int | None, flag("N", RetrainingConfig.validation)] = None,
+    seed: Annotated[int | None, flag("N", RetrainingConfig.seed)] = None,
+    out: Annotated[Path | None, flag("FOLDER", "runs/ENV-retrain-SEED")] = None,
+    resume: Annotated[Path | None, flag("FOLDER", None)] = None,
+    env_config: Annotated[Path | None, flag("FILE", None)] = None,
+    traffic: Annotated[Literal["default", "wide"] | None, flag("default|wide", RetrainingConfig.traffic)] = None,
     quiet: bool = False,
 ) -> int:
     """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
@@ -50,12 +46,13 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
 
     Args:
         policy: Model of Stable-Baselines3 (PPO, A2C, TRPO, DQN or QR-DQN), policy.npz of `train`, or learned:NAME.
-        env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id". By default, the
-            one that the file beside the model names.
-        pool: Scenarios in which the policy fails: none; those of its own training; those that campaigns find; or both.
+        env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id".
+        pool: Scenarios in which the policy fails and which are mixed in: none; those of its own training; those that
+            campaigns find; or both.
         share: Probability that an episode is one of them.
         rounds: Number of rounds. Each searches, trains and validates.
         steps: Number of decisions in a round, including those of the campaign.
+        envs: Number of environments in lock-step.
         rate: Learning rate of the first round.
         method: Search method of the campaigns.
         budget: Number of executions of each campaign.
@@ -71,42 +68,38 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         from behavexplor.repair import retraining  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("Retraining", error.name, "rl") from None
+    flags: dict[str, Any] = {
+        "env": env,
+        "pool": pool,
+        "share": share,
+        "rounds": rounds,
+        "steps": steps,
+        "envs": envs,
+        "rate": rate,
+    }
+    flags |= {"method": method, "budget": budget, "validation": validation, "seed": seed, "traffic": traffic}
+    flags["env_config"] = read_yaml(env_config) if env_config else None
+    given = {name: value for name, value in flags.items() if value is not None}
     if resume:
-        folder, file = resume, resume / retraining.CONFIG
         if policy or out:
             raise InputError("A policy and --out cannot be given with --resume")
-        if not file.is_file():
-            raise InputError(f"{resume} is not the folder of a retraining: it has no {retraining.CONFIG}")
-        config = checked(retraining.RetrainingConfig, read_yaml(file), "retraining")
+        folder, config = resume, resumed_config(RetrainingConfig, resume / CONFIG, "retraining")
+        check_unchanged(given, config, "retraining")
     else:
         if not policy:
             raise InputError("Give a policy to train further, such as model.zip or runs/lane-change-ppo-0/policy.npz")
-        config = retraining.RetrainingConfig(
-            env or trained_in(policy) or CampaignConfig.env,
-            policy,
-            pool,
-            share,
-            rounds,
-            steps,
-            seed,
-            rate=rate,
-            method=method,
-            budget=budget,
-            validation=validation,
-            env_config=read_yaml(env_config) if env_config else {},
-            traffic=traffic,
-        )
-        folder = out or Path("runs") / f"{config.env.rpartition(':')[2]}-retrain-{seed}"
+        config = RetrainingConfig(**{"env": trained_in(policy) or CampaignConfig.env, **given, "policy": policy})
+        folder = out or RUNS / f"{config.env.rpartition(':')[2]}-retrain-{config.seed}"
         retraining.check(config)
-        begin_training(folder, retraining.CONFIG, config)
+        begin_training(folder, CONFIG, config)
     return _run(config, folder, quiet=quiet)
 
 
-def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
+def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
     """Retrain, and report every round."""
     from behavexplor.repair import retraining  # noqa: PLC0415 - see `retrain`
 
-    def report(one: "Round") -> None:
+    def report(one: Round) -> None:
         if not quiet:
             print(f"round {one.number} of {config.rounds}: {_words(one)}", file=sys.stderr)
 
@@ -125,7 +118,7 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
         return EXECUTION_FAILED
     print(_table(rounds))
     name = shlex.quote(str(retraining.policy_in(folder, config)))
-    chosen = retraining.best(rounds).number
+    chosen = best(rounds).number
     if chosen == 0:
         print(f"\nNo round was better than the policy as it was given, of which {name} is a copy.")
         return OK
@@ -134,13 +127,13 @@ def _run(config: "RetrainingConfig", folder: Path, *, quiet: bool) -> int:
     return OK
 
 
-def _words(one: "Round") -> str:
+def _words(one: Round) -> str:
     found = "" if one.found is None else f"; {one.found} failures found"
     pool = f"; {one.pool} scenarios in the pool" if one.pool else ""
     return f"{one.at_fault:.1%} failures at fault{found}{pool}"
 
 
-def _table(rounds: "list[Round]") -> str:
+def _table(rounds: list[Round]) -> str:
     """Return the results of all rounds. Fixed and broken are counted against the policy as it was given."""
     columns = ("round", "decisions", "at fault", "fixed", "broken", "passed", "found", "pool")
     made = grid(*columns, numbers=columns)

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import tyro
 
+from behavexplor.campaign.folder_lock import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
-from behavexplor.campaign.store import is_being_written, last_written
+from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
 from behavexplor.commands.wording import class_count, clock, hanging
 

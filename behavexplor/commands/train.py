@@ -4,14 +4,15 @@ import shlex
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-import tyro
 import yaml
 
 from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.evaluate import table
+from behavexplor.commands.flags import check_unchanged, flag
 from behavexplor.commands.meter import Meter
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
@@ -20,8 +21,10 @@ from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.simulation import logical_scenario
 
 if TYPE_CHECKING:
-    from behavexplor.repair.retraining import RetrainingConfig
+    from behavexplor.repair.retraining_rounds import RetrainingConfig
     from behavexplor.training import Learned, TrainingConfig
+
+_Config = TypeVar("_Config")
 
 CARD = "policy.yaml"  # file beside the network
 EVALUATED = 1000  # number of scenarios in the final evaluation
@@ -29,15 +32,13 @@ EVALUATED = 1000  # number of scenarios in the final evaluation
 
 def train(
     *,
-    env: Annotated[str, tyro.conf.arg(metavar="NAME")] = "intersection-straight",
-    algo: Annotated[str, tyro.conf.arg(metavar="NAME")] = "ppo",
-    steps: Annotated[int, tyro.conf.arg(metavar="N")] = 8_000_000,
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
-    envs: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
-    out: Annotated[
-        Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/ENV-ALGO-SEED)")
-    ] = None,
-    resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None,
+    env: Annotated[str | None, flag("NAME", "intersection-straight")] = None,
+    algo: Annotated[str | None, flag("NAME", "ppo")] = None,
+    steps: Annotated[int | None, flag("N", 8_000_000)] = None,
+    seed: Annotated[int | None, flag("N", 0)] = None,
+    envs: Annotated[int | None, flag("N", 64)] = None,
+    out: Annotated[Path | None, flag("FOLDER", "runs/ENV-ALGO-SEED")] = None,
+    resume: Annotated[Path | None, flag("FOLDER", None)] = None,
     quiet: bool = False,
 ) -> int:
     """Train a driving policy on one functional scenario, and evaluate it.
@@ -56,16 +57,16 @@ def train(
         from behavexplor import training  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("Training", error.name, "rl") from None
-    if resume and out:
-        raise InputError("--out cannot be given with --resume")
+    flags = {"env": env, "algo": algo, "steps": steps, "seed": seed, "envs": envs}
+    given: dict[str, Any] = {name: value for name, value in flags.items() if value is not None}
     if resume:
-        if not (resume / training.CONFIG).is_file():
-            raise InputError(f"{resume} is not a training folder: it has no {training.CONFIG}")
-        config = checked(training.TrainingConfig, read_yaml(resume / training.CONFIG), "training")
-        folder = resume
+        if out:
+            raise InputError("--out cannot be given with --resume")
+        folder, config = resume, resumed_config(training.TrainingConfig, resume / training.CONFIG, "training")
+        check_unchanged(given, config, "training")
     else:
-        config = training.TrainingConfig(env=env, algo=algo, steps=steps, seed=seed, envs=envs)
-        folder = out or Path("runs") / f"{env}-{algo}-{seed}"
+        config = training.TrainingConfig(**given)
+        folder = out or RUNS / f"{config.env}-{config.algo}-{config.seed}"
         begin_training(folder, training.CONFIG, config)
     try:
         with Meter(sys.stderr, config.steps, "steps", quiet=quiet) as meter:
@@ -81,6 +82,22 @@ def train(
     name = shlex.quote(str(network))
     print(f"The policy is in {name}. Search for its failures: {program()} fuzz --env {config.env} --ads {name}")
     return OK
+
+
+def resumed_config(kind: type[_Config], file: Path, what: str) -> _Config:
+    """Return the configuration in the folder of a training that is resumed.
+
+    Args:
+        kind: type of the configuration.
+        file: its file.
+        what: what is resumed, for messages.
+
+    Raises:
+        InputError: if the folder has no such file, or the file cannot be used.
+    """
+    if not file.is_file():
+        raise InputError(f"{file.parent} is not the folder of a {what}: it has no {file.name}")
+    return checked(kind, read_yaml(file), what)
 
 
 def begin_training(folder: Path, name: str, config: "TrainingConfig | RetrainingConfig") -> None:

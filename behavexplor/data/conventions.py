@@ -7,6 +7,7 @@ STANDING_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
 ARRIVAL_DISTANCE: Final = 1.0  # an ego whose center is within this distance of its destination has arrived [m]
 STANDSTILL_TIME: Final = 30.0  # an episode ends when the ego has stood for so long [s]
 EPISODE_TIME: Final = 200.0  # an episode takes at most so long, unless the environment is configured otherwise [s]
+MOST_ENVS: Final = 4096  # environments in lock-step in a training
 MANEUVERS: Final = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's meta-actions by index
 REAR_END_ANGLE: Final = 0.8  # least angle between the headings at which a contact is no rear-end collision [rad]
 

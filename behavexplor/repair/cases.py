@@ -9,8 +9,8 @@ from typing import Any, Final, Self
 import yaml
 
 from behavexplor.campaign.config import read_yaml
-from behavexplor.campaign.store import write_durably
 from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario
+from behavexplor.data.durable import write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked

@@ -5,152 +5,29 @@ mixture of ordinary scenarios and those in which the policy fails. Then it valid
 chance.
 """
 
-import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, Self
+from typing import Any, Final
 
 import torch
-import yaml
-from pydantic import ConfigDict
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
-from behavexplor.ads.sb3.continuing import MOST_ENVS
-from behavexplor.campaign.store import write_durably
-from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import Target
-from behavexplor.errors import InputError
 from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures
 from behavexplor.repair.pool_watch import PoolWatch
+from behavexplor.repair.retraining_rounds import RetrainingConfig, Round, append_round, best, finished_rounds
 from behavexplor.repair.scenario_pool import Pool, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
 from behavexplor.training import Learned, log_formats, restore_model, save_model
 
-CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
 VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
 _LAST_RATE: Final = 0.2  # learning rate of the last round, as a share of that of the first one
-
-Sources = Literal["none", "own", "found", "both"]
-
-
-@dataclass(frozen=True)
-class RetrainingConfig:
-    """The configuration of a retraining.
-
-    Attributes:
-        env: functional scenario, or environment of highway-env.
-        policy: the policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
-        pool: scenarios that enter the pool: none; those in which the training itself fails ("own"); failures that
-            campaigns find ("found"); or both.
-        share: probability that an episode is drawn from the pool.
-        rounds: number of rounds of training.
-        steps: number of decisions in a round, including those of the campaign. The training of a new critic and the
-            filling of a replay buffer come on top.
-        seed: random seed.
-        envs: number of sub-environments in lock-step; None for the number in the model's file, or 64 for a network.
-        rate: learning rate of the first round; None for that in the model's file, or 2.5e-4 if there is none.
-        method: search method of the campaigns.
-        budget: number of executions in each campaign.
-        validation: number of scenarios by which the best round is chosen.
-        env_config: configuration of the environment, as far as it differs from what the policy declares.
-        traffic: kind of traffic in an environment of highway-env.
-
-    Raises:
-        InputError: if a value is out of range.
-    """
-
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
-
-    env: str
-    policy: str
-    pool: Sources = "both"
-    share: float = 0.5
-    rounds: int = 8
-    steps: int = 250_000
-    seed: int = 0
-    envs: int | None = None
-    rate: float | None = None
-    method: str = "uniform"
-    budget: int = 250
-    validation: int = 1000
-    env_config: dict[str, Any] = field(default_factory=dict)
-    traffic: Literal["default", "wide"] = DEFAULT
-
-    def __post_init__(self) -> None:
-        ranges = {
-            "share": (0.0, 0.95),
-            "rounds": (1, 1000),
-            "steps": (1, 10**9),
-            "seed": (0, 2**63 - 1),
-            "envs": (1, MOST_ENVS),
-            "rate": (1e-7, 0.1),
-            "budget": (1, 100_000),
-            "validation": (1, 100_000),
-        }
-        for name, (low, high) in ranges.items():
-            if getattr(self, name) is not None and not low <= getattr(self, name) <= high:
-                raise InputError(f"{name} {getattr(self, name)} must lie between {low:g} and {high:g}")
-
-    def to_yaml(self) -> str:
-        """Return the whole configuration as YAML."""
-        return yaml.safe_dump(asdict(self), sort_keys=False)
-
-    @property
-    def target(self) -> Target:
-        """The policy and its environment."""
-        # Nothing in the policy's file is executed, so no process has to confine it.
-        return Target(self.env, self.policy, unconfined=True, env_config=self.env_config, traffic=self.traffic)
-
-
-@dataclass(frozen=True)
-class Round:
-    """The result of a round.
-
-    Attributes:
-        number: number of the round; 0 for the policy as it was given.
-        steps: number of decisions in which the policy was trained so far.
-        validated: number of scenarios in the validation.
-        failures: numbers of those in which the policy failed by its own fault.
-        passed: number of those without any failure.
-        pool: number of scenarios in the pool at the end of the round.
-        digest: digest of the pool.
-        found: number of failures that the round's campaign found, or None without a campaign.
-    """
-
-    number: int
-    steps: int
-    validated: int
-    failures: tuple[int, ...]
-    passed: int
-    pool: int = 0
-    digest: str = ""
-    found: int | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "failures", tuple(self.failures))  # JSON has lists only
-
-    @classmethod
-    def from_json(cls, line: str) -> Self:
-        """Return the round that a line of `ROUNDS` describes."""
-        return cls(**json.loads(line))
-
-    @property
-    def at_fault(self) -> float:
-        """Share of the validation scenarios in which the policy failed by its own fault."""
-        return len(self.failures) / self.validated
-
-    def fixed(self, before: Self) -> int:
-        """Return in how many validation scenarios the policy no longer fails by its own fault."""
-        return len(set(before.failures) - set(self.failures))
-
-    def broken(self, before: Self) -> int:
-        """Return in how many validation scenarios the policy fails by its own fault, and did not before."""
-        return len(set(self.failures) - set(before.failures))
 
 
 def retrain(
@@ -172,26 +49,17 @@ def retrain(
     """
     torch.set_num_threads(1)  # more threads change the last bits
     trainee = open_trainee(config.target, config.seed, config.envs)
-    rounds = finished_rounds(folder)
-    pool = Pool(trainee.scenarios.logical, config.share, _pool_of(folder, rounds))
-    trainee.scenarios.sampler = pool.sample
-    work = _Work(config, folder, trainee, pool)
-    if rounds:
-        restore_model(trainee.model, work.file(rounds[-1].number, ".pt"))
-    else:
-        rounds = [work.finish(0, None)]
-        report(rounds[-1])
-    trainee.model.set_logger(configure(str(folder / "logs" / f"round-{len(rounds):04d}"), log_formats()))
-    watch = PoolWatch(observe, pool, own=config.pool in ("own", "both"))
-    try:
-        for number in range(len(rounds), config.rounds + 1):
-            found, charged = work.refresh(number) if config.pool in ("found", "both") else (None, 0)
-            work.train(number, max(config.steps - charged, 1), watch)
-            rounds.append(work.finish(number, found))
+    with closing(trainee.venv):
+        rounds = finished_rounds(folder)
+        pool = Pool(trainee.scenarios.logical, config.share, _pool_of(folder, rounds))
+        trainee.scenarios.sampler = pool.sample
+        work = _Work(config, folder, trainee, pool)
+        if rounds:
+            restore_model(trainee.model, work.file(rounds[-1].number, ".pt"))
+        else:
+            rounds = [work.finish(0, None)]
             report(rounds[-1])
-    finally:
-        trainee.model.logger.close()
-        trainee.venv.close()
+        work.run(rounds, PoolWatch(observe, pool, own=config.pool in ("own", "both")), report)
     copy_policy(work.file(best(rounds).number, trainee.suffix), policy_in(folder, config))
     return rounds
 
@@ -208,28 +76,6 @@ def check(config: RetrainingConfig) -> None:
 def policy_in(folder: Path, config: RetrainingConfig) -> Path:
     """Return the path of the best policy."""
     return folder / f"policy{given_file(config.policy).suffix}"
-
-
-def best(rounds: list[Round]) -> Round:
-    """Return the round with the lowest rate at fault, then the most passed scenarios, then the fewest steps."""
-    return min(rounds, key=lambda one: (one.at_fault, -one.passed, one.steps))
-
-
-def finished_rounds(folder: Path) -> list[Round]:
-    """Return the finished rounds of a folder.
-
-    Raises:
-        InputError: if their file cannot be read.
-    """
-    path = folder / ROUNDS
-    if not path.is_file():
-        return []
-    try:
-        return [Round.from_json(line) for line in path.read_text().splitlines()]
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            f"{path} cannot be read: {error}; delete its last line to resume from the round before"
-        ) from None
 
 
 @dataclass(frozen=True)
@@ -251,6 +97,17 @@ class _Work:
     def file(self, number: int, suffix: str) -> Path:
         """Return the path of a round's file."""
         return self.folder / "rounds" / f"round-{number:04d}{suffix}"
+
+    def run(self, rounds: list[Round], watch: BaseCallback, report: Callable[[Round], None]) -> None:
+        """Carry out the rounds that are left, and add them to `rounds`."""
+        config, logs = self.config, self.folder / "logs" / f"round-{len(rounds):04d}"
+        self.trainee.model.set_logger(configure(str(logs), log_formats()))
+        with closing(self.trainee.model.logger):
+            for number in range(len(rounds), config.rounds + 1):
+                found, charged = self.refresh(number) if config.pool in ("found", "both") else (None, 0)
+                self.train(number, max(config.steps - charged, 1), watch)
+                rounds.append(self.finish(number, found))
+                report(rounds[-1])
 
     def refresh(self, number: int) -> tuple[int, int]:
         """Add what a campaign on the present policy finds; return how much that is, and how many decisions it took."""
@@ -291,8 +148,7 @@ class _Work:
             self.pool.digest,
             found,
         )
-        earlier = (self.folder / ROUNDS).read_text() if (self.folder / ROUNDS).is_file() else ""
-        write_durably(self.folder / ROUNDS, earlier + json.dumps(asdict(result)) + "\n")
+        append_round(self.folder, result)
         return result
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from behavexplor.campaign.store import write_durably
+from behavexplor.data.durable import write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.errors import InputError

@@ -10,7 +10,8 @@ from typing import Any, Final
 from stable_baselines3.common.callbacks import BaseCallback
 
 from behavexplor.ads.in_memory import given_driver
-from behavexplor.api.campaigns import RUNS, find_failures
+from behavexplor.api.campaigns import find_failures
+from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
 from behavexplor.errors import InputError
 
@@ -101,7 +102,7 @@ class FuzzCallback(BaseCallback):
     def folder(self) -> Path:
         """Folder of the run folders and of the best policy."""
         if self._out is None:
-            self._out = RUNS / f"training-{time.strftime('%Y%m%d-%H%M%S')}"
+            self._out = stamped_folder("training")
         return self._out
 
     @property

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.campaign.record import ERROR, Record
-from behavexplor.campaign.store import write_durably
 from behavexplor.data.conventions import MANEUVERS
+from behavexplor.data.durable import write_durably
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
-from behavexplor.campaign.store import write_durably
+from behavexplor.data.durable import write_durably
 from behavexplor.data.parts import Size
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.validation import checked

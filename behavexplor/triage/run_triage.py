@@ -10,7 +10,8 @@ from typing import Final
 from behavexplor.ads.interface import ADS
 from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.store import Execution, Store, write_durably
+from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
 from behavexplor.execution.executor import Executor

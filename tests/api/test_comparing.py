@@ -4,6 +4,7 @@ import pytest
 
 import behavexplor
 from behavexplor.commands import OK, main
+from behavexplor.errors import InputError
 from behavexplor.repair.pairs import COLUMNS
 from tests.drivers import Cruiser, Swerver
 
@@ -25,6 +26,12 @@ def test_the_records_are_those_of_the_command(compared, tmp_path):
     assert lines(compared.first) == lines(command.first)
     assert lines(compared.second) == lines(command.second)
     assert compared.pairs == command.pairs
+
+
+def test_the_scenarios_of_a_comparison_are_always_drawn_uniformly(tmp_path):
+    for settings in ({"method": "nsga2"}, {"budget": "9"}):
+        with pytest.raises(InputError, match=f"so {next(iter(settings))} cannot be chosen"):
+            behavexplor.compare(Swerver(), Cruiser(), "intersection-straight", out=tmp_path, **settings)
 
 
 def test_the_table_counts_what_was_fixed_and_broken(compared):

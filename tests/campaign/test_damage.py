@@ -14,7 +14,8 @@ import pytest
 
 from behavexplor.campaign.config import CONFIG, REVISION
 from behavexplor.campaign.damage import DATABASE, FAILURES, Losses
-from behavexplor.campaign.store import LOCK, Store
+from behavexplor.campaign.folder_lock import LOCK
+from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.errors import InputError
 from tests.campaign.test_store import execution

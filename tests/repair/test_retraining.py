@@ -21,7 +21,8 @@ from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
-from behavexplor.repair.retraining import ROUNDS, RetrainingConfig, Round, best, finished_rounds, retrain
+from behavexplor.repair.retraining import retrain
+from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, best, finished_rounds
 
 POLICY = "learned:lane-change"
 SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
@@ -126,6 +127,9 @@ def test_the_command_says_what_every_round_brought(retrained, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "at fault" in out
     assert ("compare learned:lane-change" in out) == (best(finished_rounds(folder)).number > 0)
+    for flags in (["--rounds", "9"], ["--envs", "3"]):
+        assert main(["retrain", "--resume", str(folder), *flags]) == BAD_INPUT
+        assert f"{flags[0]} cannot be changed with --resume: the retraining has " in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from behavexplor.ads.sb3.archive import Archive
 from behavexplor.ads.sb3.building import UntrustedError, policy_recipe
 from behavexplor.ads.sb3.inert import Inert
+from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.errors import InputError
-
-MOST_ENVS: Final = 4096  # sub-environments in lock-step
 
 # The file does not name the algorithm. The module of its policy tells DQN and QR-DQN. PPO, A2C and TRPO have the same
 # policies, and are told apart by the first of these numbers that the file has.

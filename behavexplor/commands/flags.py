@@ -1,0 +1,38 @@
+"""Flags that override a configuration."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import tyro
+
+from behavexplor.errors import InputError
+
+
+def flag(metavar: str, default: object, text: str | None = None) -> Any:
+    """Return the argument settings of a flag that overrides the configuration.
+
+    Args:
+        metavar: name of the value in the help text.
+        default: value without the flag, for the help text; None for none.
+        text: help text; by default, that of the command's docstring.
+    """
+    return tyro.conf.arg(
+        metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "", help=text
+    )
+
+
+def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
+    """Check that flags beside --resume do not change the configuration of what is resumed.
+
+    Args:
+        given: values of the flags by key of the configuration.
+        stored: the configuration.
+        what: what is resumed, for the message.
+
+    Raises:
+        InputError: if a value is another one.
+    """
+    for name, value in given.items():
+        if value != getattr(stored, name):
+            option = name.replace("_", "-")
+            raise InputError(f"--{option} cannot be changed with --resume: the {what} has {getattr(stored, name)!r}")
