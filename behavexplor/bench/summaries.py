@@ -98,7 +98,10 @@ class Summary:
         The analysis time is spread evenly over the executions.
         """
         spent = np.cumsum(self.durations) + self.analysing * np.arange(1, self.executions + 1) / self.executions
-        count = int(np.searchsorted(spent, seconds * (1 + 1e-12), side="right"))
+        return self.first(int(np.searchsorted(spent, seconds * (1 + 1e-12), side="right")))
+
+    def first(self, count: int) -> "Summary":
+        """Return the summary of the first executions, without mutants and mutations."""
         share = count / self.executions
         return replace(
             self,

@@ -85,6 +85,20 @@ def column(table, name):
     return [row[index] for row in table.rows]
 
 
+def test_forecasts_stand_beside_what_was_found_later():
+    kinds = {0: "a", 1: "b", 2: "b", 99: "c", 104: "d", 900: "e", 901: "a"}
+    found = tuple(Failure(number, "R3", False, kind) for number, kind in kinds.items())
+    whole = Summary("lane-follow", "rule", "Search", 1, 1000, found, 0.2, 8.0, 2.0)
+    table = made("forecasts", [whole])
+    (row,) = table.rows
+    values = dict(zip([column.name for column in table.columns], row, strict=True))
+    assert (values["After"].mean, values["Classes"].mean, values["Total, found"].mean) == (100, 3, 5)
+    assert (values["Chance %"].mean, values["Then new %"].mean) == (2, 10)  # a and c were seen once; d is new
+    assert values["Total, forecast"].mean == pytest.approx(3 + 0.99 * 2 * 1 / (2 * 2))
+    assert values["Within"] == 1
+    assert "forecasts" not in [table.name for table in tables(EXPERIMENT, CLASSIFIED)]  # too short
+
+
 def test_violations_are_means_of_what_was_found_first():
     table = made("violations")
     assert column(table, "Scenario") == ["lane-follow"] * 3 + ["lane-change"]
