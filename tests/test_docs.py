@@ -14,6 +14,7 @@ import behavexplor
 from behavexplor.behavior.miner import MinerOptions
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.envs.reward import WEIGHTS
+from behavexplor.execution.simulation import Simulation
 
 NAMES = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")
 ROOT = Path(__file__).parent.parent
@@ -136,6 +137,18 @@ def test_the_distances_of_scenarios_a_b_and_c_are_those_that_the_page_says(behav
         assert f"| {a} and {b} | {found.distances[a + b]:.2f} |" in page
     assert made["abstracted"](traces, MinerOptions(scaling="none")).distances["BC"] < 0.01
     assert len(made["figure"](traces, found).axes) == 3
+
+
+def test_the_aimed_vehicle_of_the_figure_meets_the_recorded_ego():
+    pytest.importorskip("matplotlib")
+    made = runpy.run_path(str(ROOT / "docs" / "encounters.py"))
+    simulation = Simulation(made["ENV"], made["ADS"])
+    found = made["aimed"](simulation)
+    simulation.close()
+    least = found.distances.min(axis=1)
+    assert least[found.chosen] < found.reach
+    assert sum(least > found.reach) > len(least) / 2  # most drawn vehicles miss
+    assert len(made["figure"](found, {}).get_children()) > 0
 
 
 def test_tables_are_put_into_their_places(tmp_path):

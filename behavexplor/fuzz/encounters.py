@@ -11,6 +11,7 @@ It uses routes, traces and verdicts, and neither the driving system's log nor it
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
@@ -213,6 +214,11 @@ class Encounters:
         niche.elites.sort(key=lambda kept: kept.miss.degree)
         del niche.elites[self._options.elites :]
         return improves
+
+    @property
+    def niches(self) -> Mapping[str, Niche]:
+        """The niches by class of violations."""
+        return MappingProxyType(self._niches)
 
     def status(self) -> Mapping[str, float]:
         """Return the number of niches, and of those in which a violation was found."""
