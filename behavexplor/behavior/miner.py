@@ -50,8 +50,8 @@ class MinerOptions:
     clusters: Annotated[int, between(1, MAX_CLUSTERS)] = 10
     scaling: Literal["zscore", "none"] = "zscore"
     refit_growth: Annotated[float, between(0)] = 0.25
-    sample_size: int = 20_000
-    random_state: int = 0
+    sample_size: Annotated[int, between(1, 1_000_000)] = 20_000
+    random_state: Annotated[int, between(0, 2**32 - 1)] = 0
 
     def __post_init__(self) -> None:
         if self.sample_size < self.clusters:

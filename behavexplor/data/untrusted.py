@@ -14,8 +14,11 @@ from behavexplor.errors import InputError, brief
 
 MAX_NODES: Final = 100_000  # nodes in a YAML file; an alias counts as often as it is used
 MAX_DEPTH: Final = 40  # nesting depth of values in a YAML file
+MAX_DIGITS: Final = 100  # characters of an integer in a YAML file; Python cannot write very long ones as text
 MAX_JSON_LENGTH: Final = 1_000_000  # characters; a scenario of the paper has about 1500
 MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz file
+
+_INTEGER: Final = "tag:yaml.org,2002:int"
 
 
 def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
@@ -49,8 +52,10 @@ def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, in
     """Return the number of nodes in a node, with aliases expanded, and their depth.
 
     Raises:
-        ValueError: if they are nested too deeply, or a node contains itself.
+        ValueError: if they are nested too deeply, a node contains itself, or an integer is too long.
     """
+    if node.tag == _INTEGER and len(node.value) > MAX_DIGITS:
+        raise ValueError("an integer in it is too long")
     if id(node) not in known:
         known[id(node)] = (0, MAX_DEPTH)  # found if the node contains itself, and too deep then
         extents = [_extent(child, known) for child in _children(node)]

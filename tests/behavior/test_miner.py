@@ -233,7 +233,15 @@ def test_jitter_is_no_behavior():
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("window", 0), ("clusters", 0), ("clusters", 251), ("refit_growth", -0.1), ("sample_size", 9)],
+    [
+        ("window", 0),
+        ("clusters", 0),
+        ("clusters", 251),
+        ("refit_growth", -0.1),
+        ("sample_size", 9),
+        ("sample_size", 2**63),
+        ("random_state", -1),
+    ],
 )
 def test_options_out_of_range(option, value):
     with pytest.raises(InputError, match=option):
