@@ -1,4 +1,4 @@
-"""Trains a policy for ten minutes with `FuzzCallback`, and draws its curves: python docs/training.py [SECONDS]."""
+"""Trains a policy with `FuzzCallback`, and draws its curves: python docs/training.py [SECONDS [METHOD]]."""
 
 import json
 import sys
@@ -43,7 +43,7 @@ class TimeLimit(BaseCallback):
         return time.monotonic() < self._end
 
 
-def trained(seconds: float) -> tuple[FuzzCallback, dict[str, Any]]:
+def trained(seconds: float, method: str) -> tuple[FuzzCallback, dict[str, Any]]:
     """Train with both callbacks, and return that of this package, and the mean returns of the other one."""
     envs = make_vec_env(ENV, 64, seed=SEED, vec_env_cls=HighwayVecEnv)
     seen = make_vec_env(ENV, 20, seed=SEED + 1, vec_env_cls=HighwayVecEnv)
@@ -51,12 +51,14 @@ def trained(seconds: float) -> tuple[FuzzCallback, dict[str, Any]]:
         every=20_000,
         budget=100,
         share=STATED_SHARE,
-        method="uniform",
+        method=method,
         confirm=False,
         out=str(OUT / "fuzzing"),
         verbose=1,
     )
-    returns = EvalCallback(seen, n_eval_episodes=100, eval_freq=20_000 // 64, best_model_save_path=str(OUT), verbose=0)
+    returns = EvalCallback(
+        seen, n_eval_episodes=100, eval_freq=20_000 // 64, best_model_save_path=str(OUT), log_path=str(OUT), verbose=0
+    )
     model = PPO("MlpPolicy", envs, n_steps=64, batch_size=1024, n_epochs=5, gamma=0.9, ent_coef=0.01, seed=SEED)
     model.learn(10**9, callback=CallbackList([fuzzing, returns, TimeLimit(seconds)]))
     model.save(OUT / "last_model.zip")
@@ -69,10 +71,10 @@ def figure(fuzzing: FuzzCallback, returns: dict[str, Any]) -> Figure:
     sheet = Figure(figsize=(8.0, 4.2), layout="constrained")
     above, below = sheet.subplots(2, 1, sharex=True)
     steps = [found.steps for found in fuzzing.rounds]
-    above.plot(steps, [100 * found.summary.failure_rate for found in fuzzing.rounds], label="any failure")
-    above.plot(steps, [100 * found.summary.at_fault_rate for found in fuzzing.rounds], label="at fault")
-    above.plot(steps, [len(found.summary.classes) for found in fuzzing.rounds], ":", label="classes")
-    above.set(ylabel="% of scenarios; number", ylim=(0, None))
+    rates = [100 * found.summary.at_fault_rate for found in fuzzing.rounds]
+    above.plot(steps, rates, "o-", ms=3, label="failures at fault [% of a round]")
+    above.plot(steps, [len(found.summary.classes) for found in fuzzing.rounds], "s:", ms=3, label="classes [number]")
+    above.set(ylim=(0, None))
     above.legend(fontsize="small")
     below.plot(returns["steps"], returns["returns"])
     below.set(ylabel="mean return", xlabel="training steps")
@@ -82,7 +84,8 @@ def figure(fuzzing: FuzzCallback, returns: dict[str, Any]) -> Figure:
 def main() -> None:
     """Train, draw the curves, and drive the last policy and both best ones through held-out scenarios."""
     torch.set_num_threads(1)
-    fuzzing, returns = trained(float(sys.argv[1]) if len(sys.argv) > 1 else 600.0)
+    seconds, method = (*sys.argv[1:], *("600", "uniform")[len(sys.argv) - 1 :])
+    fuzzing, returns = trained(float(seconds), method)
     figure(fuzzing, returns).savefig(PICTURE, dpi=110, metadata={"Software": ""})
     chosen = {"FuzzCallback": fuzzing.folder / "best_model.zip", "EvalCallback": OUT / "best_model.zip"}
     chosen["last"] = OUT / "last_model.zip"
