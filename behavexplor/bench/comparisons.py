@@ -29,6 +29,16 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
     There is one table for each of the two and each figure: failures at fault and their classes, all failures, unique
     violations and weaknesses; and one for each of the experiment's contrasts and each figure.
     """
+    return [
+        _compared(f"{key}-{slug(name).lower()}", f"Number of {words}: {title}", experiment, rows)
+        for name, title, pairs in families(experiment)
+        for key, words, figure in compared_figures(summaries)
+        if (rows := samples(experiment, summaries, pairs, figure))
+    ]
+
+
+def compared_figures(summaries: Sequence[Summary]) -> list[tuple[str, str, Figure]]:
+    """Return the figures in which methods are compared: their keys, their names, and the figures."""
     figures: list[tuple[str, str, Figure]] = [("at-fault", "failures at fault", n_at_fault)]
     if all_classified(summaries):
         figures.append(("at-fault-classes", "classes of failures at fault", n_kinds_at_fault))
@@ -36,30 +46,24 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
     figures.append(("failures", "failures", total(None)))
     if all_signed(summaries):
         figures.append(("weaknesses", "weaknesses of the planner", n_weaknesses))
-    families = _families(experiment)
-    return [
-        _compared(f"{key}-{slug(name).lower()}", f"Number of {words}: {title}", experiment, rows)
-        for name, title, pairs in families
-        for key, words, figure in figures
-        if (rows := _samples(experiment, summaries, pairs, figure))
-    ]
+    return figures
 
 
-def _families(experiment: Experiment) -> list[tuple[str, str, list[tuple[str, str]]]]:
+def families(experiment: Experiment) -> list[tuple[str, str, list[tuple[str, str]]]]:
     """Return the families of comparisons: their names, titles and pairs of methods."""
     others = [method for method in experiment.methods if method != experiment.compared]
     reference, baseline = experiment.compared, experiment.baseline
-    families = [(reference, f"{reference} compared", [(reference, other) for other in others])]
+    made = [(reference, f"{reference} compared", [(reference, other) for other in others])]
     if baseline and baseline != reference:
         rivals = [method for method in experiment.methods if method != baseline]
-        families.append((baseline, f"{baseline} compared", [(rival, baseline) for rival in rivals]))
-    return families + [(f"contrast-{name}", name, list(pairs)) for name, pairs in experiment.contrasts.items()]
+        made.append((baseline, f"{baseline} compared", [(rival, baseline) for rival in rivals]))
+    return made + [(f"contrast-{name}", name, list(pairs)) for name, pairs in experiment.contrasts.items()]
 
 
 Sample = tuple[str, str, str, str, list[float], list[float]]
 
 
-def _samples(
+def samples(
     experiment: Experiment, summaries: Sequence[Summary], pairs: Sequence[tuple[str, str]], figure: Figure
 ) -> list[Sample]:
     """Return the samples of each pair of methods, for each environment and ADS in which both have finished campaigns.
@@ -78,9 +82,9 @@ def _samples(
     return [sample for sample in found if sample[4] and sample[5]]
 
 
-def _compared(name: str, title: str, experiment: Experiment, samples: Sequence[Sample]) -> Table:
+def _compared(name: str, title: str, experiment: Experiment, found: Sequence[Sample]) -> Table:
     """Return a table of comparisons, which form one family for the correction."""
-    found = compare([(first, second) for *_, first, second in samples])
+    compared = compare([(first, second) for *_, first, second in found])
     rows: list[tuple[Value, ...]] = [
         (
             *place_cells(experiment, env, ads),
@@ -93,19 +97,19 @@ def _compared(name: str, title: str, experiment: Experiment, samples: Sequence[S
             p_text(c.corrected),
             c.verdict,
         )
-        for (env, ads, one, other, _, _), c in zip(samples, found, strict=True)
+        for (env, ads, one, other, _, _), c in zip(found, compared, strict=True)
     ]
-    places = [sample[:2] for sample in samples]
+    places = [sample[:2] for sample in found]
     blocks = tuple(places.count(place) for place in dict.fromkeys(places))
     heads = (*place_columns(experiment), Column("Method"), Column("Against"), Column("n"), Column("m"))
     heads += (Column("Mean"), Column("Mean against"), Column("A12", digits=2), Column("p"), Column("p Holm"))
     heads += (Column("Verdict"),)
     notes = [
         "Question: does the method find more than the one that it is compared with, beyond chance?",
-        f"Two-sided Mann-Whitney U test with Holm's correction for {len(found)} comparisons, level {LEVEL:g}.",
+        f"Two-sided Mann-Whitney U test with Holm's correction for {len(compared)} comparisons, level {LEVEL:g}.",
         "A12: probability that a campaign of the method finds more than one of the other method; 0.5: no difference.",
     ]
-    least = min(least_p(*c.n) for c in found) * len(found)
+    least = min(least_p(*c.n) for c in compared) * len(compared)
     if least >= LEVEL:
         notes.append(f"So few seeds cannot be significant here: the least corrected p is {p_text(min(1.0, least))}.")
     return Table(name, title, (*heads,), tuple(rows), blocks, tuple(notes))

@@ -7,7 +7,8 @@ from typing import Final
 
 from behavexplor.bench.comparisons import comparisons
 from behavexplor.bench.experiment import Experiment
-from behavexplor.bench.forecast_table import forecasts
+from behavexplor.bench.forecast_table import forecasts, pooled_forecasts
+from behavexplor.bench.overviews import overviews
 from behavexplor.bench.search_tables import correlations, mutations
 from behavexplor.bench.statistics import estimate
 from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_labels, all_signed
@@ -51,9 +52,10 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
     if all_classified(summaries):
         made.append(distinct(experiment, summaries))
-        made += filter(None, [forecasts(experiment, summaries)])
+        made += filter(None, [forecasts(experiment, summaries), pooled_forecasts(experiment, summaries)])
     if all_signed(summaries):
         made.append(weaknesses(experiment, summaries))
+    made += overviews(experiment, summaries)
     made.append(times(experiment, summaries))
     made += filter(None, [mutations(experiment, summaries), correlations(experiment, summaries)])
     return made + comparisons(experiment, summaries)

@@ -96,7 +96,41 @@ def test_forecasts_stand_beside_what_was_found_later():
     assert (values["Chance %"].mean, values["Then new %"].mean) == (2, 10)  # a and c were seen once; d is new
     assert values["Total, forecast"].mean == pytest.approx(3 + 0.99 * 2 * 1 / (2 * 2))
     assert values["Within"] == 1
+    names = [table.name for table in tables(EXPERIMENT, [whole])]
+    assert "forecasts-pooled" not in names  # of a single campaign
     assert "forecasts" not in [table.name for table in tables(EXPERIMENT, CLASSIFIED)]  # too short
+
+
+def test_forecasts_of_one_campaign_stand_beside_what_all_found():
+    first = campaign("Search", 1, ["R3"] * 4, kinds=["a", "a", "b", "c"])
+    second = campaign("Search", 2, ["R3"] * 4, kinds=["d", "e", "a", "a"])  # the first two in the first ten
+    table = made("forecasts-pooled", [first, second])
+    (row,) = table.rows
+    values = dict(zip([column.name for column in table.columns], row, strict=True))
+    assert values["n"] == 2
+    assert (values["After"].mean, values["Classes"].mean, values["Total, found"].mean) == (100, 3, 5)
+    assert values["Chance %"].mean == 2
+    assert values["Then new %"].mean == (100 * 2 / 10 + 0) / 2  # the first campaign begins with what the second has
+    assert values["Within"] == 2
+
+
+def test_an_overview_has_a_row_for_each_method_and_a_column_for_each_scenario():
+    table = made("overview-at-fault")
+    assert [column.name for column in table.columns] == ["Method", *ENVS]
+    assert [row[0] for row in table.rows] == ["Search", "w/o it", "Uniform_1"]
+    search, without, _ = table.rows
+    assert search[1].mean == (2 + 4 + 4) / 3  # the first collisions are an NPC's
+    assert without[2] is None
+    assert "0 to 3 campaigns" in table.notes[1]
+
+
+def test_effect_sizes_of_all_figures_are_those_of_the_comparisons():
+    table = made("effects-search", CLASSIFIED)
+    (row,) = table.rows
+    assert row[0] == "w/o it"
+    sizes = [column(made(f"{key}-search", CLASSIFIED), "A12")[0] for key in ("at-fault", "at-fault-classes", "unique")]
+    assert row[1].split(" / ")[:3] == [f"{size:.2f}" for size in sizes]
+    assert row[2] == ""  # nothing was run there
 
 
 def test_violations_are_means_of_what_was_found_first():
