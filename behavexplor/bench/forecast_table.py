@@ -1,4 +1,4 @@
-"""The table that compares what a campaign's estimates said early on with what the campaign then found."""
+"""The table that compares the early forecasts of a campaign with what the campaign found later."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -9,11 +9,11 @@ from behavexplor.bench.summaries import Summary
 from behavexplor.bench.table import Column, Table, Value, of_group, place_cells, place_columns, places
 
 EARLY: Final = 0.1  # share of a campaign after which its estimates are taken
-LEAST: Final = 50  # fewer executions tell nothing about what is left
+LEAST: Final = 50  # fewer executions tell nothing about the classes that are left
 
 
 def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
-    """Return the table of forecasts and what came of them; None if all campaigns are too short.
+    """Return the table of forecasts and later findings; None if all campaigns are too short.
 
     The forecasts are those of `behavexplor.judge.discovery` after a tenth of a campaign.
     """
@@ -32,12 +32,13 @@ def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | N
     names = ("Method", "n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within")
     notes = (
         "Question: can the estimates of what is left to find be trusted?",
-        f"After: number of executions, {EARLY:.0%} of a campaign. Classes: those found until then.",
-        "Chance %: forecast probability that the next execution shows a new class (Good-Turing). Then new %: new "
-        "classes in the executions that followed, a tenth as many as before, in per cent of these executions.",
-        "Total: classes found by the whole campaign, and the forecast of all classes that there are (Chao1), which is "
-        "a lower bound on average. Within: campaigns whose number lies in the forecast's 95 % interval.",
-        "Both hold for independent executions, as uniform sampling makes them.",
+        f"After: number of executions before the forecast, {EARLY:.0%} of a campaign. Classes: those found by then.",
+        "Chance %: forecast probability that the next execution shows a new class (Good-Turing). Then new %: number of "
+        "new classes in the executions that followed, a tenth as many as before, as a percentage of these executions.",
+        "Total: number of classes found by the whole campaign, and the forecast of all classes that there are (Chao1), "
+        "which is a lower bound on average. Within: number of campaigns in which the total found lies in the 95 % "
+        "interval of the forecast.",
+        "Both forecasts are for independent executions, as uniform sampling makes them.",
     )
     title = "Forecasts of classes, and what came of them"
     heads = (*place_columns(experiment), *map(Column, names))
