@@ -1,4 +1,4 @@
-"""A run as an object: its records, failures and classes, and all that can be done with them."""
+"""A run as an object, with its records, failures and classes, and methods for all that can be done with them."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -40,7 +40,7 @@ PAGE = "report.html"
 
 
 class Run:
-    """One campaign in its run folder, finished or not. Everything is read from the folder when it is asked for.
+    """One campaign in its run folder, finished or not. What it offers is read from the folder when it is asked for.
 
     Args:
         folder: the run folder.
@@ -134,7 +134,7 @@ class Run:
         return Replay(self._execution(number), known_road(self.config.env, self.folder) or RoadShape(()))
 
     def repeat(self, number: int) -> Repetition:
-        """Execute a scenario of the run again, and return whether the trace was the same.
+        """Execute a scenario of the run again, and tell whether the trace is the same.
 
         Raises:
             InputError: if there is no execution of that number, or the driver cannot be loaded.
@@ -146,8 +146,8 @@ class Run:
         """Find out whose fault the failures were, and what caused them. The findings are kept in the run folder.
 
         Args:
-            workers: number of worker processes; by default none, where that is possible.
-            afresh: whether to examine all failures again.
+            workers: number of worker processes; by default none, if the driver need not be confined.
+            afresh: whether to examine known failures again.
 
         Raises:
             InputError: if the driver cannot be loaded.
@@ -156,17 +156,17 @@ class Run:
         return RunTriage(self.folder, count, afresh=afresh, driver=self._given.driver).examine(lambda _: None)
 
     def minimize(self, numbers: Iterable[int] | None = None, *, workers: int | None = None) -> list[Minimized]:
-        """Find the simplest scenario in which failures still happen. What is known already is not minimized again.
+        """Find the simplest scenarios in which failures still happen. Minimized failures are not minimized again.
 
         Args:
             numbers: numbers of failed executions; by default the first failure of each class.
-            workers: number of worker processes; by default this process, if the driver need not be confined.
+            workers: number of worker processes; by default none, if the driver need not be confined.
 
         Returns:
             The minimized failures, in the order of their numbers.
 
         Raises:
-            InputError: if an execution has no failure, or the run folder cannot be written.
+            InputError: if an execution did not fail, or the run folder cannot be written.
         """
         count = fewest_workers(self.config.target) if workers is None else workers
         with closing(Store.read(self.folder)) as store:
@@ -183,7 +183,7 @@ class Run:
 
         Args:
             path: the file to write; by default report.html in the run folder.
-            replays: greatest number of replays in the page.
+            replays: greatest number of replays on the page.
 
         Returns:
             The path of the page.
@@ -227,10 +227,10 @@ class Run:
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:
-        """Return a driver, if it is that of this run by its name.
+        """Return a given driver, if it has the name of this run's driver.
 
         Raises:
-            InputError: if it is another one.
+            InputError: if it has another name.
         """
         given = given_driver(driver)
         if given.name != self.config.ads:
@@ -290,7 +290,7 @@ def written(path: Path, text: str) -> Path:
 
 
 def open_run(folder: str | Path, driver: Any = None) -> Run:
-    """Open the run folder of a campaign, which the command or the Python interface has written.
+    """Open a run folder that the command or the Python interface has written.
 
     Args:
         folder: the run folder.

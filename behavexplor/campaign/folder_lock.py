@@ -1,4 +1,4 @@
-"""The lock of a run folder: at most one campaign writes to it."""
+"""The lock of a run folder: it lets at most one campaign write to the folder."""
 
 from pathlib import Path
 from typing import IO
@@ -30,7 +30,7 @@ def lock_folder(folder: Path) -> IO[str]:
 
 
 def is_being_written(folder: Path) -> bool:
-    """Return whether a campaign is writing a run folder now; False where the system has no such locks."""
+    """Return whether a campaign is writing to a run folder now; False on a system without such locks."""
     if fcntl is None or not (folder / LOCK).is_file():
         return False
     with (folder / LOCK).open() as file:

@@ -44,7 +44,7 @@ from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError
 
 _STAGES = "stages"  # name of the note with the time in each stage
-_UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it begins
+_UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it has begun
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Execution:
     """One stored execution.
 
     Attributes:
-        record: figures of the execution.
+        record: record of the execution.
         trace: trace as bytes, see `behavexplor.data.trace.Trace.from_bytes`.
         elapsed: running time of the campaign up to the execution [s].
     """
@@ -83,7 +83,7 @@ class Store:
 
     Attributes:
         folder: the run folder.
-        repaired: sentence on the damage that was repaired when the run was reopened; None without damage.
+        repaired: sentence on how a damaged database was repaired when the run was reopened; None without damage.
     """
 
     def __init__(
@@ -221,7 +221,7 @@ class Store:
         return len(self._pending)
 
     def commit(self, stages: Mapping[str, float] = MappingProxyType({})) -> list[Execution]:
-        """Write the added executions to disk, and each failure also to a file of its own.
+        """Write the added executions to disk, and each failed one also to a file of its own.
 
         Args:
             stages: time in each stage so far [s], see `stages`.
@@ -412,5 +412,5 @@ def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:
 
 
 def last_written(folder: Path) -> float:
-    """Return when an execution was last written to a run folder [s since 1970]."""
+    """Return the time at which executions were last written to a run folder [s since 1970]."""
     return max(path.stat().st_mtime for path in folder.glob(f"{DATABASE}*"))

@@ -87,7 +87,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
         budget: Number of executions (750), or running time (90s, 30m, 1h30m).
         seed: Random seed. The same seed gives the same records.
-        batch: Number of scenarios in flight. Each is chosen before the results of that many earlier ones are known.
+        batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it.
         workers: Number of worker processes (no effect on the records). 0: this process, with no limits for the ADS;
             an ADS that is not shipped with behavexplor then needs --unconfined.
         cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
@@ -100,15 +100,15 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network.
         stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
             deterministically.
-        confirm: Repeat each failure in highway-env's own environments with highway-env itself, which takes longer than
-            all else if the driver fails often.
+        confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
+            time if the driver fails often.
         stop_after: Stop after this many failures, before the budget is used up.
         summary: Also write the findings to this JSON file.
         quiet: Print only the summary.
         fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
         fail_above: Exit with code 1 if more than this share of the executions failed, such as 0.05.
-        known_classes: File with one class in each line, or a --summary file: failures of these classes do not make
-            --fail-on-violation and --fail-above fail.
+        known_classes: File with one class in each line, or a --summary file. Failures of these classes do not count for
+            --fail-on-violation and --fail-above.
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     flags |= {

@@ -42,21 +42,21 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
 ) -> int:
     """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
 
-    The best round is chosen by scenarios of its own. `compare` then shows on other ones what was fixed and broken.
+    The best round is chosen in validation scenarios. `compare` then shows in others what was fixed and broken.
 
     Args:
         policy: Model of Stable-Baselines3 (PPO, A2C, TRPO, DQN or QR-DQN), policy.npz of `train`, or learned:NAME.
         env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id".
         pool: Scenarios in which the policy fails and which are mixed in: none; those of its own training; those that
             campaigns find; or both.
-        share: Probability that an episode is one of them.
-        rounds: Number of rounds. Each searches, trains and validates.
+        share: Probability that the scenario of an episode is one of these.
+        rounds: Number of rounds. Each trains and validates, after a search if --pool is found or both.
         steps: Number of decisions in a round, including those of the campaign.
         envs: Number of environments in lock-step.
         rate: Learning rate of the first round.
         method: Search method of the campaigns.
         budget: Number of executions of each campaign.
-        validation: Number of scenarios by which the best round is chosen.
+        validation: Number of scenarios in which each round is validated.
         seed: Random seed. The same seed gives the same policy on the same kind of machine.
         out: Folder for rounds and logs, new or empty.
         resume: Resume the retraining in this folder.

@@ -1,4 +1,4 @@
-"""Training in chosen scenarios, as a Stable-Baselines3 `VecEnv`. Importing it imports Stable-Baselines3."""
+"""Training in chosen scenarios, as a Stable-Baselines3 `VecEnv`. This module imports Stable-Baselines3."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,14 +14,14 @@ from behavexplor.envs.sb3_vec_env import LockStepVecEnv
 
 
 class ScenarioVecEnv(LockStepVecEnv):
-    """A vector environment whose episodes drive the scenarios of a sampler.
+    """A vector environment whose episodes run in the scenarios that a sampler draws.
 
     For a sub-environment whose episode has just ended, `infos` contains its `trace`, the `end` of the trace, and the
-    `terminal_observation`. `seed` seeds the sampler for all sub-environments together, at once.
+    `terminal_observation`. `seed` seeds the one sampler of all sub-environments, at once.
 
     Args:
-        env: vector environment with autoreset disabled and an attribute `logical` that takes
-            `reset(options={"scenarios": ..., "reset_mask": ...})` and has `infos["trace"]` at the end of an episode.
+        env: vector environment with autoreset disabled and an attribute `logical`. The environment takes
+            `reset(options={"scenarios": ..., "reset_mask": ...})`, and has `infos["trace"]` at the end of an episode.
 
     Attributes:
         logical: the logical scenario of the environment.

@@ -35,10 +35,10 @@ ENDING_SECONDS: Final = 2.0  # time limit for the end of a worker that has close
 
 
 def share_imports(recipe: Recipe) -> None:
-    """Begin to import, in the background, what the processes of a service need, where the system can share it.
+    """Begin to import, in the background, the modules that all processes of a service need, where they can be shared.
 
     Raises:
-        InputError: if this process is a worker that is importing the script of the user, which starts workers itself.
+        InputError: if this process is a worker that is importing the user's script, and the script would start workers.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise InputError(f"This script starts worker processes when it is imported: {_GUARD}")
@@ -48,7 +48,7 @@ def share_imports(recipe: Recipe) -> None:
 
 
 class WorkerDiedError(RuntimeError):
-    """A worker ended outside of its ADS: an error of this package or of the environment."""
+    """A worker ended while its ADS was not running: an error of this package or of the environment."""
 
 
 @dataclass(eq=False)
@@ -60,7 +60,7 @@ class _Task:
         function: name of the function.
         data: argument of the function.
         alone: whether the call needs a worker to itself.
-        crashes: number of workers that died while this call was their only one.
+        crashes: number of workers that died while they processed only this call.
     """
 
     future: Future[Any]
@@ -215,7 +215,7 @@ class WorkerPool(Executor):
                 self._remove(worker)
 
     def _start_others(self) -> None:
-        """Start all workers, after the first one has compiled what they have in common."""
+        """Start the other workers, after the first one has compiled the kernels for all."""
         if not self._recipe.long_calls:
             self._workers = [worker or _Worker(*self._serving) for worker in self._workers]
 

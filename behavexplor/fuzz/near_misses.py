@@ -18,8 +18,8 @@ from behavexplor.judge.specs import Verdict
 
 Floats = NDArray[np.float64]
 
-SHORT_STAND: Final = 2.0  # shorter stands are no near misses [s]
-LINE_WEIGHT: Final = 10.0  # a meter to a line counts as this many meters to a vehicle: an ego is always near to lines
+SHORT_STAND: Final = 2.0  # a shorter stand is not a near miss [s]
+LINE_WEIGHT: Final = 10.0  # a meter to a line counts as this many meters to a vehicle: an ego is always near lines
 FAR: Final = 200.0  # distance from the destination at which a return to the lane has a degree of 1 [m]
 LEAST: Final = 0.01  # least degree of a near miss, so that 0 means a violation
 _CLOSEST_FRAMES: Final = 8  # frames with the nearest centers, in which the distance between the boxes is computed
@@ -30,7 +30,7 @@ class NearMiss(NamedTuple):
 
     Attributes:
         spec: the spec's short name: "R1", "R2", "R3", or a user's.
-        niche: the class that the violation has or would have, as text.
+        niche: id of the class that the violation has or would have; for a collision, with the NPC's motion.
         degree: distance from the violation; 0 for a violation.
         partner: index of the NPC that took part or was nearest; -1 without NPCs.
     """
@@ -44,14 +44,14 @@ class NearMiss(NamedTuple):
 def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> list[NearMiss]:
     """Return the violation of a failed execution, or the near misses of one that passed.
 
-    A collision that an NPC caused teaches nothing about the ego, so it is left out, and so is an execution in which the
-    driving system raised an error.
+    A collision that an NPC caused teaches nothing about the ego, so it is left out. An execution in which the driving
+    system failed is left out, too.
 
     Args:
         trace: the trace.
         verdict: its verdict.
         drive: the ego's drive in the trace.
-        reach: greatest distance of a vehicle at a near miss [m].
+        reach: greatest distance between the ego and a vehicle that is a near miss [m].
     """
     if not verdict.failed:
         ends = _near_ends(trace, drive)
@@ -63,7 +63,7 @@ def near_misses(trace: Trace, verdict: Verdict, drive: Drive, reach: float) -> l
 
 
 def _near_vehicles(trace: Trace, drive: Drive, reach: float) -> Iterator[NearMiss]:
-    """Yield the nearest passage of each NPC, unless the ego stood or the NPC came from behind in the ego's lane."""
+    """Yield the closest approach of each NPC, unless the ego stood, or kept its lane and the NPC was behind it."""
     frames = drive.frame
     centers = trace.position[frames, 1:] - trace.position[frames, :1]
     gaps = np.hypot(centers[..., 0], centers[..., 1])
@@ -82,7 +82,7 @@ def _near_vehicles(trace: Trace, drive: Drive, reach: float) -> Iterator[NearMis
 
 
 def _near_lines(trace: Trace, drive: Drive) -> Iterator[NearMiss]:
-    """Yield the least distance from an illegal line on each side, while keeping the lane and while changing it."""
+    """Yield the ego's least distance from an illegal line on each side, in its lane and while it changes lanes."""
     lines = trace.illegal_lines
     if not len(lines):
         return
@@ -130,7 +130,7 @@ def _near_ends(trace: Trace, drive: Drive) -> Iterator[NearMiss]:
 
 
 def _near_specs(trace: Trace, verdict: Verdict) -> Iterator[NearMiss]:
-    """Yield the degrees of the specs of a user."""
+    """Yield the degrees of the user's own specs."""
     for name, degree in verdict.degrees.items():
         if name not in REQUIREMENTS:
             yield _miss(trace, ViolationEvent(name, len(trace.time) - 1), LEAST + max(degree, 0.0))

@@ -25,7 +25,7 @@ NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})
 AT_FAULT: Final = frozenset({"ego_cut_in", "preventable"})
 NOT_AT_FAULT: Final = NPC_CAUSED | {"unpreventable"}
 
-CUT_IN_TIME: Final = 3.0  # time after its lane change in which the ego is at fault for a rear-end collision [s]
+CUT_IN_TIME: Final = 3.0  # time after a lane change in which a hit from behind is the ego's fault [s]
 LATERAL_SPEED: Final = 0.3  # an ego that moves faster than this across its route is changing lanes [m/s]
 
 _ENDED_BY_COLLISION: Final = frozenset({Collision().name, Destination().name})
@@ -34,8 +34,8 @@ _ENDED_BY_COLLISION: Final = frozenset({Collision().name, Destination().name})
 def is_at_fault(fault: str | None) -> bool:
     """Return whether the driving system is at fault for a failure.
 
-    It is, unless an NPC caused a collision, or triage has shown that no driver could have avoided it. A touched line, a
-    missed destination and an error are always its own fault.
+    It is, unless the failure is a collision that an NPC caused, or one that triage found no way to avoid. A touched
+    line, a missed destination and an error are always its own fault.
 
     Args:
         fault: verdict on the collision; None for another failure.
@@ -44,7 +44,10 @@ def is_at_fault(fault: str | None) -> bool:
 
 
 def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
-    """Return the violations of a trace without a collision that another vehicle caused, which also ended the drive.
+    """Return the violations of a trace that are the ego's own.
+
+    A collision that another vehicle caused is left out. It also ended the drive, so a missed destination is left out
+    with it.
 
     Args:
         trace: the trace of an episode.
@@ -60,8 +63,8 @@ def contact_fault(trace: Trace) -> Fault | None:
 
     The verdicts are checked in this order:
 
-    - `ego_cut_in`: a faster vehicle hit the ego from behind while the ego changed lanes, or within `CUT_IN_TIME` after.
-      This is the ego's fault.
+    - `ego_cut_in`: a faster vehicle hit the ego from behind during a lane change of the ego, or within `CUT_IN_TIME`
+      after it. This is the ego's fault.
     - `npc_rear_end`: a faster vehicle with about the same heading hit the ego from behind.
     - `struck_stationary`: the ego was standing.
     - `other`: the trace alone cannot tell. `behavexplor.triage.blame` drives the scenario again to find out.
@@ -85,7 +88,7 @@ def contact_fault(trace: Trace) -> Fault | None:
 def touched_npc(trace: Trace) -> int | None:
     """Return the vehicle that the ego touches in the last frame, the nearest by its center if there are several.
 
-    In a stock environment, it is the vehicle into which the ego crashed, as the environment says.
+    In a stock environment, it is the vehicle into which the ego crashed, as the trace says.
     """
     if trace.signals:
         return trace.partner if trace.partner > 0 else None

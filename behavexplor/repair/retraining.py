@@ -1,8 +1,8 @@
 """Retraining of a policy on the scenarios in which it fails, in resumable rounds.
 
-A round searches for failures of the present policy if the configuration asks for them. It trains the policy on a
-mixture of ordinary scenarios and those in which the policy fails. Then it validates the policy as it is driven, without
-chance.
+A round searches for failures of the present policy if the configuration asks for a search. It trains the policy on a
+mixture of ordinary scenarios and those in which the policy fails. Then it validates the policy, which decides
+deterministically there, as it does in campaigns.
 """
 
 import shutil
@@ -47,7 +47,7 @@ def retrain(
     Raises:
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.
     """
-    torch.set_num_threads(1)  # more threads change the last bits
+    torch.set_num_threads(1)  # more threads change the last bits of results
     trainee = open_trainee(config.target, config.seed, config.envs)
     with closing(trainee.venv):
         rounds = finished_rounds(folder)
@@ -80,13 +80,13 @@ def policy_in(folder: Path, config: RetrainingConfig) -> Path:
 
 @dataclass(frozen=True)
 class _Work:
-    """The work of a round.
+    """The rounds of one retraining.
 
     Attributes:
         config: configuration of the retraining.
         folder: folder of the retraining.
         trainee: the policy.
-        pool: the pool.
+        pool: the scenarios in which the policy fails.
     """
 
     config: RetrainingConfig
@@ -110,7 +110,7 @@ class _Work:
                 report(rounds[-1])
 
     def refresh(self, number: int) -> tuple[int, int]:
-        """Add what a campaign on the present policy finds; return how much that is, and how many decisions it took."""
+        """Add the failures that a campaign finds to the pool, and return the numbers of failures and of decisions."""
         config = self.config
         policy, place = self.file(number - 1, self.trainee.suffix), self.folder / "campaigns" / f"{number:04d}"
         target = replace(config.target, ads=str(policy))

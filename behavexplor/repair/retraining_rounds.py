@@ -26,15 +26,15 @@ class RetrainingConfig:
     Attributes:
         env: functional scenario, or environment of highway-env.
         policy: the policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
-        pool: scenarios that enter the pool: none; those in which the training itself fails ("own"); failures that
-            campaigns find ("found"); or both.
-        share: probability that an episode is drawn from the pool.
+        pool: scenarios that enter the pool: none; those in which the policy fails during the training ("own"); failures
+            that campaigns find ("found"); or both.
+        share: probability that the scenario of an episode is drawn from the pool.
         rounds: number of rounds of training.
-        steps: number of decisions in a round, including those of the campaign. The training of a new critic and the
-            filling of a replay buffer come on top.
+        steps: number of decisions in a round, including those of the campaign. The decisions that train a new critic
+            or fill a replay buffer are not included.
         seed: random seed.
         envs: number of sub-environments in lock-step; None for the number in the model's file, or 64 for a network.
-        rate: learning rate of the first round; None for that in the model's file, or 2.5e-4 if there is none.
+        rate: learning rate of the first round; None for that in the model's file, or 2.5e-4 if the file has none.
         method: search method of the campaigns.
         budget: number of executions in each campaign.
         validation: number of scenarios by which the best round is chosen.
@@ -94,13 +94,13 @@ class Round:
 
     Attributes:
         number: number of the round; 0 for the policy as it was given.
-        steps: number of decisions in which the policy was trained so far.
+        steps: number of decisions in all training so far.
         validated: number of scenarios in the validation.
-        failures: numbers of those in which the policy failed by its own fault.
-        passed: number of those without any failure.
+        failures: numbers of the validation scenarios in which the policy failed by its own fault.
+        passed: number of validation scenarios in which it did not fail.
         pool: number of scenarios in the pool at the end of the round.
         digest: digest of the pool.
-        found: number of failures that the round's campaign found, or None without a campaign.
+        found: number of failures worth training on that the round's campaign found; None without a campaign.
     """
 
     number: int
@@ -126,16 +126,16 @@ class Round:
         return len(self.failures) / self.validated
 
     def fixed(self, before: Self) -> int:
-        """Return in how many validation scenarios the policy no longer fails by its own fault."""
+        """Return in how many validation scenarios the policy failed by its own fault before, and no longer does."""
         return len(set(before.failures) - set(self.failures))
 
     def broken(self, before: Self) -> int:
-        """Return in how many validation scenarios the policy fails by its own fault, and did not before."""
+        """Return in how many validation scenarios the policy fails by its own fault now, and did not before."""
         return len(set(self.failures) - set(before.failures))
 
 
 def best(rounds: list[Round]) -> Round:
-    """Return the round with the lowest rate at fault, then the most passed scenarios, then the fewest steps."""
+    """Return the round with the lowest at-fault rate. Ties go to more passed scenarios, then to fewer steps."""
     return min(rounds, key=lambda one: (one.at_fault, -one.passed, one.steps))
 
 
@@ -143,7 +143,7 @@ def finished_rounds(folder: Path) -> list[Round]:
     """Return the finished rounds of a folder.
 
     Raises:
-        InputError: if their file cannot be read.
+        InputError: if the file of the rounds cannot be read.
     """
     path = folder / ROUNDS
     if not path.is_file():
@@ -157,7 +157,7 @@ def finished_rounds(folder: Path) -> list[Round]:
 
 
 def append_round(folder: Path, finished: Round) -> None:
-    """Add a finished round to the file of its folder."""
+    """Add a finished round to the folder's file of rounds."""
     path = folder / ROUNDS
     earlier = path.read_text() if path.is_file() else ""
     write_durably(path, earlier + json.dumps(asdict(finished)) + "\n")

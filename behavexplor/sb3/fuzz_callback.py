@@ -1,4 +1,4 @@
-"""The callback of Stable-Baselines3 that fuzzes the present policy now and then during a training."""
+"""A callback for Stable-Baselines3 that fuzzes the present policy at intervals during a training."""
 
 import time
 import warnings
@@ -24,10 +24,10 @@ class Round:
     """One round of fuzzing.
 
     Attributes:
-        steps: number of training steps before it.
-        folder: its run folder.
-        summary: what it found.
-        seconds: how long it took [s].
+        steps: number of training steps before the round.
+        folder: run folder of the round.
+        summary: what the round found.
+        seconds: how long the round took [s].
     """
 
     steps: int
@@ -39,12 +39,12 @@ class Round:
 class FuzzCallback(BaseCallback):
     """Fuzzes the present policy at intervals, logs what it finds, and saves the policy with the fewest failures.
 
-    All rounds have the same seed and budget, so their figures can be compared. Fewest means fewest failures for which
-    the policy was at fault; of equally good policies, the latest is saved. The training itself is the same with and
-    without the callback, but for the time that it takes.
+    All rounds have the same seed and budget, so their figures can be compared. Only failures for which the policy was
+    at fault count towards the fewest. Of equally good policies, the latest is saved. The training itself is the same
+    with and without the callback, except that it takes longer.
 
     It logs `fuzz/failure_rate`, `fuzz/at_fault_rate`, `fuzz/classes`, and `fuzz/share_of_time`. All arguments are plain
-    values, so that a hyperparameter file of rl-zoo3 can name it:
+    values, so that a hyperparameter file of rl-zoo3 can name the callback:
 
         callback:
           - behavexplor.sb3.FuzzCallback: {env: highway-fast-v0, every: 10000, budget: 50}
@@ -53,13 +53,15 @@ class FuzzCallback(BaseCallback):
         env: id of the environment; by default that of the training, in its configuration.
         every: number of training steps between two rounds.
         budget: number of executions of a round, or its running time, such as "20s".
-        share: greatest share of the time since the training began that rounds may take. A round is left out if it would
-            take more than is left, as far as the last round tells. The first round always takes place.
+        share: greatest share of the time since the training began that rounds may take. A round is left out if
+            the rounds would then exceed this share, judging by the time of the last round. The first round always takes
+            place.
         stop_below: at-fault rate below which the training ends; None to train on.
         out: folder for the rounds' run folders and the best policy; by default a new one in runs/.
         seed: seed of every round.
         specs: requirements in addition to R1, R2 and R3, each as "module:attribute".
-        method: search method. Rates of the method "uniform" are those of the environment; others search for failures.
+        method: search method. With "uniform", the rates are those in ordinary scenarios of the environment. Other
+            methods search for failures.
         settings: further keys of the configuration, see `behavexplor.campaign.config.CampaignConfig`.
 
     Attributes:
@@ -100,7 +102,7 @@ class FuzzCallback(BaseCallback):
 
     @property
     def folder(self) -> Path:
-        """Folder of the run folders and of the best policy."""
+        """Folder with the run folders and the best policy."""
         if self._out is None:
             self._out = stamped_folder("training")
         return self._out
@@ -161,7 +163,7 @@ class FuzzCallback(BaseCallback):
         for name, value in figures.items():
             self.logger.record(f"fuzz/{name}", value)
         if self.verbose:
-            print(  # noqa: T201 - as all callbacks do that are verbose
+            print(  # noqa: T201 - as all verbose callbacks do
                 f"{found.steps} steps: {found.summary.failed} of {found.summary.executions} scenarios failed, "
                 f"{found.summary.at_fault} at fault, in {len(found.summary.classes)} classes"
             )

@@ -1,4 +1,4 @@
-"""Witnesses: commands with which the ego would have avoided a collision, for anyone to replay.
+"""Witnesses: commands with which the ego would have avoided a collision. Anyone can replay them.
 
 NPCs do not react to the ego, so their motion stays the same and a witness is exact. A witness drives as recorded up to
 some time and deviates from then on. It touches no vehicle until `SURVIVED` after the recorded collision, and no illegal
@@ -50,7 +50,7 @@ def find_witness(
     Args:
         simulation: simulation with the environment of the collision; its ADS is not used.
         scenario: the executed scenario.
-        trace: its trace.
+        trace: trace of its execution.
         event: violation event of the collision.
         rng: generator for the random evasions.
 
@@ -79,7 +79,7 @@ def avoids(other: Trace, trace: Trace, begin: float) -> bool:
     if other.end != "arrived" and other.duration < trace.duration + SURVIVED - 1e-6:
         return False
     touch = first_line_touch(other)
-    return touch is None or bool(other.time[touch.frame] <= begin)  # a touch before the deviation was recorded, too
+    return touch is None or bool(other.time[touch.frame] <= begin)  # an earlier touch is in the recorded trace, too
 
 
 def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness) -> Trace:
@@ -152,7 +152,7 @@ def alarm_time(trace: Trace, event: ViolationEvent) -> float:
     frames = np.arange(max(event.frame - round(EARLIEST * frequency(trace)), 0), event.frame + 1)
     pair = [0, event.partner]
     position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
-    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # too fine for boxes to pass each other
+    ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # too fine for boxes to pass each other unnoticed
     boxes = box_corners(position + ahead * velocity, trace.heading[frames][:, pair], trace.size[pair])
     conflict = boxes_overlap(boxes[:, :, 0], boxes[:, :, 1]).any(0)
     return float(trace.time[frames[conflict.argmax() if conflict.any() else -1]])
