@@ -53,8 +53,8 @@ class Trace:
             Without signals, the specs judge by the vehicles' boxes.
         present: whether each vehicle is present, shape (T, N); empty if all vehicles are present in all frames. An
             absent vehicle stands at `ABSENT`.
-        partner: the vehicle that the ego crashed into, as the environment says, an index of `size`; -1 if there is
-            none, or if the vehicles' boxes tell.
+        partner: the vehicle that the ego crashed into, as far as the environment tells, an index of `size`; -1 if there
+            is none, or if the vehicles' boxes tell.
 
     Raises:
         InputError: if the shape or a value of a field is wrong; the message names the field.

@@ -37,8 +37,8 @@ class EncountersOptions:
     """Options of `Encounters`.
 
     Attributes:
-        initial: number of first candidates. The very first is the empty road. The vehicles of the others are aimed at
-            the ego's drive on the empty road.
+        initial: number of first candidates. The very first is the empty road. The others are uniform, or have vehicles
+            aimed at the ego's drive on the empty road.
         uniform_share: share of uniform scenarios.
         aimed_share: share of mutants that get a vehicle aimed at their parent's drive.
         redrawn_share: share of mutants in which one vehicle is drawn anew. The other mutants have a vehicle tuned.
