@@ -95,6 +95,7 @@ class WorkerPool(Executor):
         self._lock = Lock()  # guards the following fields, which submitting threads change
         self._waiting: deque[_Task] = deque()
         self._closed = self._aborted = self._stopped = False
+        self._failed = ""  # why the pool has ended by itself
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._workers: list[_Worker | None] = [None] * n_workers
         self._thread = Thread(target=self._supervise, daemon=True)
@@ -104,6 +105,9 @@ class WorkerPool(Executor):
         """Call a function as soon as a worker is free; see `Executor.submit`."""
         future: Future[bytes] = Future()
         with self._lock:
+            if self._failed:
+                future.set_exception(WorkerDiedError(self._failed))
+                return future
             if self._closed:
                 raise RuntimeError("the workers have been shut down")
             self._waiting.append(_Task(future, function, data, alone=function != self._recipe.batched))
@@ -150,11 +154,17 @@ class WorkerPool(Executor):
                     self._woken.recv_bytes()
                 for connection, worker in busy.items():
                     self._listen(worker, answered=connection in ready)
+        except OSError as error:  # the system is out of processes, files or memory
+            self._failed = f"no worker could be started: {error}"
         finally:
+            with self._lock:
+                self._failed = self._failed or ("" if self._closed else "the workers have failed")
+                left, self._waiting = list(self._waiting), deque()
             for worker in filter(None, self._workers):
                 worker.kill()
-                _fail(worker.tasks.values(), WorkerDiedError("the workers have been shut down"))
-            _fail([task for task in self._waiting if not task.future.cancel()], WorkerDiedError("it was not run again"))
+                _fail(worker.tasks.values(), WorkerDiedError(self._failed or "the workers have been shut down"))
+            left = [task for task in left if self._failed or not task.future.cancel()]
+            _fail(left, WorkerDiedError(self._failed or "it was not run again"))
             self._wake.close()
             self._woken.close()
             self._folder.cleanup()
@@ -168,14 +178,13 @@ class WorkerPool(Executor):
             place = self._free_place(alone=self._waiting[0].alone)
             if place is None:
                 return
+            worker = self._workers[place] = self._workers[place] or _Worker(*self._serving)
             with self._lock:
                 if not self._waiting:
                     return
                 task = self._waiting.popleft()
             if not task.future.running() and not task.future.set_running_or_notify_cancel():
                 continue
-            worker = self._workers[place] or _Worker(*self._serving)
-            self._workers[place] = worker
             worker.ask(next(self._keys), task, self._time_limit)
 
     def _free_place(self, *, alone: bool) -> int | None:
@@ -192,12 +201,14 @@ class WorkerPool(Executor):
     def _listen(self, worker: "_Worker", *, answered: bool) -> None:
         """Process a worker's answer, its death or its timeout."""
         try:
-            if answered:
-                self._take(worker, *worker.answer(self._time_limit))
-            elif time.monotonic() > worker.deadline:
-                self._lost(worker, "hang", f"no answer within {worker.patience:g} s")
+            answer = worker.answer(self._time_limit) if answered else None
         except (EOFError, OSError):
             self._lost(worker, "crash", worker.ending())
+            return
+        if answer is not None:
+            self._take(worker, *answer)
+        elif time.monotonic() > worker.deadline:
+            self._lost(worker, "hang", f"no answer within {worker.patience:g} s")
 
     def _take(self, worker: "_Worker", key: int, answer: bytes) -> None:
         tag, content = answer[:1], answer[1:]
@@ -344,4 +355,5 @@ def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exc
 
 def _fail(tasks: Iterable[_Task], error: Exception) -> None:
     for task in tasks:
-        task.future.set_exception(error)
+        if task.future.running() or task.future.set_running_or_notify_cancel():
+            task.future.set_exception(error)

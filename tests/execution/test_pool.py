@@ -4,6 +4,7 @@ import math
 import os
 import signal
 import time
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import pytest
@@ -286,6 +287,42 @@ def test_a_call_whose_worker_dies_after_it_was_told_to_stop_is_not_made_again(po
     os.kill(other._process.pid, signal.SIGKILL)
     with pytest.raises(WorkerDiedError, match="ended"):
         running.result(timeout=30)
+
+
+class Starting:
+    """Stands for the start of workers: those after the first few fail."""
+
+    def __init__(self, monkeypatch, allowed):
+        self.left, start = allowed, ForkServerProcess.start
+
+        def begin(process):
+            self.left -= 1
+            if self.left < 0:
+                raise OSError(11, "Resource temporarily unavailable")
+            start(process)
+
+        monkeypatch.setattr(ForkServerProcess, "start", begin)
+
+
+def test_calls_fail_if_no_worker_can_be_started(monkeypatch):
+    Starting(monkeypatch, 0)
+    pool = make_pool()
+    first = pool.submit("echo", b"a")
+    with pytest.raises(WorkerDiedError, match=r"no worker could be started: .*Resource temporarily unavailable"):
+        first.result(60)
+    with pytest.raises(WorkerDiedError, match="no worker could be started"):
+        pool.submit("echo", b"b").result(60)
+    pool.shutdown()
+
+
+def test_a_worker_is_not_blamed_if_the_others_cannot_be_started(monkeypatch):
+    Starting(monkeypatch, 1)
+    pool = make_pool(workers=3)
+    calls = [pool.submit("echo", b"%d" % i) for i in range(4)]
+    for call in calls:
+        with pytest.raises(WorkerDiedError, match="no worker could be started"):
+            call.result(60)
+    pool.shutdown(wait=False)
 
 
 def test_an_unknown_function_is_named(pool):
