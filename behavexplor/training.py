@@ -32,6 +32,7 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
+from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.envs.making import environment_id
@@ -134,7 +135,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
         InputError: if the environment does not support training, or the last model cannot be read.
     """
     torch.set_num_threads(1)  # more threads change the last bits
-    venv = training_env(config)
+    venv = learning_env(config.env, config.envs)
     (folder / MODELS).mkdir(parents=True, exist_ok=True)
     first, model = _last_model(folder, config, venv)
     model.set_logger(configure(str(folder / LOGS / f"stage-{first + 1:04d}"), log_formats()))
@@ -150,7 +151,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     finally:
         model.logger.close()
         venv.close()
-    write_network(folder / NETWORK, TrainedNetwork(network_layers(model)))
+    write_network(folder / NETWORK, trained_network(model))
     return folder / NETWORK
 
 
@@ -183,30 +184,73 @@ def restore_model(model: BaseAlgorithm, path: Path) -> None:
         raise InputError(f"Cannot resume from {path}: {first}; delete it to resume from the model before it") from error
 
 
-def network_layers(model: OnPolicyAlgorithm) -> Layers:
-    """Return weights and biases of all layers, from the observation to the preference of each action."""
-    layers = policy_layers(model)
-    return [(part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy()) for part in layers]
+def load_layers(model: BaseAlgorithm, layers: Layers) -> None:
+    """Give the actor of a model the weights and biases of a network."""
+    for part, (weights, bias) in zip(dense_layers(model.policy), layers, strict=True):
+        part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
+        part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
 
 
-def policy_layers(model: BaseAlgorithm) -> list[torch.nn.Linear]:
-    """Return the dense layers from the observation to the preference of each action."""
-    policy: Any = model.policy
-    parts = [*policy.mlp_extractor.policy_net, policy.action_net]
-    return [part for part in parts if isinstance(part, torch.nn.Linear)]
+def trained_network(model: BaseAlgorithm) -> TrainedNetwork:
+    """Return the actor of a model as a network.
+
+    Raises:
+        InputError: if it is no actor with dense layers and tanh.
+    """
+    return TrainedNetwork(layer_arrays(dense_layers(model.policy)))
 
 
-def training_env(config: TrainingConfig) -> LearningVecEnv:
-    """Return the vector environment in which a policy is trained."""
+def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
+    """Return the vector environment in which policies of this package are trained, for Stable-Baselines3.
+
+    Its observations are the features of `behavexplor.ads.learned.observation`, and its actions are the accelerations
+    and lane choices of `behavexplor.ads.learned.tracker`.
+
+    Args:
+        env: functional scenario, such as "lane-change".
+        num_envs: number of sub-environments in lock-step.
+
+    Raises:
+        InputError: if there is no functional scenario of that name.
+    """
+    if env not in FUNCTIONAL_SCENARIOS:
+        raise unknown_name("functional scenario", env, FUNCTIONAL_SCENARIOS)
     settings = {"observation": dict(OBSERVATION), "action": dict(ACTION), "policy_frequency": POLICY_FREQUENCY}
     envs: Any = gymnasium.make_vec(
-        environment_id(config.env),
-        num_envs=config.envs,
+        environment_id(env),
+        num_envs=num_envs,
         vectorization_mode="vector_entry_point",
         autoreset_mode="SameStep",
         config=settings,
     )
     return LearningVecEnv(DrivingVecEnv(envs), envs.logical.roadmap)
+
+
+def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
+    """Write a network as a model of Stable-Baselines3 with a new critic, and the file beside it that describes it.
+
+    `PPO.load(path, env=learning_env(...))` goes on training it, and `--ads` drives it as the network.
+
+    Args:
+        network: the network.
+        env: functional scenario in which it was trained.
+        path: path of the model's file, which ends with ".zip".
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    venv = learning_env(env, 1)
+    layers = tuple(len(bias) for _, bias in network.layers[:-1])
+    model = new_model(TrainingConfig(env=env, envs=1, layers=layers), venv)
+    load_layers(model, network.layers)
+    venv.close()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()  # Stable-Baselines3 would warn instead of raising an error
+        model.save(path)
+        path.with_suffix(".yaml").write_text(yaml.safe_dump({"env": env, "decision": network.rule}))
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def new_model(config: TrainingConfig, venv: LearningVecEnv) -> OnPolicyAlgorithm:

@@ -44,6 +44,8 @@ def given_driver(given: Any) -> GivenDriver:
         check_name(str(given))
         return GivenDriver(str(given), env=trained_in(str(given)))
     if _is_model(given):
+        if (learned := _learned(given)) is not None:
+            return learned
         from behavexplor.ads.sb3.model import policy_of, training_env  # noqa: PLC0415 - imports torch
 
         policy: Any = policy_of(given)
@@ -62,6 +64,23 @@ def _is_model(given: Any) -> bool:
     """Return whether an object is a model of Stable-Baselines3, which is not imported for it."""
     module = sys.modules.get("stable_baselines3.common.base_class")
     return module is not None and isinstance(given, module.BaseAlgorithm)
+
+
+def _learned(model: Any) -> GivenDriver | None:
+    """Return the driver of a model that trains in `behavexplor.sb3.learning_env`; None for any other model."""
+    module = sys.modules.get("behavexplor.ads.learned.learning")
+    env = model.get_env()
+    while module is not None and env is not None and not isinstance(env, module.LearningVecEnv):
+        env = getattr(env, "venv", None)
+    if module is None or env is None:
+        return None
+    from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.ads.learned.network_file import TrainedNetwork  # noqa: PLC0415
+    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - imports torch
+    from behavexplor.ads.sb3.model import training_env  # noqa: PLC0415
+
+    driver: Any = LearnedDriver(env.roadmap, TrainedNetwork(layer_arrays(dense_layers(model.policy))))
+    return GivenDriver(f"{IN_MEMORY}:{type(model).__name__}", driver, training_env(model)[0])
 
 
 def _importable_name(given: Any) -> str | None:

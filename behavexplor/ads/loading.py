@@ -9,6 +9,8 @@ from typing import Any
 
 from behavexplor.ads.function_driver import FunctionDriver, takes_one_observation
 from behavexplor.ads.interface import ADS
+from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
+from behavexplor.ads.sb3.description import describe, find_model
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError, missing_library, unknown_name
 
@@ -91,7 +93,6 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
         from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - numba is slow to import
-        from behavexplor.ads.learned.network_file import read_network  # noqa: PLC0415
 
         driver: Any = LearnedDriver
         learned: ADS = driver(roadmap, read_network(path))
@@ -100,9 +101,23 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
         raise missing_library(str(path), error.name, "rl") from None
-    policy: Any = load_policy(path, trust)
+    rule = describe(find_model(path)).decision
+    policy: Any = load_policy(path, trust) if rule is None else _learned(find_model(path), rule, roadmap)
     ads: ADS = policy
     return ads
+
+
+def _learned(model: Path, rule: Rule, roadmap: RoadMap | None) -> Any:
+    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3."""
+    from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - see `_policy`
+    from behavexplor.ads.sb3.archive import read_archive  # noqa: PLC0415
+    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415
+    from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
+
+    if roadmap is None:
+        raise InputError(f"{model} is a network of `train`, which follows a route on the roads of this package")
+    network = load_network(read_archive(model))
+    return LearnedDriver(roadmap, TrainedNetwork(layer_arrays(dense_layers(network)), rule))
 
 
 def _made(name: str, found: Any, roadmap: RoadMap | None) -> ADS:

@@ -40,6 +40,7 @@ COMMANDS = (
     "bench",
     "train",
     "retrain",
+    "zip",
     "demo",
 )
 _MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise

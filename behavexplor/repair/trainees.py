@@ -15,10 +15,11 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from behavexplor.ads.learned.learning import LearningVecEnv
-from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
+from behavexplor.ads.learned.network_file import read_network, write_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
+from behavexplor.ads.sb3.dense_layers import dense_layers
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, describe, find_model
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scripted_logical import scripted
@@ -27,7 +28,7 @@ from behavexplor.envs.making import make_vector_env
 from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
-from behavexplor.training import TrainingConfig, begin_stage, network_layers, new_model, policy_layers
+from behavexplor.training import TrainingConfig, begin_stage, load_layers, new_model, trained_network
 
 _ENVS: Final = 64  # sub-environments for a network of `train`
 _RATE: Final = 2.5e-4  # learning rate where none is known
@@ -125,12 +126,10 @@ def _of_network(simulation: Simulation, _: str, path: Path, seed: int, envs: int
     venv = LearningVecEnv(scenarios, scripted(simulation.logical, "Training of a network").roadmap)
     layers = tuple(len(bias) for _, bias in network.layers[:-1])
     model = new_model(TrainingConfig(seed=seed, envs=venv.num_envs, layers=layers), venv)
-    for part, (weights, bias) in zip(policy_layers(model), network.layers, strict=True):
-        part.weight.data = torch.as_tensor(weights, dtype=torch.float32)
-        part.bias.data = torch.as_tensor(bias, dtype=torch.float32)
+    load_layers(model, network.layers)
 
     def write(path: Path) -> None:
-        write_network(path, TrainedNetwork(network_layers(model)))
+        write_network(path, trained_network(model))
 
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
 
@@ -138,6 +137,11 @@ def _of_network(simulation: Simulation, _: str, path: Path, seed: int, envs: int
 def _of_model(simulation: Simulation, env: str, path: Path, seed: int, envs: int | None) -> Trainee:
     """Return the model of a zip file of Stable-Baselines3."""
     described = describe(path)
+    if described.decision is not None:
+        raise InputError(
+            f"{path} is a network of `train` as a model: retrain the network (.npz), or go on in your own script, in "
+            f"behavexplor.sb3.learning_env"
+        )
     for name, given in (("normalized", described.statistics), ("stacked", described.frame_stack > 1)):
         if given:
             raise InputError(f"{path} cannot be trained further here: its observations are {name}")
@@ -181,5 +185,5 @@ def copy_policy(policy: Path, path: Path) -> None:
 
 
 def _freeze(model: BaseAlgorithm, *, frozen: bool) -> None:
-    for layer in policy_layers(model):
+    for layer in dense_layers(model.policy):
         layer.requires_grad_(not frozen)

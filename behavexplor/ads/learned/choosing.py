@@ -7,19 +7,17 @@ braking has 40 %, and two accelerations have 30 % each, it always brakes.
 """
 
 import math
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.learned.tracker import ACCELERATIONS, N_LANE_CHOICES
 from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-Rule = Literal["mean", "most probable"]  # how a policy decides when it does not draw
-RULES: tuple[Rule, ...] = get_args(Rule)
 
 _TABLE = np.array(ACCELERATIONS)
 

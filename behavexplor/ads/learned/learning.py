@@ -23,11 +23,15 @@ class LearningVecEnv(VecEnvWrapper):
         venv: vector environment that observes `Scene` and takes the commands of `behavexplor.ads.learned.driver`, at
             the policy frequency of that driver.
         roadmap: road map of the environment.
+
+    Attributes:
+        roadmap: the road map.
     """
 
     def __init__(self, venv: VecEnv, roadmap: RoadMap) -> None:
         space = gymnasium.spaces.Box(-np.inf, np.inf, (N_FEATURES,), np.float32)
         super().__init__(venv, space, gymnasium.spaces.Discrete(N_ACTIONS))
+        self.roadmap = roadmap
         self._course = make_course(roadmap)
         self._memory = np.zeros((venv.num_envs, N_MEMORIES))
         self._scenes: NDArray[np.float64] = np.zeros(0)

@@ -1,14 +1,16 @@
 """The file of a trained policy: the weights of its network as plain arrays, and how it decides."""
 
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.choosing import RULES, Rule
 from behavexplor.data.untrusted import read_arrays
 from behavexplor.errors import InputError
+
+Rule = Literal["mean", "most probable"]  # how a policy decides when it does not draw
+RULES: Final[tuple[Rule, ...]] = get_args(Rule)
 
 Layers = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 

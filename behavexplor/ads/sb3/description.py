@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
@@ -28,9 +29,11 @@ class Description:
         action: highway-env's action configuration; None for the environment's own.
         policy_frequency: decisions per second [Hz]; None for the environment's own.
         simulation_frequency: simulation steps per second [Hz]; None for the environment's own.
-        env: gymnasium id of the stock environment in which the policy was trained; None if unknown.
+        env: name of the environment in which the policy was trained; None if unknown.
         config: highway-env's configuration in training; None if unknown.
         frame_stack: number of observations stacked along the last axis.
+        decision: rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None
+            for a policy with observations and actions of highway-env.
         statistics: file of `VecNormalize`; None if observations were not normalized.
         about: free notes of the author; ignored.
     """
@@ -44,6 +47,7 @@ class Description:
     env: str | None = None
     config: Mapping[str, Any] | None = None
     frame_stack: int = 1
+    decision: Rule | None = None
     statistics: Path | None = None
     about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 

@@ -113,10 +113,15 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     statistics = Statistics.read(description.statistics) if description.statistics else None
     for suspicion in (*archive.suspicions, *(statistics.suspicions if statistics else ())):
         _LOG.warning("%s", sentence(f"{model}: {suspicion}"))
-    return SB3Policy(_network(archive, trust), description, statistics, _last_observations(archive.settings))
+    return SB3Policy(load_network(archive, trust), description, statistics, _last_observations(archive.settings))
 
 
-def _network(archive: Archive, trust: Collection[str]) -> BasePolicy:
+def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
+    """Build the network of a model's file; see `load_policy`.
+
+    Raises:
+        InputError: if it can be built only by executing code from a file that is not trusted.
+    """
     if archive.digest in trust:
         return build_trusted(archive)
     try:

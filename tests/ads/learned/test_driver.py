@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.interface import ADS, DecisionLog
-from behavexplor.ads.learned.choosing import RULES
 from behavexplor.ads.learned.driver import LearnedDriver
-from behavexplor.ads.learned.network_file import TrainedNetwork, read_network, write_network
+from behavexplor.ads.learned.network_file import RULES, TrainedNetwork, read_network, write_network
 from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.tracker import N_ACTIONS
 from behavexplor.ads.loading import load_ads

@@ -1,0 +1,62 @@
+"""`behavexplor zip`: write a trained network as a model of Stable-Baselines3."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+import yaml
+
+from behavexplor import FUNCTIONAL_SCENARIOS
+from behavexplor.ads.learned.network_file import read_network
+from behavexplor.ads.learned.shipped import policy_file
+from behavexplor.commands import OK, program
+from behavexplor.errors import InputError, missing_library
+
+
+def zip(  # noqa: A001 - the command's name
+    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")],
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")],
+    env: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: that of its training)")
+    ] = None,
+) -> int:
+    """Write a trained network as a model of Stable-Baselines3, to train it further or to evaluate it in a script.
+
+    Its environment is behavexplor.sb3.learning_env(NAME). Its critic is new, because the network has none.
+
+    Args:
+        policy: Network that `train` made (policy.npz), or learned:NAME.
+        out: File for the model, which ends with .zip. A YAML file beside it describes it for --ads.
+        env: Functional scenario of the network.
+    """
+    path = policy_file(policy)
+    if path.suffix != ".npz":
+        raise InputError(f"{policy} is no network of `train`: give a file policy.npz, or learned:NAME")
+    if out.suffix != ".zip":
+        raise InputError(f"--out {out} must end with .zip")
+    network = read_network(path)
+    trained_in = env or _env_of(path)
+    try:
+        from behavexplor.training import write_model  # noqa: PLC0415 - torch is heavy, and need not be installed
+    except ModuleNotFoundError as error:
+        raise missing_library("A model of Stable-Baselines3", error.name, "rl") from None
+    write_model(network, trained_in, out)
+    print(f"The model is in {out}. It drives as {policy}: {program()} fuzz --env {trained_in} --ads {out}")
+    return OK
+
+
+def _env_of(path: Path) -> str:
+    """Return the functional scenario in the card beside a network.
+
+    Raises:
+        InputError: if no card names it.
+    """
+    try:
+        card = yaml.safe_load(path.with_suffix(".yaml").read_text())
+        env = card["training"]["env"]
+    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
+        env = None
+    if env not in FUNCTIONAL_SCENARIOS:
+        raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")
+    return str(env)

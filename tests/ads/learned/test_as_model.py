@@ -1,0 +1,84 @@
+"""A network of `train` as a model of Stable-Baselines3: it drives as before, and a script can train it further."""
+
+import pytest
+import yaml
+
+import behavexplor
+from behavexplor.ads.loading import load_ads
+from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.errors import InputError
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO
+from torch import nn
+
+from behavexplor.sb3 import FuzzCallback, learning_env
+
+POLICY, ENV = "learned:lane-change", "lane-change"
+SETTINGS = {"n_steps": 8, "batch_size": 16, "device": "cpu"}
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """The file of the model."""
+    path = tmp_path_factory.mktemp("zip") / "model.zip"
+    assert main(["zip", POLICY, "--out", str(path)]) == OK
+    return path
+
+
+def lines(run):
+    return [record.to_json() for record in run.records]
+
+
+def test_it_drives_as_the_network(model, tmp_path):
+    assert yaml.safe_load(model.with_suffix(".yaml").read_text()) == {"env": ENV, "decision": "mean"}
+    settings = {"budget": 12, "seed": 3, "workers": 0, "unconfined": True}
+    one = behavexplor.find_failures(str(model), out=tmp_path / "zip", **settings)
+    other = behavexplor.find_failures(POLICY, ENV, out=tmp_path / "npz", **settings)
+    assert one.config.env == ENV
+    assert lines(one) == lines(other)
+
+
+def test_a_script_trains_it_further_and_fuzzes_it_in_memory(model, tmp_path):
+    venv = learning_env(ENV, 2)
+    trained = PPO.load(model, env=venv, custom_objects=SETTINGS)
+    assert trained.policy.state_dict()["action_net.weight"].shape[0] == venv.action_space.n
+    callback = FuzzCallback(every=16, budget=4, share=1.0, out=str(tmp_path / "rounds"))
+    trained.learn(16, callback=callback)
+    assert callback.rounds[0].summary.executions == 4
+    run = behavexplor.open_run(callback.rounds[0].folder)
+    assert run.config.env == f"behavexplor/{ENV}-v0"
+    venv.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([POLICY, "--out", "model.npz"], "must end with .zip"),
+        (["model.zip", "--out", "other.zip"], "is no network of `train`"),
+        (["missing.npz", "--out", "other.zip"], "missing.npz"),
+        ([POLICY, "--out", "other.zip", "--env", "nowhere"], "functional scenario"),
+        ([POLICY, "--out", "/proc/other.zip"], "cannot be written"),
+    ],
+)
+def test_wrong_input_is_one_sentence(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["zip", *arguments]) == BAD_INPUT
+    assert message in capsys.readouterr().err
+
+
+def test_it_is_refused_where_it_cannot_drive_or_learn(model, tmp_path, capsys):
+    with pytest.raises(InputError, match="follows a route on the roads of this package"):
+        load_ads(str(model), None)
+    assert main(["retrain", str(model), "--out", str(tmp_path / "out")]) == BAD_INPUT
+    assert "retrain the network" in capsys.readouterr().err
+
+
+def test_another_network_under_that_description_is_named(tmp_path):
+    venv = learning_env(ENV, 1)
+    other = PPO("MlpPolicy", venv, policy_kwargs={"net_arch": [8], "activation_fn": nn.ReLU}, n_steps=8, batch_size=8)
+    other.save(tmp_path / "model.zip")
+    (tmp_path / "model.yaml").write_text("decision: mean\n")
+    with pytest.raises(InputError, match="dense layers with Tanh between them, got ReLU"):
+        load_ads(str(tmp_path / "model.zip"), venv.roadmap)
