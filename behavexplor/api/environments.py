@@ -2,15 +2,24 @@
 
 from collections.abc import Mapping
 from copy import deepcopy
+from math import inf
 from typing import Any, Final
 
 import gymnasium
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, TimeLimit
 
 from behavexplor.envs.making import default_config
 from behavexplor.errors import InputError, brief
 
-_HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, TimeLimit)
+_HARMLESS: Final = (  # a driver is not told rewards, and limits of time are checked on their own
+    OrderEnforcing,
+    PassiveEnvChecker,
+    RecordEpisodeStatistics,
+    RecordVideo,
+    TimeLimit,
+    gymnasium.RewardWrapper,
+)
 _MONITOR: Final = "stable_baselines3.common.monitor"  # the module of a wrapper that changes nothing either
 
 
@@ -21,7 +30,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
         given: name as in `behavexplor.envs.making.environment_id`, or an environment that gymnasium has made.
 
     Raises:
-        InputError: if it is neither, or has a wrapper that would change what a driver observes or does.
+        InputError: if it is neither, or has a wrapper that would change what a driver observes or does, or how long.
     """
     if isinstance(given, str):
         return given, {}
@@ -31,6 +40,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
     if given.spec is None:
         raise InputError(f"The environment {brief(given)} has no spec, so it cannot be made again: use gymnasium.make")
     config = getattr(given.unwrapped, "config", {})
+    _check_limit(given.spec, config)
     own = default_config(given.spec.id)
     return given.spec.id, {key: deepcopy(value) for key, value in config.items() if own.get(key, ...) != value}
 
@@ -43,3 +53,15 @@ def _check_wrappers(env: gymnasium.Env[Any, Any]) -> None:
                 f"environment without it, and a driver that does what the wrapper did"
             )
         env = env.env
+
+
+def _check_limit(spec: EnvSpec, config: Mapping[str, Any]) -> None:
+    """Refuse a limit of steps that the environment is not registered with, if it would end an episode early."""
+    limit = spec.max_episode_steps
+    if limit is None or limit == gymnasium.spec(spec.id).max_episode_steps:
+        return
+    if limit < config.get("duration", inf) * config.get("policy_frequency", 1):
+        raise InputError(
+            f"The environment ends its episodes after {limit} steps, which is not done in a campaign: leave out the "
+            f"limit, and give the environment's configuration a shorter `duration`"
+        )

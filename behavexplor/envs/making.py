@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT
+from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, unknown_name
 
 ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
@@ -79,9 +80,9 @@ def check_keys(name: str, config: Mapping[str, Any]) -> None:
 
 
 def default_config(name: str) -> dict[str, Any]:
-    """Return the whole configuration of an environment of highway-env as it is registered."""
+    """Return the whole configuration of an environment of highway-env as it is registered; empty for any other."""
     made: Any = make_registered(name, {}).unwrapped
-    config: dict[str, Any] = made.config
+    config: dict[str, Any] = getattr(made, "config", {})
     return config
 
 
@@ -102,9 +103,26 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
     made = make_registered(name, config)
     if not _is_stock(made):
         return made
+    _check_times(made)
     from behavexplor.envs.drawn.drawn_env import DrawnEnv  # noqa: PLC0415 - slow to import
 
     return DrawnEnv(name, made, traffic)
+
+
+def _check_times(env: gymnasium.Env[Any, Any]) -> None:
+    """Refuse times with which highway-env would divide by zero, or would never move its vehicles.
+
+    Raises:
+        InputError: if one is out of range.
+    """
+    made: Any = env.unwrapped
+    config = made.config
+    for key in ("policy_frequency", "simulation_frequency", "duration"):
+        if key in config:
+            POSITIVE.check(key, config[key])
+    decisions, frames = config["policy_frequency"], config["simulation_frequency"]
+    if decisions > frames:
+        raise InputError(f"policy_frequency {decisions} must not exceed simulation_frequency {frames}")
 
 
 def make_vector_env(
@@ -142,6 +160,18 @@ def make_vector_env(
     )
 
 
+def _with_tuples(value: Any) -> Any:
+    """Return a configuration whose image shapes are tuples, as highway-env wants them; YAML and JSON have lists."""
+    if isinstance(value, list | tuple):
+        return type(value)(map(_with_tuples, value))
+    if not isinstance(value, Mapping):
+        return value
+    return {
+        key: tuple(part) if key == "observation_shape" and isinstance(part, list) else _with_tuples(part)
+        for key, part in value.items()
+    }
+
+
 def _kept_classes(spec: EnvSpec) -> AbstractContextManager[None]:
     """Return a context in which an environment of highway-env may be made without an effect on others."""
     if str(spec.entry_point).startswith("behavexplor."):
@@ -169,7 +199,7 @@ def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, 
         if module:
             importlib.import_module(module)
         spec = gymnasium.spec(own)
-        merged = {**(spec.kwargs.get("config") or {}), **config}
+        merged = _with_tuples({**(spec.kwargs.get("config") or {}), **config})
         keywords: dict[str, Any] = {"config": merged} if merged else {}
         with warnings.catch_warnings(), ExitStack() as stack:
             warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)

@@ -67,8 +67,8 @@ class Simulation:
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
         given = dict(env_config or {})
-        if stock:
-            check_keys(env, given)
+        if stock:  # a model in memory drives with the keys with which it was trained
+            check_keys(env, {**(trained if isinstance(ads, str) else {}), **given})
         if stock and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
@@ -77,7 +77,8 @@ class Simulation:
         self._stochastic = stochastic
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
-        self.is_configured = not stock or bool(trained or env_config or not hasattr(self.ads, "observation_space"))
+        is_told = env_config or hasattr(self.ads, "env_config") or not hasattr(self.ads, "observation_space")
+        self.is_configured = not stock or bool(is_told)
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
@@ -145,7 +146,7 @@ def _plain(value: Any) -> Any:
     return dict(value) if isinstance(value, Mapping) else value
 
 
-def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: str) -> None:
+def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: Any) -> None:
     """Check that a policy with declared spaces can drive in an environment.
 
     Raises:
@@ -156,8 +157,9 @@ def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: s
     spaces = (ads.observation_space, ads.action_space)
     if _alike(spaces[0], env.observation_space) and _alike(spaces[1], env.action_space):
         return
+    named = f"policy {ads_name!r}" if isinstance(ads_name, str) else "policy in memory"
     raise InputError(
-        f"The policy {ads_name!r} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
+        f"The {named} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
         f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. "
         f"{_where_it_fits(spaces)}{how_to_fit(*spaces)}"
     )

@@ -20,7 +20,7 @@ from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
 from behavexplor.ads.sb3.dense_layers import dense_layers
-from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, describe, find_model
+from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, describe, find_model
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.target import Target
@@ -179,7 +179,7 @@ def _settings(simulation: Simulation) -> Mapping[str, Any]:
 
 def copy_policy(policy: Path, path: Path) -> None:
     """Copy a policy with the file beside it."""
-    for suffix in (path.suffix, ".yaml"):
+    for suffix in (path.suffix, *OWN):
         if policy.with_suffix(suffix).is_file():
             shutil.copyfile(policy.with_suffix(suffix), path.with_suffix(suffix))
 

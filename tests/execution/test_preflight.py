@@ -70,5 +70,11 @@ def test_a_policy_trained_on_something_else_is_named(scale):
     assert "statistics of VecNormalize missing" in warning
 
 
+def test_a_policy_that_went_elsewhere_while_it_was_trained_is_fit():
+    seen = seen_by(Cruiser())
+    seen.reshape(-1)[::3] = 1e6
+    assert warnings_about(Trained(seen)) == []
+
+
 def test_observations_of_another_shape_are_not_compared():
     assert warnings_about(Trained(np.full((4, 3, 3), 1e9))) == []

@@ -18,10 +18,11 @@ from stable_baselines3.common.policies import BasePolicy
 from behavexplor.ads.sb3.archive import WEIGHTS, Archive
 from behavexplor.ads.sb3.arrays import as_array, as_mapping
 from behavexplor.ads.sb3.inert import Inert, Name
-from behavexplor.errors import InputError, brief
+from behavexplor.errors import InputError, brief, sentence
 
 # Modules whose classes a policy may be built from; any other class is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
+_NEEDED = ("policy_class", "observation_space", "action_space")
 _UNREADABLE = (ValueError, TypeError, AttributeError, KeyError, IndexError)  # what wrong settings raise
 _SPACES = re.compile(r"(gymnasium|gym)\.spaces\.(\w+\.)*(\w+)$")
 
@@ -54,6 +55,7 @@ def policy_recipe(archive: Archive) -> tuple[type[BasePolicy], dict[str, Any]]:
         UntrustedError: if a class is not from Stable-Baselines3, sb3-contrib or torch.
         InputError: if the settings are damaged.
     """
+    _check_complete(archive, archive.settings)
     try:
         policy_class = _class(archive.settings.get("policy_class"))
         return policy_class, dict(_value(archive.settings.get("policy_kwargs") or {}))
@@ -76,9 +78,19 @@ def build_trusted(archive: Archive) -> BasePolicy:
     except Exception as error:  # the file's own code can raise anything
         raise InputError(f"{archive.path} cannot be loaded: {type(error).__name__}: {error}") from error
     saved = data or {}
-    names = ("policy_class", "observation_space", "action_space", "policy_kwargs")
-    policy_class, observation_space, action_space, keywords = (saved[name] for name in names)
-    return assemble(archive, policy_class, observation_space, action_space, keywords)
+    _check_complete(archive, saved)
+    policy_class, observation_space, action_space = (saved[name] for name in _NEEDED)
+    return assemble(archive, policy_class, observation_space, action_space, saved.get("policy_kwargs") or {})
+
+
+def _check_complete(archive: Archive, settings: Mapping[str, Any]) -> None:
+    """Refuse settings without those that every model of Stable-Baselines3 has.
+
+    Raises:
+        InputError: if one is missing.
+    """
+    if missing := [name for name in _NEEDED if settings.get(name) is None]:
+        raise InputError(f"{archive.path} is not a model of Stable-Baselines3: its data has no {', '.join(missing)}")
 
 
 class _NoOptimizer:
@@ -101,16 +113,9 @@ def assemble(
         InputError: if the weights are damaged or belong to another policy.
     """
     _check_size(archive, (observation_space, action_space), keywords.get("net_arch"))
-    accepted = inspect.signature(policy_class).parameters
-    given = {key: value for key, value in keywords.items() if not key.startswith("optimizer")}
-    if "optimizer_class" in accepted and policy_class.__module__.startswith(_KNOWN):
-        given["optimizer_class"] = _NoOptimizer
-    if "lr_schedule" in accepted:
-        given["lr_schedule"] = lambda _: 0.0
-    if "use_sde" in accepted:
-        given.setdefault("use_sde", bool(archive.settings.get("use_sde", False)))
     try:
-        policy = policy_class(observation_space, action_space, **given)
+        use_sde = bool(archive.settings.get("use_sde", False))
+        policy = new_policy(policy_class, observation_space, action_space, keywords, use_sde=use_sde)
         weights = torch.load(io.BytesIO(archive.weights), map_location="cpu", weights_only=True)
         policy.load_state_dict(weights)
     except pickle.UnpicklingError:
@@ -118,10 +123,32 @@ def assemble(
         message = f"{archive.path}: its weights contain objects other than tensors, which were not loaded"
         raise InputError(": ".join([message, *found[:1]])) from None
     except Exception as error:  # torch and policy classes can raise anything for wrong values
-        first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(f"{archive.path}: its weights and settings do not fit each other: {first}") from error
+        beginning = " ".join(str(error).split("\n", maxsplit=2)[:2])  # torch says what differs in the second line
+        raise InputError(
+            f"{archive.path}: its weights and settings do not fit each other: {sentence(beginning):.400}"
+        ) from error
     policy.set_training_mode(False)
     return policy
+
+
+def new_policy(
+    policy_class: type[BasePolicy],
+    observation_space: gymnasium.Space[Any],
+    action_space: gymnasium.Space[Any],
+    keywords: Mapping[str, Any],
+    *,
+    use_sde: bool,
+) -> BasePolicy:
+    """Make a policy as its algorithm does, without an optimizer where that is possible."""
+    accepted = inspect.signature(policy_class).parameters
+    given = {key: value for key, value in keywords.items() if not key.startswith("optimizer")}
+    if "optimizer_class" in accepted and policy_class.__module__.startswith(_KNOWN):
+        given["optimizer_class"] = _NoOptimizer
+    if "lr_schedule" in accepted:
+        given["lr_schedule"] = lambda _: 0.0
+    if "use_sde" in accepted:
+        given.setdefault("use_sde", use_sde)
+    return policy_class(observation_space, action_space, **given)
 
 
 def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], net_arch: Any) -> None:

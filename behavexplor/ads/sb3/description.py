@@ -15,6 +15,7 @@ from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
+OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
 ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_frequency", "simulation_frequency")
@@ -94,11 +95,11 @@ def describe(model: Path) -> Description:
     Raises:
         InputError: if a file cannot be read, or asks for something that is not supported.
     """
-    own = model.with_suffix(".yaml")
+    own = next((file for file in map(model.with_suffix, OWN) if file.is_file()), None)
     folders = [arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))]
     if (model.parent / "args.yml").is_file():
         folders = [model.parent]
-    if own.is_file():
+    if own is not None:
         description = _own(own)
     elif len(folders) == 1:
         description = _of_zoo(folders[0], model)

@@ -1,6 +1,7 @@
 """Configurations of highway-env, and which of them fits the spaces of a policy."""
 
 from collections.abc import Mapping
+from math import isqrt
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -68,6 +69,10 @@ _SPACES |= {
     "parking-v0": (dict.fromkeys(("achieved_goal", "desired_goal", "observation"), (6,)), (2,)),
     "lane-keeping-v0": (dict.fromkeys(("derivative", "reference_state", "state"), (4, 1)), (1,)),
 }
+_OTHER_AXIS: dict[Any, str] = {  # what has the same spaces as the guess in `_action`
+    3: " (or with `longitudinal: false` instead of `lateral: false`, if it only changes lanes)",
+    (1,): " (or with `lateral: false` instead of `longitudinal: false`, if it only accelerates)",
+}
 _KINEMATICS = {5: _POSE, 7: [*_POSE, "cos_h", "sin_h"]}
 
 
@@ -78,11 +83,13 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
         example = f", as those of highway-env's {name} are" if name else ""
         return f"The policy needs an environment whose observations are such dictionaries{example}"
     where = "in a YAML file beside the policy (model.yaml beside model.zip), or as attributes of your driver"
-    if not config:
-        return f"Give highway-env's `observation` and `action` configuration {where}"
-    hint = f" (highway-env's {name})" if name else ""
     flow = yaml.safe_dump(config, default_flow_style=True, sort_keys=False, width=10_000).strip()
-    return f"A configuration that fits{hint} can be given {where}: {flow}"
+    if unknown := [f"`{key}`" for key in ("observation", "action") if key not in config]:
+        known = f"; the other one can be {flow}" if config else ""
+        return f"Give highway-env's {' and '.join(unknown)} configuration of the training {where}{known}"
+    hint = f" (highway-env's {name})" if name else ""
+    other = "" if name else _OTHER_AXIS.get(_commands(action_space), "")
+    return f"A configuration that fits{hint} can be given {where}: {flow}{other}"
 
 
 def fitting_config(
@@ -95,12 +102,17 @@ def fitting_config(
         configuration has the keys `observation` and `action`, as far as the spaces determine them, and, for an
         environment, the frequencies.
     """
-    commands = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else action_space.shape
+    commands = _commands(action_space)
     for name, spaces in _SPACES.items():
         if spaces == (_form(observation_space), commands):
             return name, dict(HIGHWAY_ENVIRONMENTS[name])
     guesses = {"observation": _observation(observation_space.shape or ()), "action": _action(commands)}
     return "", {key: guess for key, guess in guesses.items() if guess}
+
+
+def _commands(space: gymnasium.Space[Any]) -> Any:
+    """Return the number of actions to choose from, or the shape of an action."""
+    return int(space.n) if isinstance(space, gymnasium.spaces.Discrete) else space.shape
 
 
 def _form(space: gymnasium.Space[Any]) -> Any:
@@ -115,7 +127,7 @@ def _observation(shape: tuple[int, ...]) -> dict[str, Any]:
         return {"type": "Kinematics", "vehicles_count": shape[0], "features": _KINEMATICS[shape[1]]}
     if len(shape) == 2 and shape[1] == 2:
         return {"type": "LidarObservation", "cells": shape[0]}
-    if len(shape) == 3 and shape[0] == 3:
+    if shape == (3, 3, 10):
         return {"type": "TimeToCollision"}
     return {}
 
@@ -127,4 +139,7 @@ def _action(commands: int | tuple[int, ...] | None) -> dict[str, Any]:
         (2,): {"type": "ContinuousAction"},
         (1,): {"type": "ContinuousAction", "longitudinal": False},
     }
+    per_axis = isqrt(commands) if isinstance(commands, int) else 0
+    if commands not in known and per_axis > 1 and per_axis**2 == commands:
+        return {"type": "DiscreteAction", "actions_per_axis": per_axis}
     return known.get(commands, {})

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from io import BytesIO
 from typing import Any
 
 import torch
@@ -11,9 +10,11 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
+from behavexplor.ads.sb3.building import new_policy
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description
 from behavexplor.ads.sb3.normalization import Moments, Statistics
 from behavexplor.ads.sb3.policy import SB3Policy
+from behavexplor.data.observations import Observation
 
 
 def policy_of(model: BaseAlgorithm) -> SB3Policy:
@@ -22,23 +23,38 @@ def policy_of(model: BaseAlgorithm) -> SB3Policy:
     Statistics of `VecNormalize`, stacked frames and the configuration of highway-env are those of the model's
     environment.
     """
-    network = _copied(model.policy)
+    network = _copied(model)
     wrappers = list(_wrappers(model.get_env()))
     stacks = [wrapper.stacked_obs.n_stack for wrapper in wrappers if isinstance(wrapper, VecFrameStack)]
     scaling = [wrapper for wrapper in wrappers if isinstance(wrapper, VecNormalize) and wrapper.norm_obs]
     config = training_env(model)[1] or {}
     declared = {name: config[name] for name in ENVIRONMENT_KEYS if name in config}
     description = Description(config=config or None, frame_stack=stacks[0] if stacks else 1, **declared)
-    return SB3Policy(network, description, _statistics(scaling[0]) if scaling else None, None)
+    last = None if wrappers or training_env(model)[0] else _last_observations(model)
+    return SB3Policy(network, description, _statistics(scaling[0]) if scaling else None, last)
 
 
-def _copied(policy: BasePolicy) -> BasePolicy:
-    """Return a copy of a policy. Its tensors from the last update cannot be copied, so it is saved and loaded."""
-    file: Any = BytesIO()  # torch writes to it as to a path
-    policy.save(file)
-    file.seek(0)
+def _last_observations(model: BaseAlgorithm) -> Observation | None:
+    """Return the observations at the end of the training of a model that was loaded without its environment.
+
+    They show whether statistics were lost. A model that has its environment has its statistics.
+    """
+    last: Observation | None = model._last_obs  # noqa: SLF001 - nothing else keeps them
+    return last
+
+
+def _copied(model: BaseAlgorithm) -> BasePolicy:
+    """Return a copy of a model's policy, made as its algorithm makes it.
+
+    The policy cannot be copied itself, because of its tensors from the last update. And its own `save` leaves out what
+    the policies of sb3-contrib are made of.
+    """
     with torch.random.fork_rng(devices=[]):  # a new network draws its first weights
-        return type(policy).load(file, device="cpu")
+        spaces = (model.observation_space, model.action_space)
+        network = new_policy(model.policy_class, *spaces, model.policy_kwargs, use_sde=model.use_sde)
+    network.load_state_dict(model.policy.state_dict())
+    network.set_training_mode(False)
+    return network
 
 
 def training_env(model: BaseAlgorithm) -> tuple[str | None, Mapping[str, Any] | None]:

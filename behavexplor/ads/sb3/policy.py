@@ -4,7 +4,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -24,6 +24,7 @@ from behavexplor.errors import InputError, sentence
 Floats = NDArray[np.float64]
 
 _LOG = logging.getLogger(__name__)
+_MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
 
 
 class SB3Policy:
@@ -34,6 +35,7 @@ class SB3Policy:
         action_space: space of one action.
         noise: see `behavexplor.ads.interface.StochasticADS`.
         last_trained_on: observations at the end of training, arrays of shape (n, ...); None if the file has none.
+        was_masked: whether actions were masked in training. Here they are not.
 
     The policy drives in lock-step: its answer to an observation does not depend on the rest of the batch. The
     observation and action configuration and the frequencies are attributes only where they are known, and so is
@@ -58,6 +60,7 @@ class SB3Policy:
                 setattr(self, name, value)
         if description.config is not None:
             self.env_config = dict(description.config)
+        self.was_masked = type(network).__module__.startswith(_MASKED)
         if statistics is not None:
             _check_statistics(str(description.statistics), statistics, self.observation_space)
 

@@ -173,7 +173,9 @@ def check_compiled(env: DrawnEnv) -> None:
     for draw in env.logical.draws:
         call, _, function = draw.name.partition("/")
         is_spawn = isinstance(env.inner, IntersectionEnv) and function.startswith(SPAWN)
-        if "observe" in draw.name or (call.partition("#")[0] == "step" and not is_spawn):
+        if "observe" in draw.name:
+            raise InputError("The compiled engine does not draw anything for observations, such as a shuffled order")
+        if call.partition("#")[0] == "step" and not is_spawn:
             raise InputError(f"The compiled engine does not know the draws of {draw.name}")
 
 

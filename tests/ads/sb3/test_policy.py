@@ -426,7 +426,7 @@ def rewritten(source: Path, target: Path, **members) -> Path:
         ({"policy_pth": None}, r"it has no policy\.pth"),
         ({"data": b"{"}, "damaged"),
         ({"data": b"[]"}, "damaged"),
-        ({"data": b"{}"}, "cannot be loaded without running code"),
+        ({"data": b"{}"}, "its data has no policy_class, observation_space, action_space"),
         ({"policy_pth": b"rubbish"}, r"damaged: its policy\.pth is not a file that torch wrote"),
         ({"data": b" " * 50_000_000}, "which no model needs"),
     ],

@@ -1,0 +1,137 @@
+"""Models and configurations as other people have them: unusual networks, lost parts, and files named otherwise."""
+
+import json
+import zipfile
+
+import gymnasium
+import numpy as np
+import pytest
+from sb3_contrib import ARS
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from behavexplor.ads.loading import check_name
+from behavexplor.ads.sb3.archive import read_archive
+from behavexplor.ads.sb3.description import describe
+from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.ads.sb3.model import policy_of
+from behavexplor.ads.sb3.policy import load_policy
+from behavexplor.errors import InputError
+from behavexplor.execution.preflight import preflight_warnings
+from behavexplor.execution.simulation import Simulation
+from behavexplor.repair.trainees import copy_policy
+from tests.ads.sb3.models import make_model
+from tests.ads.sb3.test_policy import rewritten
+
+SEEN = gymnasium.spaces.Box(-1.0, 1.0, (5, 5), np.float32)
+GRAY = {"type": "GrayscaleObservation", "stack_size": 4, "weights": [0.3, 0.6, 0.1]}
+
+
+def test_a_recurrent_policy_of_another_width_in_memory_answers_as_it_does():
+    model = make_model("RecurrentPPO", SEEN, policy_kwargs={"lstm_hidden_size": 8, "net_arch": [9]})
+    seen = SEEN.sample()[None]
+    expected = model.predict(seen, deterministic=True)[0]
+    np.testing.assert_allclose(policy_of(model).predict(seen)[0], expected, rtol=0, atol=1e-6)
+
+
+def test_a_linear_policy_of_ars_in_memory_answers_as_it_does():
+    model = ARS("LinearPolicy", "CartPole-v1", device="cpu", seed=0)
+    seen = np.array([[0.1, 0.2, -0.3, 0.4]], np.float32)
+    np.testing.assert_array_equal(policy_of(model).predict(seen)[0], model.predict(seen, deterministic=True)[0])
+
+
+def test_lost_statistics_of_a_model_in_memory_are_named(tmp_path):
+    def make():
+        return gymnasium.make("highway-fast-v0", config={"vehicles_count": 5, "duration": 4})
+
+    envs = VecNormalize(DummyVecEnv([make]))
+    model = PPO("MlpPolicy", envs, n_steps=16, batch_size=16, n_epochs=1, device="cpu", seed=0).learn(16)
+    model.save(tmp_path / "model")
+    whole, lost = policy_of(model), policy_of(PPO.load(tmp_path / "model", device="cpu"))
+    named = [
+        preflight_warnings(Simulation("highway-fast-v0", one, env_config={"duration": 4})) for one in (whole, lost)
+    ]
+    assert not any("VecNormalize" in finding for finding in named[0])
+    assert any("statistics of VecNormalize missing" in finding for finding in named[1])
+
+
+@pytest.mark.parametrize("name", ["PPO", "MaskablePPO"])
+def test_a_policy_whose_masks_are_missing_is_named(name, tmp_path):
+    make_model(name, SEEN, gymnasium.spaces.Discrete(5)).save(tmp_path / "model")
+    found = preflight_warnings(Simulation("highway-fast-v0", str(tmp_path / "model.zip"), env_config={"duration": 2}))
+    assert any("masks of actions" in finding for finding in found) == (name == "MaskablePPO")
+
+
+@pytest.mark.parametrize("ending", [".yaml", ".yml"])
+def test_the_settings_beside_a_model_may_have_both_endings(ending, tmp_path):
+    make_model("DQN", SEEN).save(tmp_path / "model")
+    (tmp_path / f"model{ending}").write_text("frame_stack: 3")
+    assert describe(tmp_path / "model.zip").frame_stack == 3
+    copy_policy(tmp_path / "model.zip", tmp_path / "copy.zip")
+    assert describe(tmp_path / "copy.zip").frame_stack == 3
+
+
+def test_the_default_configuration_may_be_stated(tmp_path):
+    make_model("DQN", SEEN).save(tmp_path / "model")
+    assert not Simulation("highway-fast-v0", str(tmp_path / "model.zip")).is_configured
+    (tmp_path / "model.yaml").write_text("config: {}")
+    assert Simulation("highway-fast-v0", str(tmp_path / "model.zip")).is_configured
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ("{durration: 3}", "Unknown key of the configuration of highway-fast-v0 'durration': did you mean 'duration'"),
+        ("{policy_frequency: 0}", "policy_frequency: expected a number above 0"),
+        ("{duration: -1}", "duration: expected a number above 0"),
+        ("{policy_frequency: 10}", "policy_frequency 10 must not exceed simulation_frequency 5"),
+    ],
+)
+def test_a_configuration_that_highway_env_would_misread_is_refused(config, message, tmp_path):
+    make_model("DQN", SEEN).save(tmp_path / "model")
+    (tmp_path / "model.yaml").write_text(f"config: {config}")
+    with pytest.raises(InputError, match=message):
+        Simulation("highway-fast-v0", str(tmp_path / "model.zip"))
+
+
+def test_a_policy_on_pictures_is_configured_by_yaml(tmp_path):
+    pictures = gymnasium.spaces.Box(0, 255, (4, 40, 30), np.uint8)
+    make_model("DQN", pictures).save(tmp_path / "model")
+    config = {"observation": {**GRAY, "observation_shape": [40, 30]}, "vehicles_count": 3}
+    (tmp_path / "model.yaml").write_text(f"config: {config}")
+    simulation = Simulation("highway-fast-v0", str(tmp_path / "model.zip"))
+    assert simulation.env.observation_space.shape == (4, 40, 30)
+
+
+def test_a_model_without_its_ending_is_pointed_to(tmp_path):
+    make_model("DQN", SEEN).save(tmp_path / "model")
+    with pytest.raises(InputError, match=r"did you mean .*model\.zip\?"):
+        check_name(str(tmp_path / "model"))
+
+
+@pytest.mark.parametrize("missing", ["policy_class", "observation_space", "action_space"])
+def test_a_model_without_its_main_settings_is_refused_without_a_hint_to_trust(missing, tmp_path):
+    make_model("DQN", SEEN).save(tmp_path / "model")
+    with zipfile.ZipFile(tmp_path / "model.zip") as file:
+        data = json.loads(file.read("data"))
+    del data[missing]
+    other = rewritten(tmp_path / "model.zip", tmp_path / "other.zip", data=json.dumps(data).encode())
+    for trust in ((), (read_archive(other).digest,)):
+        with pytest.raises(InputError, match=f"is not a model of Stable-Baselines3: its data has no {missing}$"):
+            load_policy(other, trust)
+
+
+@pytest.mark.parametrize(
+    ("seen", "commands", "hint"),
+    [
+        ((5, 20), gymnasium.spaces.Discrete(5), "the other one can be {action: {type: DiscreteMetaAction}}"),
+        ((3, 3, 8), gymnasium.spaces.Discrete(5), "Give highway-env's `observation` configuration"),
+        ((5, 5), gymnasium.spaces.Discrete(25), "action: {type: DiscreteAction, actions_per_axis: 5}}"),
+        ((5, 5), gymnasium.spaces.Discrete(3), "or with `longitudinal: false` instead of `lateral: false`"),
+        ((5, 5), gymnasium.spaces.Discrete(6), "Give highway-env's `action` configuration"),
+    ],
+)
+def test_what_spaces_do_not_show_is_not_said_to_fit(seen, commands, hint):
+    sentence = how_to_fit(gymnasium.spaces.Box(-1, 1, seen), commands)
+    assert hint in sentence
+    assert sentence.startswith("A configuration that fits") == ("Give" not in hint and "other one" not in hint)
