@@ -53,7 +53,8 @@ _PHRASES: Final = {  # where the words of a class are not its id's
     "having-left-its-lane-again": "after entering its lane and leaving it again",
     "nobody-ahead": "with no vehicle ahead",
 }
-_ERRORS: Final = {  # classes of executions in which the driving system failed
+_WHOLE: Final = {  # classes without parts: of executions in which the driving system failed, and of bare collisions
+    R1: "Collision with something other than a vehicle",
     "error/raised": "The driving system raised an exception",
     "error/invalid": "The driving system returned something that is not an action",
     "error/exit": "The driving system ended its process by sys.exit",
@@ -117,10 +118,10 @@ class ViolationClass:
 def words_of(class_id: str) -> str:
     """Return the class in a record as a sentence, without the details that only the trace tells.
 
-    The class of an execution in which the driving system failed is "error/" and the kind of its failure. A class that
-    is not known is its own sentence.
+    The class of an execution in which the driving system failed is "error/" and the kind of its failure. That of a
+    collision without another vehicle is "R1". A class that is not known is its own sentence.
     """
-    kind = _ERRORS.get(class_id)
+    kind = _WHOLE.get(class_id)
     if kind is not None:
         return kind
     try:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.trace import Trace
-from behavexplor.judge.classes import ViolationClass, violation_class
+from behavexplor.judge.classes import ViolationClass, violation_class, words_of
 from behavexplor.judge.events import first_line_touch, violation_event
 from behavexplor.judge.specs import judge
 from tests.judge.test_fault import BEHIND, SIZE, trace
@@ -99,6 +99,10 @@ def test_a_class_is_a_value_with_a_line_of_words():
 )
 def test_words_are_a_sentence(kind, words):
     assert kind.words == words
+
+
+def test_a_collision_with_no_vehicle_has_words():
+    assert words_of("R1") == "Collision with something other than a vehicle"
 
 
 def braking(recorded):
