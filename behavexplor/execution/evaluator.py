@@ -172,17 +172,12 @@ class ScenarioBatch:
         self._scenarios[key] = scenario
 
     def advance(self) -> list[tuple[int, bytes | Exception | None]]:
-        """Advance all episodes by one decision.
-
-        If the ADS fails in one of several episodes, all of them must be executed alone. If there is only one, it is
-        not executed again: an ADS that fails now and then could succeed, and the failure would be lost.
-        """
+        """Advance all episodes by one decision. If the ADS fails, all running scenarios must be executed alone."""
         try:
             return [(key, self._result(key, trace)) for key, trace in self._episodes.step()]
-        except ADSError as error:
+        except ADSError:
             self._scenarios.clear()
-            keys = self._episodes.give_up()
-            return [(key, error if len(keys) == 1 else None) for key in keys]
+            return [(key, None) for key in self._episodes.give_up()]
 
     def _result(self, key: int, trace: Trace) -> bytes | Exception:
         scenario = self._scenarios.pop(key)
