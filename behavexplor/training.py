@@ -29,7 +29,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
 from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.ads.learned.driver import POLICY_FREQUENCY
+from behavexplor.ads.learned.driver import POLICY_FREQUENCY, LearnedDriver
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
 from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays
@@ -237,9 +237,10 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
         path: path of the model's file, which ends with ".zip".
 
     Raises:
-        InputError: if the file cannot be written.
+        InputError: if the network is none of this package's policies, or the file cannot be written.
     """
     venv = learning_env(env, 1)
+    LearnedDriver(venv.roadmap, network)  # checks the shapes
     layers = tuple(len(bias) for _, bias in network.layers[:-1])
     model = new_model(TrainingConfig(env=env, envs=1, layers=layers), venv)
     load_layers(model, network.layers)

@@ -148,7 +148,7 @@ def test_the_aimed_vehicle_of_the_figure_meets_the_recorded_ego():
     least = found.distances.min(axis=1)
     assert least[found.chosen] < found.reach
     assert sum(least > found.reach) > len(least) / 2  # most drawn vehicles miss
-    assert len(made["figure"](found, {}).get_children()) > 0
+    assert len(made["figure"](found, {}).axes) == 3
 
 
 def test_tables_are_put_into_their_places(tmp_path):

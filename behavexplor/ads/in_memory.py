@@ -3,12 +3,14 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import IN_MEMORY, as_driver, check_name
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.errors import InputError, brief
+
+_HARMLESS: Final = ("VecMonitor", "VecCheckNan")  # wrappers of Stable-Baselines3 that change nothing
 
 
 @dataclass(frozen=True)
@@ -67,13 +69,23 @@ def _is_model(given: Any) -> bool:
 
 
 def _learned(model: Any) -> GivenDriver | None:
-    """Return the driver of a model that trains in `behavexplor.sb3.learning_env`; None for any other model."""
+    """Return the driver of a model that trains in `behavexplor.sb3.learning_env`; None for any other model.
+
+    Raises:
+        InputError: if a wrapper changes what the model sees.
+    """
     module = sys.modules.get("behavexplor.ads.learned.learning")
-    env = model.get_env()
+    env, wrappers = model.get_env(), []
     while module is not None and env is not None and not isinstance(env, module.LearningVecEnv):
+        wrappers.append(type(env).__name__)
         env = getattr(env, "venv", None)
     if module is None or env is None:
         return None
+    if changing := [name for name in wrappers if name not in _HARMLESS]:
+        raise InputError(
+            f"The model sees the features of learning_env through {changing[0]}, without which it cannot drive: train "
+            f"it without this wrapper"
+        )
     from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - numba is slow to import
     from behavexplor.ads.learned.network_file import TrainedNetwork  # noqa: PLC0415
     from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - imports torch

@@ -9,8 +9,8 @@ from typing import Any
 
 from behavexplor.ads.function_driver import FunctionDriver, takes_one_observation
 from behavexplor.ads.interface import ADS
-from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
-from behavexplor.ads.sb3.description import describe, find_model
+from behavexplor.ads.learned.network_file import TrainedNetwork, read_network
+from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError, missing_library, unknown_name
 
@@ -103,14 +103,19 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
         raise missing_library(str(path), error.name, "rl") from None
-    rule = describe(find_model(path)).decision
-    policy: Any = load_policy(path, trust) if rule is None else _learned(find_model(path), rule, roadmap)
+    model = find_model(path)
+    described = describe(model)
+    policy: Any = load_policy(path, trust) if described.decision is None else _learned(model, described, roadmap, trust)
     ads: ADS = policy
     return ads
 
 
-def _learned(model: Path, rule: Rule, roadmap: RoadMap | None) -> Any:
-    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3."""
+def _learned(model: Path, described: Description, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
+    """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3.
+
+    Raises:
+        InputError: if it cannot drive here, or sees more than the features.
+    """
     from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.archive import read_archive  # noqa: PLC0415
     from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415
@@ -118,7 +123,10 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None) -> Any:
 
     if roadmap is None:
         raise InputError(f"{model} is a network of `train`, which follows a route on the roads of this package")
-    network = load_network(read_archive(model))
+    if described.statistics is not None or described.frame_stack > 1:
+        raise InputError(f"{model} is described as a network of `train`, whose features are neither scaled nor stacked")
+    network = load_network(read_archive(model), trust)
+    rule = described.decision or "mean"
     return LearnedDriver(roadmap, TrainedNetwork(layer_arrays(dense_layers(network)), rule))
 
 

@@ -1,4 +1,4 @@
-"""The tables that compare what estimates said was left to find with what was found later."""
+"""Tables that compare forecasts of the classes that are left to find with the classes that were found later."""
 
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
@@ -9,8 +9,9 @@ from behavexplor.bench.summaries import Summary
 from behavexplor.bench.table import Column, Table, Value, of_group, place_cells, place_columns, places
 from behavexplor.judge.discovery import Discovery
 
-EARLY: Final = 0.1  # share of a campaign after which its estimates are taken, and of as many executions the next ones
-LEAST: Final = 50  # fewer executions tell nothing about what is left
+EARLY: Final = 0.1  # share of a campaign before its forecast
+NEXT: Final = 0.1  # number of executions in which new classes are counted, as a share of those before the forecast
+LEAST: Final = 50  # fewer executions tell nothing about the classes that are left
 
 _COLUMNS = ("Method", "n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within")
 _MEANING = (
@@ -35,7 +36,7 @@ class Forecast(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the interval of the forecast contains the total."""
+        """True if the interval of the forecast contains the total."""
         return self.early.unseen_low <= self.total - self.early.found <= self.early.unseen_high
 
 
@@ -55,7 +56,7 @@ def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | N
 def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
     """Return the table of forecasts after each whole campaign, by what all campaigns of its method found together."""
     notes = (
-        "Question: do the estimates of one campaign foretell what ten times as many executions find?",
+        "Question: do the estimates of one campaign foretell what all campaigns find together?",
         "After: number of executions of a campaign. Classes: those found in it. Total: forecast of all classes that "
         "there are (Chao1), and number found by the n campaigns of the method together.",
         *_MEANING,
@@ -86,7 +87,7 @@ def _across(found: Sequence[Summary]) -> list[Forecast]:
 
 
 def _following(early: Discovery) -> int:
-    return max(round(EARLY * early.executions), 1)
+    return max(round(NEXT * early.executions), 1)
 
 
 def _filled(

@@ -15,8 +15,9 @@ def overviews(experiment: Experiment, summaries: Sequence[Summary]) -> list[Tabl
     """Return the means of each figure in which methods are compared, and the effect sizes; none for one scenario."""
     if len(places(experiment)) == 1:
         return []
-    figures = [*compared_figures(summaries), ("novelty", "executions with new behavior, in per cent", _novelty)]
-    means = [_means(key, words, figure, experiment, summaries) for key, words, figure in figures]
+    figures = [(key, f"Number of {words}", figure) for key, words, figure in compared_figures(summaries)]
+    figures.append(("novelty", "Executions with new behavior, in per cent", _novelty))
+    means = [_means(key, title, figure, experiment, summaries) for key, title, figure in figures]
     named = [family for family in families(experiment) if family[0] in (experiment.compared, experiment.baseline)]
     effects = [_effects(name, title, pairs, experiment, summaries) for name, title, pairs in named]
     return [table for table in (*means, *effects) if table.rows]
@@ -31,7 +32,7 @@ def _columns(experiment: Experiment, *, best: bool) -> tuple[Column, ...]:
     return (Column("Method"), *(Column(name, interval=True, best=best) for name in names))
 
 
-def _means(key: str, words: str, figure: Figure, experiment: Experiment, summaries: Sequence[Summary]) -> Table:
+def _means(key: str, title: str, figure: Figure, experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     """Return the table of the means of a figure."""
     rows: list[tuple[Value, ...]] = []
     counts = set()
@@ -41,12 +42,12 @@ def _means(key: str, words: str, figure: Figure, experiment: Experiment, summari
             rows.append((method, *(mean(group, figure) if group else None for group in found)))
             counts |= set(map(len, found))
     notes = (
-        f"Question: how does the number of {words} differ between methods and scenarios?",
+        "Question: how do methods differ in this figure, and does it depend on the scenario?",
         f"Means over {_range(counts)} campaigns of {experiment.budget} executions, with the 95 % interval in brackets "
         "(Student's t).",
     )
     heads = _columns(experiment, best=True)
-    return Table(f"overview-{key}", f"Number of {words}", heads, tuple(rows), (len(rows),), notes)
+    return Table(f"overview-{key}", title, heads, tuple(rows), (len(rows),), notes)
 
 
 def _range(counts: set[int]) -> str:

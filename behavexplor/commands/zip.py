@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-import yaml
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
+from behavexplor.campaign.config import read_yaml
 from behavexplor.commands import OK, program
 from behavexplor.errors import InputError, missing_library
 
@@ -50,13 +50,11 @@ def _env_of(path: Path) -> str:
     """Return the functional scenario in the card beside a network.
 
     Raises:
-        InputError: if no card names it.
+        InputError: if no card names it, or the card cannot be read.
     """
-    try:
-        card = yaml.safe_load(path.with_suffix(".yaml").read_text())
-        env = card["training"]["env"]
-    except (OSError, ValueError, TypeError, KeyError, yaml.YAMLError):
-        env = None
-    if env not in FUNCTIONAL_SCENARIOS:
-        raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")
-    return str(env)
+    card = path.with_suffix(".yaml")
+    training = read_yaml(card).get("training") if card.is_file() else None
+    env = training.get("env") if isinstance(training, dict) else None
+    if isinstance(env, str) and env in FUNCTIONAL_SCENARIOS:
+        return env
+    raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")

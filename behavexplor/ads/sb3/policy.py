@@ -2,7 +2,7 @@
 
 import logging
 from collections import OrderedDict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -114,8 +114,7 @@ def load_policy(path: Path, trust: Collection[str] = ()) -> SB3Policy:
     archive = read_archive(model)
     description = describe(model)
     statistics = Statistics.read(description.statistics) if description.statistics else None
-    for suspicion in (*archive.suspicions, *(statistics.suspicions if statistics else ())):
-        _LOG.warning("%s", sentence(f"{model}: {suspicion}"))
+    _warn(model, statistics.suspicions if statistics else ())
     return SB3Policy(load_network(archive, trust), description, statistics, _last_observations(archive.settings))
 
 
@@ -125,6 +124,7 @@ def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
     Raises:
         InputError: if it can be built only by executing code from a file that is not trusted.
     """
+    _warn(archive.path, archive.suspicions)
     if archive.digest in trust:
         return build_trusted(archive)
     try:
@@ -134,6 +134,11 @@ def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
             f"{archive.path} cannot be loaded without running code from it: {error}. "
             f"If you trust its origin, add --trust {archive.digest}"
         ) from None
+
+
+def _warn(model: Path, suspicions: Iterable[str]) -> None:
+    for suspicion in suspicions:
+        _LOG.warning("%s", sentence(f"{model}: {suspicion}"))
 
 
 def _last_observations(settings: Mapping[str, Any]) -> Observation | None:

@@ -1,9 +1,11 @@
 """A network of `train` as a model of Stable-Baselines3: it drives as before, and a script can train it further."""
 
+import numpy as np
 import pytest
 import yaml
 
 import behavexplor
+from behavexplor.ads.learned.network_file import TrainedNetwork, write_network
 from behavexplor.ads.loading import load_ads
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
@@ -11,6 +13,7 @@ from behavexplor.errors import InputError
 pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from behavexplor.sb3 import FuzzCallback, learning_env
@@ -73,6 +76,29 @@ def test_it_is_refused_where_it_cannot_drive_or_learn(model, tmp_path, capsys):
         load_ads(str(model), None)
     assert main(["retrain", str(model), "--out", str(tmp_path / "out")]) == BAD_INPUT
     assert "retrain the network" in capsys.readouterr().err
+
+
+def test_a_model_that_sees_scaled_features_is_refused(model, tmp_path):
+    scaled = VecNormalize(learning_env(ENV, 1))
+    trained = PPO("MlpPolicy", scaled, n_steps=8, batch_size=8, policy_kwargs={"activation_fn": nn.Tanh})
+    with pytest.raises(InputError, match="through VecNormalize"):
+        behavexplor.find_failures(trained, ENV, budget=1, out=tmp_path / "run")
+    trained.save(tmp_path / "model.zip")
+    scaled.save(str(tmp_path / "vecnormalize.pkl"))
+    (tmp_path / "model.yaml").write_text("decision: mean\n")
+    with pytest.raises(InputError, match="neither scaled nor stacked"):
+        load_ads(str(tmp_path / "model.zip"), learning_env(ENV, 1).roadmap)
+
+
+def test_a_network_of_another_form_is_not_written(tmp_path, capsys):
+    layers = [(np.zeros((4, 10)), np.zeros(4)), (np.zeros((20, 4)), np.zeros(20))]
+    write_network(tmp_path / "policy.npz", TrainedNetwork(layers))
+    (tmp_path / "policy.yaml").write_text("[" * 2000)
+    assert main(["zip", str(tmp_path / "policy.npz"), "--out", str(tmp_path / "a.zip")]) == BAD_INPUT
+    assert "policy.yaml" in capsys.readouterr().err
+    assert main(["zip", str(tmp_path / "policy.npz"), "--out", str(tmp_path / "a.zip"), "--env", ENV]) == BAD_INPUT
+    assert "Expected a network of" in capsys.readouterr().err
+    assert not (tmp_path / "a.zip").exists()
 
 
 def test_another_network_under_that_description_is_named(tmp_path):
