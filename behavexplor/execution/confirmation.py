@@ -15,32 +15,55 @@ TOLERANCE: Final = (
 )
 
 
-def confirmed(simulation: Simulation, scenario: Scenario, trace: Trace) -> Trace:
+def confirmed(simulation: Simulation, scenario: Scenario, driven: Trace | ADSError) -> Trace:
     """Return the trace of an execution, from highway-env itself if the execution failed.
+
+    If highway-env's own execution is another one, the compiled engine repeats its own: only if that is the same again,
+    the two engines disagree. Otherwise the driving system does not do the same twice.
 
     Args:
         simulation: simulation with the driving system and its environment.
         scenario: the executed scenario.
-        trace: its trace from the compiled engine.
+        driven: its trace from the compiled engine, or the failure of the driving system there.
 
     Raises:
-        ADSError: if highway-env's own trace is another one, or the driving system fails.
+        ADSError: if the driving system fails in highway-env, or highway-env's own execution is another one.
     """
-    if not any(spec.violated(trace) for spec in SPECS):
-        return trace
+    if isinstance(driven, Trace) and not any(spec.violated(driven) for spec in SPECS):
+        return driven
     reference = simulation.run(scenario)
-    difference = _difference(trace, reference)
-    if difference is not None:
+    difference = _difference(driven, reference)
+    if difference is None:
+        return reference
+    if _difference(driven, _driven_again(simulation, scenario)) is None:
         raise ADSError(DIFFERS, f"the compiled engine and highway-env disagree: {difference}")
-    return reference
+    if isinstance(driven, ADSError):
+        raise ADSError(driven.kind, f"{driven.message}; repeated, it did not fail in the same scenario", driven.place)
+    raise ADSError(
+        DIFFERS,
+        "the ADS did not drive a scenario in the same way when it was repeated, as if it drew its actions, or "
+        "remembered earlier episodes",
+    )
 
 
-def _difference(trace: Trace, reference: Trace) -> str | None:
-    """Return how two traces differ; None if they do not."""
+def _driven_again(simulation: Simulation, scenario: Scenario) -> Trace | ADSError:
+    """Return the outcome of a scenario in the compiled engine."""
+    try:
+        ((_, trace),) = simulation.run_all([scenario])
+    except ADSError as error:
+        return error
+    return trace
+
+
+def _difference(driven: Trace | ADSError, other: Trace | ADSError) -> str | None:
+    """Return how an outcome in highway-env differs from one in the compiled engine; None if it does not."""
+    if isinstance(driven, ADSError) or isinstance(other, ADSError):
+        kinds = [one.kind if isinstance(one, ADSError) else "" for one in (driven, other)]
+        return None if kinds[0] == kinds[1] else f"only in one of them, {driven if kinds[0] else other}"
     for name in ("end", "partner"):
-        if getattr(trace, name) != getattr(reference, name):
-            return f"{name} is {getattr(trace, name)!r}, and {getattr(reference, name)!r} in highway-env"
-    if trace.position.shape != reference.position.shape:
-        return f"{trace.position.shape[:2]} frames and vehicles, and {reference.position.shape[:2]} in highway-env"
-    apart = float(np.abs(trace.position - reference.position).max())
+        if getattr(driven, name) != getattr(other, name):
+            return f"{name} is {getattr(driven, name)!r}, and {getattr(other, name)!r} in highway-env"
+    if driven.position.shape != other.position.shape:
+        return f"{driven.position.shape[:2]} frames and vehicles, and {other.position.shape[:2]} in highway-env"
+    apart = float(np.abs(driven.position - other.position).max())
     return f"the vehicles are up to {apart:.3g} m apart" if apart > TOLERANCE else None

@@ -172,21 +172,28 @@ class ScenarioBatch:
         self._scenarios[key] = scenario
 
     def advance(self) -> list[tuple[int, bytes | Exception | None]]:
-        """Advance all episodes by one decision. If the ADS fails, all running scenarios must be executed alone."""
+        """Advance all episodes by one decision.
+
+        If the ADS fails, all running scenarios must be executed alone, since it is unknown which of them is to blame.
+        That is known of an ADS that drives one episode at a time: its failure is an outcome.
+        """
         try:
             return [(key, self._result(key, trace)) for key, trace in self._episodes.step()]
-        except ADSError:
+        except ADSError as error:
+            keys = self._episodes.give_up()
+            if self.capacity == 1:  # not one of many that happens to be the last, which would depend on the others
+                return [(key, self._result(key, error)) for key in keys]
             self._scenarios.clear()
-            return [(key, None) for key in self._episodes.give_up()]
+            return [(key, None) for key in keys]
 
-    def _result(self, key: int, trace: Trace) -> bytes | Exception:
+    def _result(self, key: int, driven: Trace | ADSError) -> bytes | Exception:
         scenario = self._scenarios.pop(key)
-        if not (self._confirms and isinstance(scenario, DrawnScenario)):
-            return self._answer(trace)
         try:
-            return self._answer(confirmed(self._simulation, scenario, trace))
+            if self._confirms and isinstance(scenario, DrawnScenario):
+                driven = confirmed(self._simulation, scenario, driven)
         except ADSError as error:
             return error
+        return driven if isinstance(driven, ADSError) else self._answer(driven)
 
 
 def simulation_of(target: Target, driver: ADS | None = None) -> Simulation:

@@ -24,7 +24,7 @@ class ADSError(Exception):
     Attributes:
         kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
             "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time),
-            "crash" (its process died), or "differs" (not the ADS but the compiled engine failed; see
+            "crash" (its process died), or "differs" (highway-env did not confirm what the compiled engine found; see
             `behavexplor.execution.confirmation`).
         message: details of the failure.
         place: where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.

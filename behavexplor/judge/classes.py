@@ -61,7 +61,7 @@ _WHOLE: Final = {  # classes without parts: of executions in which the driving s
     "error/memory": "The driving system ran out of memory",
     "error/hang": "The driving system did not answer in time",
     "error/crash": "The process of the driving system died",
-    "error/differs": "The compiled engine and highway-env disagreed, so nothing is known about the driving system",
+    "error/differs": "It went otherwise when highway-env repeated it, so nothing is known about the driving system",
 }
 
 

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 ERROR: Final = "error"  # recorded in place of a violated spec if the ADS failed instead of returning an action
-DIFFERS: Final = "differs"  # kind of an error that is not the ADS's: the compiled engine and highway-env disagree
+DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's: highway-env did not confirm a failure
 NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
 _TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
 _BLOCK = 8  # frames that share one bound in the search for the nearest line

@@ -12,7 +12,6 @@ from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.evaluation import start_judge
-from behavexplor.execution import confirmation
 from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.evaluator import EXECUTE, PREFLIGHT
 from behavexplor.execution.rollout import ADSError
@@ -97,14 +96,15 @@ def test_a_difference_is_its_own_outcome(monkeypatch):
     reference = simulation.run(scenario)
     assert confirmed(simulation, scenario, reference).to_bytes() == reference.to_bytes()
     moved = replace(reference, position=reference.position + 0.2)
+    ((_, trace),) = simulation.run_all([scenario])
     for other, message in (
         (moved, "up to 0.2 m apart"),
-        (reference.until(5, "timeout"), "end is"),
-        (replace(reference, partner=-1), "partner is -1"),
+        (reference.until(5, "timeout"), "'timeout' in highway-env"),
+        (replace(reference, partner=-1), "-1 in highway-env"),
     ):
-        monkeypatch.setattr(confirmation.SPECS[0].__class__, "violated", lambda *_: True)
+        monkeypatch.setattr(Simulation, "run", lambda *_, other=other: other)
         with pytest.raises(ADSError, match=f"the compiled engine and highway-env disagree: .*{message}") as caught:
-            confirmed(simulation, scenario, other)
+            confirmed(simulation, scenario, trace)
         assert caught.value.kind == DIFFERS
 
 
