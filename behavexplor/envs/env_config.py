@@ -55,10 +55,12 @@ ACTIONS = MappingProxyType(
     }
 )
 MAX_PARTS = 16  # parts of a TupleObservation
-_UNREAD_KEYS = {  # highway-env's own configurations have these keys, although nothing reads them
-    "observation": {"flatten"},
-    "action": {"target_speeds"},
-}
+UNREAD_KEYS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {  # highway-env's own configurations have these keys, although nothing reads them
+        "observation": frozenset({"flatten"}),
+        "action": frozenset({"target_speeds"}),
+    }
+)
 _KINDS: Mapping[str, Kind] = {  # keys of the configuration itself
     "simulation_frequency": COUNT,
     "policy_frequency": COUNT,
@@ -251,7 +253,7 @@ def check_type(what: str, config: object, types: Mapping[str, type | None]) -> M
     parameters = dict(inspect.signature(kind).parameters) if kind else {}
     for unread in ("env", "args", "kwargs"):
         parameters.pop(unread, None)
-    _check_keys(what, settings, {"type", *parameters} | _UNREAD_KEYS[what.partition(".")[0]])
+    _check_keys(what, settings, {"type", *parameters} | UNREAD_KEYS[what.partition(".")[0]])
     for key, parameter in parameters.items():
         if parameter.default is parameter.empty and key not in settings:
             raise InputError(f"{what}: {name} needs {key!r}")

@@ -71,12 +71,15 @@ def check_keys(name: str, config: Mapping[str, Any]) -> None:
     """Check that an environment of highway-env has the keys of a configuration, since it would ignore any other.
 
     Raises:
-        InputError: if it does not have one of them.
+        InputError: if it does not have one of them, or one of those of its observation and action.
     """
-    own = default_config(name)
+    from behavexplor.envs.space_keys import check_space_keys  # noqa: PLC0415 - slow to import
+
+    made: Any = make_registered(name, {}).unwrapped
     for key in config:
-        if key not in own:
-            raise unknown_name(f"key of the configuration of {name}", str(key), own)
+        if key not in made.config:
+            raise unknown_name(f"key of the configuration of {name}", str(key), made.config)
+    check_space_keys(made, config)
 
 
 def default_config(name: str) -> dict[str, Any]:

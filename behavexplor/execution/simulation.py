@@ -68,7 +68,9 @@ class Simulation:
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
         given = dict(env_config or {})
         if stock:  # a model in memory drives with the keys with which it was trained
-            check_keys(env, {**(trained if isinstance(ads, str) else {}), **given})
+            kept = () if isinstance(ads, str) else trained.keys() - given.keys()
+            whole = {**declared, **trained, **given}
+            check_keys(env, {key: value for key, value in whole.items() if key not in kept})
         if stock and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic)

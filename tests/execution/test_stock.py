@@ -122,7 +122,7 @@ def test_an_environment_that_is_not_compiled_is_said_to_be_slow():
 
 def test_a_configuration_that_cannot_be_used_is_named():
     with pytest.raises(InputError, match="The environment 'merge-v0' cannot be made"):
-        Simulation("merge-v0", "constant:IDLE", env_config={"observation": {"type": "Sonar"}})
+        Simulation("merge-v0", "constant:IDLE", env_config={"other_vehicles_type": "no.such.Vehicle"})
 
 
 def test_an_unknown_key_of_the_configuration_is_named():
