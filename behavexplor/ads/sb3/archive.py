@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, Final
 from zipfile import ZipFile
 
-from behavexplor.ads.sb3.inert import PickleReader, TooLongError, check_extent
+from behavexplor.ads.sb3.inert import LOAD_TENSOR, OLD_TORCH, PickleReader, TooLongError, check_extent
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
@@ -42,8 +42,13 @@ _ORDINARY: Final = re.compile(
     r"|(builtins|__builtin__)\."
     r"(bool|bytearray|bytes|dict|float|frozenset|int|list|object|property|range|set|slice|str|tuple|type)$"
 )
+# Names of a pickle that is a tensor. None of them calls what it is given, so all that `LOAD_TENSOR` reads is known.
+_OF_TENSOR: Final = re.compile(
+    rf"({re.escape(LOAD_TENSOR)}|torch\._utils\._rebuild_tensor_v2|torch\.(storage\.)?[A-Za-z]*Storage"
+    r"|collections\.OrderedDict)"
+)
 # How files begin that torch wrote before version 1.6: a pickle of this number, or the name of a tar archive's member.
-_OLD_TORCH: Final = (b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19.", b"sys_info", b"storages", b"tensors", b"pickle")
+_OLD_TORCH: Final = (OLD_TORCH, b"sys_info", b"storages", b"tensors", b"pickle")
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,8 @@ def read_archive(path: Path) -> Archive:
 
 def suspicions_about(place: str, names: frozenset[str]) -> list[str]:
     """Return a phrase for each name of a pickle that saved models do not ordinarily contain."""
+    if all(map(_OF_TENSOR.fullmatch, names)):
+        return []
     unusual = sorted(name for name in names if not _ORDINARY.match(name))
     return [f"{place} calls {name}, which was not run" for name in unusual]
 

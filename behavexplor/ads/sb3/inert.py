@@ -4,12 +4,13 @@ A pickle is a program for a machine with a stack. The machine in this module has
 anything. It makes plain values only, and stands for everything else by `Name` and `Inert`.
 """
 
+import io
 import pickletools
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 MAX_STEPS: Final = 300_000  # greatest number of instructions that one reader follows
 MAX_PARTS: Final = 100_000  # parts of a value; a part counts as often as it is used
@@ -19,6 +20,9 @@ OWN_CODE: Final = "code of its own"  # stands among the names for the call of a 
 
 _PLAIN_KEYS: Final = (str, bytes, float, type(None))
 _MAX_INTEGER_KEY: Final = 2**60  # greater integers can have equal hashes
+OLD_TORCH: Final = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # begins a file of torch's format before 1.6
+LOAD_TENSOR: Final = "torch.storage._load_from_bytes"  # takes such a file, which contains pickles
+_PICKLES: Final = 4  # in such a file, after its beginning
 _IMPORT: Final = "cloudpickle.cloudpickle.subimport"
 # Callables that call their first argument.
 _CALLING: Final = re.compile(r"(copyreg|copy_reg)\.|cloudpickle\.cloudpickle\._make_skeleton_(class|enum)$")
@@ -66,13 +70,40 @@ class PickleReader:
         """Read a pickle: plain values, with `Name` and `Inert` in place of anything else.
 
         Returns:
-            The value, and all global names ("module.attribute") that the pickle refers to. The module that cloudpickle
-            would import for a function follows in parentheses. `OWN_CODE` is among the names if the pickle calls a
-            class or function that it contains.
+            The value, and all global names ("module.attribute") that the pickle refers to, with those in the files of
+            tensors that it contains. The module that cloudpickle would import for a function follows in parentheses.
+            `OWN_CODE` is among the names if the pickle calls a class or function that it contains.
 
         Raises:
             TooLongError: if the pickles have too many instructions.
             ValueError: if the data is not a pickle, is cut short, or has keys of mappings that are not plain.
+        """
+        value, machine = self._followed(data)
+        stored = (self._names_in_file(*arguments) for arguments in machine.loaded)
+        return value, frozenset(machine.names).union(*stored)
+
+    def _names_in_file(self, *arguments: Any) -> frozenset[str]:
+        """Return the names in a file of tensors that a pickle contains, as torch would read it."""
+        unread = frozenset({f"{LOAD_TENSOR} with other things than a tensor"})
+        content = arguments[0] if len(arguments) == 1 else None
+        if not (isinstance(content, bytes) and content.startswith(OLD_TORCH)):
+            return unread
+        file = io.BytesIO(content[len(OLD_TORCH) :])
+        try:
+            machines = [self._followed(file, is_framed=False)[1] for _ in range(_PICKLES)]
+        except TooLongError:
+            raise
+        except ValueError:
+            return unread
+        inner = any(machine.loaded for machine in machines)
+        return unread if inner else frozenset().union(*(machine.names for machine in machines))
+
+    def _followed(self, data: bytes | BinaryIO, *, is_framed: bool = True) -> tuple[Any, "_Machine"]:
+        """Return the value of the next pickle, and the machine that has made it.
+
+        Args:
+            data: the pickle, or a file that continues with it.
+            is_framed: whether it may have frames. The end of a frame could hide where the next pickle of a file begins.
         """
         machine = _Machine()
         try:
@@ -80,8 +111,10 @@ class PickleReader:
                 self._steps -= 1
                 if self._steps < 0:
                     raise TooLongError(f"more than {MAX_STEPS} instructions")  # noqa: TRY301
+                if opcode.name == "FRAME" and not is_framed:
+                    raise ValueError("it has frames")  # noqa: TRY301
                 machine.step(opcode.name, argument)
-            return machine.stack.pop(), frozenset(machine.names)
+            return machine.stack.pop(), machine
         except TooLongError:
             raise
         except Exception as error:  # a damaged pickle can make the machine raise anything
@@ -128,11 +161,13 @@ class _Machine:
     Attributes:
         stack: values since the last mark.
         names: global names, and `OWN_CODE`.
+        loaded: arguments of the calls of `LOAD_TENSOR`.
     """
 
     def __init__(self) -> None:
         self.stack: list[Any] = []
         self.names: set[str] = set()
+        self.loaded: list[tuple[Any, ...]] = []
         self._below: list[list[Any]] = []  # values before each mark
         self._memo: dict[int, Any] = {}
 
@@ -208,6 +243,8 @@ class _Machine:
             raise TypeError("the arguments of a call must be a tuple")
         if isinstance(callee, Inert) and callee.name.endswith("._builtin_type"):  # cloudpickle's way to name a type
             callee = Name(f"types.{callee.arguments[0]}")
+        if callee.name == LOAD_TENSOR:
+            self.loaded.append(given)
         if callee.name == _IMPORT:
             self.names.add(f"{_IMPORT}({given[0]:.80})")
         made = given[0] if given and _CALLING.match(callee.name) else callee
