@@ -21,9 +21,13 @@ class FunctionDriver:
 
     Args:
         function: the function.
+
+    Attributes:
+        is_function: tells those who write messages that the user has written no `predict`.
     """
 
     vectorized = False
+    is_function = True
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self._function = function

@@ -55,8 +55,16 @@ def check(
     failed = sum(not outcome.passed for outcome in outcomes)
     if not quiet:
         print(_table(outcomes), end="\n\n")
-    print(f"{failed} of {len(outcomes)} scenarios fail" if failed else f"All {len(outcomes)} scenarios pass")
+    print(result(failed, len(outcomes)))
     return CHECK_FAILED if failed else OK
+
+
+def result(failed: int, count: int) -> str:
+    """Return in words how many scenarios of a suite fail."""
+    if count == 1:
+        return "The only scenario fails" if failed else "The only scenario passes"
+    fail = "fails" if failed == 1 else "fail"
+    return f"{failed} of {count} scenarios {fail}" if failed else f"All {count} scenarios pass"
 
 
 def _table(outcomes: Sequence[Outcome]) -> str:

@@ -62,6 +62,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: in runs/)")] = None,
     stochastic: bool = False,
     unconfined: bool = False,
+    confirm: bool = True,
     quiet: bool = False,
 ) -> int:
     """Drive the same scenarios with two drivers, and report what the second one fixes and what it breaks.
@@ -86,6 +87,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         out: Folder for the results, new or empty.
         stochastic: Draw the actions of both policies, as in their training, instead of deciding deterministically.
         unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
+        confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
+            time if a driver fails often.
         quiet: Print only the tables.
     """
     count = chosen_workers(workers)
@@ -104,6 +107,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             "traffic": traffic,
             "unconfined": unconfined,
             "stochastic": stochastic,
+            "confirm": confirm,
         }
     )
     folder = out or stamped_folder("compare")

@@ -1,6 +1,7 @@
 """Preflight: check a system under test before a campaign, so that mistakes in its setup show early."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -10,12 +11,19 @@ from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.observations import Observation, joined, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.rollout import ADSError, rollout, rollout_all
-from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.rollout import ADSError, is_function, rollout, rollout_all
+from behavexplor.execution.simulation import FILE, MEMORY, MODULE, Simulation
 
 SCENARIOS: Final = 4
 MARGIN: Final = 0.25  # tolerance beyond the range of observed values, as a share of that range
 FOREIGN: Final = 0.4  # greatest tolerated share of values beyond it; early policies reach 0.32, lost statistics 0.8
+_WHERE_CONFIGURED: Final = MappingProxyType(
+    {
+        FILE: "by --env-config FILE (in Python, env_config), or in a YAML file beside the model (config: ...)",
+        MODULE: "by --env-config FILE (in Python, env_config), or as the driver's attribute env_config",
+        MEMORY: "as env_config, or give an environment that has it instead of an id",
+    }
+)
 
 
 class _Witness:
@@ -23,6 +31,7 @@ class _Witness:
 
     def __init__(self, ads: Any) -> None:
         self.ads = ads
+        self.is_function = is_function(ads)
         self.observations: list[Observation] = []
         self.actions: list[NDArray[Any]] = []
 
@@ -74,8 +83,8 @@ def _unconfigured(simulation: Simulation) -> str | None:
     if simulation.is_configured:
         return None
     return (
-        "The configuration in which the policy was trained is not known, so highway-env's own is used, and rates "
-        "depend on it: give it by --env-config FILE, or in a YAML file beside the model (config: ...)"
+        f"The configuration in which the policy was trained is not known, so highway-env's own is used, and rates "
+        f"depend on it: give it {_WHERE_CONFIGURED[simulation.source]}"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from behavexplor.data.observations import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.errors import place_of
+from behavexplor.errors import brief, place_of
 from behavexplor.execution.drawn_actions import DrawnActions
 
 
@@ -266,9 +266,10 @@ def _ask(
     """
     _asking[0].value = 1
     try:
-        return _checked(ads.predict(observation, state, start, deterministic=True), space, len(start), counts)
+        answer = ads.predict(observation, state, start, deterministic=True)
+        return _checked(answer, space, len(start), counts)
     except _AnswerError as error:
-        raise ADSError("invalid", str(error)) from error
+        raise ADSError("invalid", _of_function(answer, space) if is_function(ads) else str(error)) from error
     except MemoryError as error:
         raise ADSError("memory", "it ran out of memory") from error
     except SystemExit as error:
@@ -281,6 +282,16 @@ def _ask(
 
 class _AnswerError(ValueError):
     """The answer of an ADS is not a valid action."""
+
+
+def is_function(ads: Any) -> bool:
+    """Return whether an ADS is a plain function; see `behavexplor.ads.function_driver`."""
+    return getattr(ads, "is_function", False)
+
+
+def _of_function(answer: Any, space: gymnasium.Space[Any]) -> str:
+    """Return what a function must return, in place of an answer that is not valid."""
+    return f"the function must return an action of {space}, got {brief(answer[0].tolist()[0])}"
 
 
 def _checked(

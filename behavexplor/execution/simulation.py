@@ -1,6 +1,7 @@
 """Simulations: one ADS in one environment, which turn concrete scenarios into traces."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import gymnasium
@@ -21,6 +22,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
 
+FILE, MODULE, MEMORY = "file", "module", "memory"  # where the ADS of a simulation comes from
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
 
 
@@ -44,6 +46,7 @@ class Simulation:
         env: the environment.
         ads: the driving system.
         logical: the scenarios of the environment.
+        source: where the ADS comes from: `FILE`, `MODULE` or `MEMORY`.
         is_configured: whether a configuration for the policy was found, where one is needed.
         plain: why the environment cannot run in lock-step, once this is known; empty if it can.
 
@@ -63,6 +66,7 @@ class Simulation:
     ) -> None:
         self._is_stock = stock = is_stock(env)
         roadmap = None if stock else logical_scenario(env).roadmap
+        self.source = _source(ads)
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
@@ -141,6 +145,12 @@ class Simulation:
         except InputError as error:
             self.plain = str(error)
             return None
+
+
+def _source(ads: Any) -> str:
+    if not isinstance(ads, str):
+        return MEMORY
+    return FILE if ads.endswith(".zip") or Path(ads).exists() else MODULE
 
 
 def _plain(value: Any) -> Any:

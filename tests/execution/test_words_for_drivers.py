@@ -1,0 +1,48 @@
+"""What is said of drivers that have no `predict`, or no file beside which a configuration could be written."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from behavexplor.ads.function_driver import FunctionDriver
+from behavexplor.execution.preflight import preflight_warnings
+from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.simulation import Simulation
+
+ENV = "highway-fast-v0"
+SHORT = {"duration": 2, "vehicles_count": 2}
+
+
+class Trained:
+    """A policy that knows its spaces, but not the configuration of its training."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (5, 5), np.float32)
+    action_space = gymnasium.spaces.Discrete(5)
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.array([1]), state
+
+
+@pytest.mark.parametrize("answer", [None, 7, 1.5, [1, 2], "left"])
+def test_a_function_is_told_of_its_own_answer(answer):
+    simulation = Simulation(ENV, FunctionDriver(lambda _: answer), env_config=SHORT)
+    with pytest.raises(ADSError) as caught:
+        simulation.run(simulation.logical.sample(np.random.default_rng(0)))
+    assert (caught.value.kind, caught.value.message) == (
+        "invalid",
+        f"the function must return an action of Discrete(5), got {answer!r}",
+    )
+    (warning,) = preflight_warnings(simulation)
+    assert caught.value.message in warning
+
+
+def advice(ads):
+    (found,) = [said for said in preflight_warnings(Simulation(ENV, ads)) if "is not known" in said]
+    return found
+
+
+def test_a_file_is_named_only_beside_a_file():
+    assert advice(Trained()).endswith("give it as env_config, or give an environment that has it instead of an id")
+    named = advice(f"{__name__}:Trained")
+    assert "--env-config FILE" in named
+    assert "beside the model" not in named
