@@ -8,7 +8,7 @@ import gymnasium
 
 from behavexplor.ads.in_memory import GivenDriver, given_driver
 from behavexplor.api.conducting import conduct
-from behavexplor.api.environments import environment_of
+from behavexplor.api.environments import environment_of, given_config
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run
 from behavexplor.campaign.config import CampaignConfig, campaign_config
@@ -48,7 +48,8 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
         seed: random seed. The same seed gives the same records.
         specs: requirements in addition to R1, R2 and R3: functions from a trace to its signed robustness, defined at
             the top level of a module or notebook, or their names as "module:attribute".
-        env_config: configuration of the environment, as far as it differs from its own.
+        env_config: configuration of the environment, as far as it differs from its own. An empty one says that the
+            driver was trained in the environment's own.
         workers: number of worker processes, which has no effect on the records. By default none, or one if the driver
             is the name of third-party code, which is confined. Several need a driver that is given by name.
         out: run folder, new or empty; by default a new one in runs/.
@@ -91,7 +92,7 @@ def config_of(
     """
     name, changes = environment_of(env or given.env or CampaignConfig.env)
     found = {"env": name, "ads": given.name, "specs": [_spec_name(spec) for spec in specs]}
-    return campaign_config({**found, "env_config": {**changes, **(env_config or {})}, **values})
+    return campaign_config({**found, "env_config": given_config(changes, env_config), **values})
 
 
 def _spec_name(spec: Requirement) -> str:

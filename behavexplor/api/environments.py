@@ -1,7 +1,7 @@
 """Environments as users of the Python interface give them: ids, or environment objects of gymnasium."""
 
+import json
 from collections.abc import Mapping
-from copy import deepcopy
 from math import inf
 from typing import Any, Final
 
@@ -9,7 +9,8 @@ import gymnasium
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, TimeLimit
 
-from behavexplor.envs.making import default_config
+from behavexplor.data.drawn_scenario import DECLARED, config_text
+from behavexplor.envs.making import default_config, is_stock
 from behavexplor.errors import InputError, brief
 
 _HARMLESS: Final = (  # a driver is not told rewards, and limits of time are checked on their own
@@ -23,17 +24,21 @@ _HARMLESS: Final = (  # a driver is not told rewards, and limits of time are che
 _MONITOR: Final = "stable_baselines3.common.monitor"  # the module of a wrapper that changes nothing either
 
 
-def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[str, Any]]:
-    """Return the name of an environment, and its configuration as far as it differs from its own.
+def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[str, Any] | None]:
+    """Return the name of an environment, and its configuration.
 
     Args:
         given: name as in `behavexplor.envs.making.environment_id`, or an environment that gymnasium has made.
+
+    Returns:
+        The name, and of an environment object the configuration: what differs from its default, and of an environment
+        of highway-env the whole scene, because a model could have been trained in another one. None for a name.
 
     Raises:
         InputError: if it is neither, or has a wrapper that would change what a driver observes or does, or how long.
     """
     if isinstance(given, str):
-        return given, {}
+        return given, None
     if not isinstance(given, gymnasium.Env):
         raise InputError(f"An environment must be an id or an environment of gymnasium, and {brief(given)} is neither")
     _check_wrappers(given)
@@ -41,8 +46,18 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
         raise InputError(f"The environment {brief(given)} has no spec, so it cannot be made again: use gymnasium.make")
     config = getattr(given.unwrapped, "config", {})
     _check_limit(given.spec, config)
-    own = default_config(given.spec.id)
-    return given.spec.id, {key: deepcopy(value) for key, value in config.items() if own.get(key, ...) != value}
+    own, is_stated = default_config(given.spec.id), is_stock(given.spec.id)
+    kept = {key for key, value in config.items() if (is_stated and key not in DECLARED) or own.get(key, ...) != value}
+    return given.spec.id, json.loads(config_text({key: config[key] for key in kept}))
+
+
+def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Return what is known of a configuration, from an environment object and from what is given beside it.
+
+    Returns:
+        The configuration, as far as it is known; None if nothing is known.
+    """
+    return None if of_env is None and given is None else {**(of_env or {}), **(given or {})}
 
 
 def _check_wrappers(env: gymnasium.Env[Any, Any]) -> None:

@@ -7,7 +7,7 @@ import gymnasium
 
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.conducting import in_this_process, worker_count
-from behavexplor.api.environments import environment_of
+from behavexplor.api.environments import environment_of, given_config
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
@@ -42,7 +42,7 @@ def evaluate(
     """
     given = given_driver(driver)
     name, changes = environment_of(env or given.env or CampaignConfig.env)
-    values = {"env": name, "ads": given.name, "env_config": {**changes, **(env_config or {})}, **settings}
+    values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}
     target = campaign_config(values).target
     count = worker_count(given, target, workers)
     with in_this_process(count):

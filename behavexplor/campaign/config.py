@@ -72,7 +72,7 @@ class CampaignConfig:
         specs: user-defined requirements in addition to R1, R2 and R3, each as "package.module:attribute"; see
             `behavexplor.judge.robustness`.
         env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
-            highway-env, see docs/highway-env.md.
+            highway-env, see docs/highway-env.md. None if it is not known.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
@@ -98,7 +98,7 @@ class CampaignConfig:
     unconfined: bool = False
     trust: tuple[str, ...] = ()
     specs: tuple[str, ...] = ()
-    env_config: dict[str, Any] = field(default_factory=dict)
+    env_config: dict[str, Any] | None = None
     traffic: Literal["default", "wide"] = DEFAULT
     confirm: bool = True
     stochastic: bool = False

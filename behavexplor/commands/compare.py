@@ -103,7 +103,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             "seed": seed,
             "specs": spec,
             "trust": trust,
-            "env_config": read_yaml(env_config) if env_config else {},
+            "env_config": read_yaml(env_config) if env_config else None,
             "traffic": traffic,
             "unconfined": unconfined,
             "stochastic": stochastic,

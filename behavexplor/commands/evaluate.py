@@ -90,7 +90,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         raise InputError(f"--seed {seed} must not be negative")
     env = env or trained_in(ads) or _ENV
     run = _Run(scenarios, seed, chosen_workers(workers), quiet)
-    settings = read_yaml(env_config) if env_config else {}
+    settings = read_yaml(env_config) if env_config else None
     target = Target(
         env,
         ads,

@@ -130,14 +130,14 @@ class _Scenes:
         from behavexplor.exchange.openscenario import write_scene  # noqa: PLC0415 - needs the extra `scenes`
 
         scenario, trace = execution.scenario, execution.load_trace()
-        plan, logical = road_of(scenario, self._config.env, self._config.env_config)
+        plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
         is_drawn = isinstance(scenario, DrawnScenario)
         record = execution.record
         goes_on = trace.duration == 0 or (self._is_ego_free and not is_drawn)
         scene = Scene(
             title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}",
             environment=self._config.env,
-            env_config={} if is_drawn else self._config.env_config,
+            env_config=(not is_drawn and self._config.env_config) or {},
             road_file=self._road_file(plan, execution.id),
             movers=movers_of(scenario, trace, logical.roadmap, is_ego_free=self._is_ego_free),
             is_ego_free=self._is_ego_free,

@@ -62,7 +62,7 @@ def suite(
         env=first.env,
         driver=first.ads,
         specs=first.specs,
-        env_config=first.env_config,
+        env_config=first.env_config or {},
         traffic=first.traffic,
         stochastic=first.stochastic,
         cases=tuple(cases.values()),

@@ -1,7 +1,7 @@
 """Target: the driving system under test, its environment, and the limits of the processes in which it runs."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from behavexplor.data.drawn_scenario import DEFAULT
@@ -21,7 +21,8 @@ class Target:
         unconfined: whether a third-party ADS may write files and use the network.
         time_limit: limit of one execution [s]. It applies to worker processes only.
         memory_limit: limit of one worker process [GiB], where the system can set it.
-        env_config: configuration of the environment, as far as it differs from what the driving system declares.
+        env_config: configuration of the environment, as far as it differs from what the driving system declares;
+            None if it is not known.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the driving system draws its actions instead of deciding deterministically.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
@@ -33,7 +34,7 @@ class Target:
     unconfined: bool = False
     time_limit: float = TIME_LIMIT
     memory_limit: float = MEMORY_LIMIT
-    env_config: Mapping[str, Any] = field(default_factory=dict)
+    env_config: Mapping[str, Any] | None = None
     traffic: str = DEFAULT
     confirm: bool = True
     stochastic: bool = False

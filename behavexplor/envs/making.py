@@ -89,6 +89,19 @@ def default_config(name: str) -> dict[str, Any]:
     return config
 
 
+@cache
+def has_own_config(name: str) -> bool:
+    """Return whether a subclass or the registration of an environment of highway-env states a configuration of its own.
+
+    Raises:
+        InputError: if there is no such environment.
+    """
+    made: Any = make_registered(name, {})
+    made.close()
+    stated = type(made.unwrapped).default_config.__module__
+    return bool(made.spec.kwargs.get("config")) or not stated.startswith(f"{HIGHWAY_ENV}.")
+
+
 def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gymnasium.Env[Any, Any]:
     """Make an environment that runs concrete scenarios.
 

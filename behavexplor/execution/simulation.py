@@ -17,7 +17,15 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.envs.making import check_keys, default_config, environment_id, is_stock, make_env, make_vector_env
+from behavexplor.envs.making import (
+    check_keys,
+    default_config,
+    environment_id,
+    has_own_config,
+    is_stock,
+    make_env,
+    make_vector_env,
+)
 from behavexplor.errors import InputError
 from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.rollout import LockStep, rollout, rollout_all
@@ -38,7 +46,7 @@ class Simulation:
             environment, so does its attribute `env_config`, or its method `fitted`, which makes a configuration in
             which it drives from the environment's own.
         trust: digests of files from which code may be run when the ADS is loaded.
-        env_config: configuration of the environment, which replaces what the ADS declares.
+        env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
 
@@ -83,8 +91,8 @@ class Simulation:
         self._stochastic = stochastic
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
-        is_told = env_config or hasattr(self.ads, "env_config") or not hasattr(self.ads, "observation_space")
-        self.is_configured = not stock or bool(is_told)
+        is_asked = stock and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
+        self.is_configured = not is_asked or env_config is not None or has_own_config(env)
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:

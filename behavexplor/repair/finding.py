@@ -40,7 +40,7 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
         budget=str(budget),
         seed=seed,
         batch=32,
-        env_config=dict(target.env_config),
+        env_config=None if target.env_config is None else dict(target.env_config),
         traffic=WIDE if target.traffic == WIDE else DEFAULT,
         unconfined=target.unconfined,
     )
