@@ -44,7 +44,17 @@ class FunctionDriver:
     ) -> tuple[NDArray[Any], Any]:
         """Choose the action of the only ego; see `behavexplor.ads.interface.ADS`."""
         action = self._function(mapped(_first, observation))
-        return np.asarray(action)[None], state
+        return _row(action), state
+
+
+def _row(action: Any) -> NDArray[Any]:
+    """Return an action as a batch of one; what is no array is kept as it is, and refused as any wrong answer."""
+    try:
+        return np.asarray(action)[None]
+    except ValueError:
+        kept = np.empty(1, dtype=object)
+        kept[0] = action
+        return kept
 
 
 def _first(rows: NDArray[Any]) -> NDArray[Any]:

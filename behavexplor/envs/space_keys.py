@@ -78,7 +78,7 @@ def _check(what: str, settings: object, known: _Known) -> None:
             raise unknown_name(f"key of {what}", str(key), _parameters(known.types[name]))
     for key in ("features", "features_range"):
         for feature in _listed(settings.get(key)):
-            if feature not in known.features:
+            if str(feature) not in known.features:
                 raise unknown_name(f"feature in {what}.{key}", str(feature), known.features)
     for place, part in _parts(settings):
         _check(f"{what}.{place}", part, known)

@@ -73,7 +73,7 @@ def test_an_environment_object_gives_its_configuration(tmp_path):
     with pytest.warns(UserWarning, match="The ADS is constant"):
         run = behavexplor.find_failures(lambda _: 1, env, budget=2, out=tmp_path / "a", confirm=False)
     assert run.config.env == "highway-fast-v0"
-    assert run.config.env_config == {"duration": 3, "lanes_count": 4}
+    assert run.config.env_config.items() >= {"duration": 3, "lanes_count": 4}.items()
     assert run.config.ads == "in-memory:<lambda>"
     assert max(record.duration for record in run.records) <= 3.0
     wrapped = gymnasium.wrappers.FlattenObservation(env)

@@ -70,6 +70,7 @@ gymnasium.register("own-type-v0", entry_point=OwnType)
         ),
         ({"observation": {"type": "Sonar"}}, "Unknown observation type 'Sonar': known are AttributesObservation, "),
         ({"action": {"lateral": False}}, "action needs a type"),
+        ({"observation": {**KINEMATICS, "features": [["x"]]}}, "feature in observation.features \"\\['x'\\]\""),
         ({"observation": 3}, "observation: expected keys and values, got 3"),
     ],
 )

@@ -23,7 +23,7 @@ class Trained:
         return np.array([1]), state
 
 
-@pytest.mark.parametrize("answer", [None, 7, 1.5, [1, 2], "left"])
+@pytest.mark.parametrize("answer", [None, 7, 1.5, [1, 2], [[1], [2, 3]], "left"])
 def test_a_function_is_told_of_its_own_answer(answer):
     simulation = Simulation(ENV, FunctionDriver(lambda _: answer), env_config=SHORT)
     with pytest.raises(ADSError) as caught:
