@@ -27,7 +27,6 @@ from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
 from behavexplor.errors import InputError
-from behavexplor.jit import compiled_for
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -97,7 +96,6 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._weights = np.array([self.config["reward"][name] for name in TERMS], dtype=np.float64)
-        self._simulate = compiled_for(step, self._world, self._slots, np.zeros((num_envs, 2)), np.ones(num_envs, dtype=bool))
         self.gives_rewards = True
 
     def reset(
@@ -149,7 +147,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         actions = np.asarray(actions)
         decision = numbers[active, FRAME] // self._world.rules.substeps
         self._actions[active, decision] = actions[active].reshape(-1, self._actions.shape[2])
-        self._simulate(self._world, self._slots, self._commands(actions), active)
+        step(self._world, self._slots, self._commands(actions), active)
         self._observe(active)
         terms, rewards = None, np.zeros(self.num_envs)
         if self.gives_rewards:
