@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 
 ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad], positive to the right
+_LOW = np.array([ACCELERATION_RANGE[0], STEERING_RANGE[0]])
+_SPAN = np.array([ACCELERATION_RANGE[1], STEERING_RANGE[1]]) - _LOW
 RESOLUTION: Final = 1e-9  # step to which observations are rounded: last bits of a simulator do not matter
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})  # see `behavexplor.data.scene`
@@ -55,15 +57,15 @@ def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, sha
     memory = np.zeros(shape) if state is None else np.array(state, dtype=np.float64, order="C")
     if memory.shape != shape:
         raise InputError(f"state: expected shape {shape}, got {memory.shape}")
-    begins = np.zeros(len(memory), dtype=bool) if episode_start is None else np.asarray(episode_start, dtype=bool)
-    if begins.shape != shape[:1]:
-        raise InputError(f"episode_start: expected shape {shape[:1]}, got {begins.shape}")
-    memory[begins] = 0.0
+    if episode_start is not None:
+        begins = np.asarray(episode_start, dtype=bool)
+        if begins.shape != shape[:1]:
+            raise InputError(f"episode_start: expected shape {shape[:1]}, got {begins.shape}")
+        memory[begins] = 0.0
     return memory
 
 
 def as_actions(commands: Floats) -> Floats:
     """Convert accelerations [m/s2] and steering angles [rad], shape (B, 2), to actions in [-1, 1] over their ranges."""
-    low, high = np.array([ACCELERATION_RANGE, STEERING_RANGE]).T
-    actions: Floats = 2 * (commands - low) / (high - low) - 1
+    actions: Floats = 2 * (commands - _LOW) / _SPAN - 1
     return actions

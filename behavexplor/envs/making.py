@@ -150,8 +150,7 @@ def make_vector_env(
         env: an environment that `make_env` made. The vector form of a stock environment begins its episodes in it.
         num_envs: number of sub-environments.
         changes: keys of the configuration that replace those of the environment.
-        rewards: whether the rewards of a stock environment are needed; see
-            `behavexplor.envs.stock.stock_env.StockVectorEnv`. Other environments always have theirs.
+        rewards: whether rewards are needed. Without them, a compiled environment takes its steps faster.
 
     Returns:
         The vector environment; None if the environment has none.
@@ -167,13 +166,16 @@ def make_vector_env(
     spec = env.spec
     if spec is None or spec.vector_entry_point is None:
         return None
-    return gymnasium.make_vec(
+    made = gymnasium.make_vec(
         spec.id,
         num_envs=num_envs,
         vectorization_mode="vector_entry_point",
         autoreset_mode=AutoresetMode.DISABLED,
         config={**spec.kwargs.get("config", {}), **changes},
     )
+    if hasattr(made, "gives_rewards"):
+        made.gives_rewards = rewards
+    return made
 
 
 def _with_tuples(value: Any) -> Any:

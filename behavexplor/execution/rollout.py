@@ -137,11 +137,15 @@ class LockStep:
             ADSError: if the ADS fails, or its answer is not a valid action of the environment. It is unknown which
                 episode is to blame, and none of them can go on.
         """
-        observation = self._reset()
-        for array in arrays_of(observation):
-            array[~self._running] = 0
+        if self._start.any() or self._observation is None:
+            self._observation = self._reset()
+        observation, counts = mapped(np.asarray, self._observation), None
+        if not self._running.all():
+            counts = self._running
+            for array in arrays_of(observation):
+                array[~counts] = 0
         actions, self._state = _ask(
-            self._ads, observation, self._state, self._start, self._envs.single_action_space, self._running
+            self._ads, observation, self._state, self._start, self._envs.single_action_space, counts
         )
         self._start = np.zeros(len(self._running), dtype=bool)
         self._observation, _, terminated, truncated, infos = self._envs.step(actions)
@@ -151,20 +155,18 @@ class LockStep:
         return [(self._keys[slot], self._log.completed(infos["trace"][slot], slot)) for slot in ended]
 
     def _reset(self) -> Any:
-        """Begin the new episodes and return the observations of all sub-environments."""
+        """Begin the new episodes, and return the observations of all sub-environments."""
         if self._observation is None:  # the first reset needs a scenario even for a sub-environment without episode
             anything = self._scenarios[int(self._start.argmax())]
             scenarios = [scenario or anything for scenario in self._scenarios]
             observation, _ = self._envs.reset(options={"scenarios": scenarios})
-        elif self._start.any():
+        else:
             fresh = [scenario if start else None for scenario, start in zip(self._scenarios, self._start, strict=True)]
             observation, _ = self._envs.reset(options={"scenarios": fresh, "reset_mask": self._start})
-        else:
-            observation = self._observation
         for slot in np.flatnonzero(self._start).tolist():
             _begin(self._ads, slot, self._scenarios[slot])
         self._log.begin(self._start, self._running)
-        return mapped(np.asarray, observation)
+        return observation
 
 
 def rollout_all(envs: VectorEnv[Any, Any, Any], ads: Any, scenarios: Iterable[Scenario]) -> Iterator[tuple[int, Trace]]:
@@ -211,8 +213,6 @@ class _Log:
             slots: sub-environments in which an episode begins.
             running: sub-environments with an episode, including the new ones.
         """
-        if not slots.any():
-            return
         now = self._dropped + len(self._entries)
         self._begins |= dict.fromkeys(np.flatnonzero(slots).tolist(), now)
         oldest = min(self._begins[slot] for slot in np.flatnonzero(running).tolist())
@@ -310,7 +310,7 @@ def _checked(
         raise _AnswerError(
             f"predict must return actions of shape {expected}, got {actions.shape}: a row for each observation"
         )
-    if counts is not None and not counts.all():
+    if counts is not None:
         actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")

@@ -47,50 +47,53 @@ def evaluate_batch(network: DenseNetwork, seen: Floats) -> Floats:
         network: network to evaluate.
         seen: inputs, shape (B, inputs).
     """
-    outputs = np.zeros((len(seen), network.widths[-1]))
-    _evaluate_all(network, seen, np.empty((2, int(network.widths.max()))), outputs)
-    return outputs
+    rooms = np.empty((2, len(seen), int(network.widths.max())))
+    rooms[0, :, : seen.shape[1]] = seen
+    return rooms[_evaluate_all(network, rooms), :, : network.widths[-1]]
 
 
 @kernel_in_place
-def _evaluate_all(network: DenseNetwork, seen: Floats, room: Floats, outputs: Floats) -> None:
-    for i in range(len(seen)):
-        row = _fill_outputs(network, seen[i], room)
-        for j in range(outputs.shape[1]):
-            outputs[i, j] = room[row, j]
-
-
-@kernel_in_place
-def _fill_outputs(network: DenseNetwork, seen: Floats, room: Floats) -> int:
-    """Compute the outputs, and return the row of `room` that has them."""
-    row = 0
-    for i in range(len(seen)):
-        room[0, i] = seen[i]
-    weight, bias = 0, 0
+def _evaluate_all(network: DenseNetwork, rooms: Floats) -> int:
+    """Compute the outputs of the layers in turn, from inputs in `rooms[0]`. Return the index of the last outputs."""
+    weight, bias, now = 0, 0, 0
     for layer in range(len(network.widths) - 1):
         before, width = network.widths[layer], network.widths[layer + 1]
         if layer > 0:
-            _squash(room[row], before)
-        _add_up(network, weight, bias, room[row], before, room[1 - row], width)
-        weight, bias, row = weight + before * width, bias + width, 1 - row
-    return row
+            _squash(rooms[now], before)
+        for row in range(rooms.shape[1]):
+            for j in range(width):
+                rooms[1 - now, row, j] = network.biases[bias + j]
+        _add_up(network.weights[weight : weight + before * width], rooms[now], before, rooms[1 - now], width)
+        weight, bias, now = weight + before * width, bias + width, 1 - now
+    return now
 
 
 @kernel_in_place
 def _squash(values: Floats, count: int) -> None:
-    for i in range(count):
-        values[i] = math.tanh(values[i])
+    for row in range(len(values)):
+        for i in range(count):
+            values[row, i] = math.tanh(values[row, i])
 
 
 @kernel_in_place
-def _add_up(
-    network: DenseNetwork, weight: int, bias: int, values: Floats, before: int, sums: Floats, width: int
-) -> None:
-    """Compute the sums of a layer whose numbers begin at `weight` and `bias`; the inner loop runs over its outputs."""
-    sums, biases = sums[:width], network.biases[bias : bias + width]
-    for j in range(len(sums)):
-        sums[j] = biases[j]
-    for i in range(before):
-        value, weights = values[i], network.weights[weight + i * width : weight + (i + 1) * width]
-        for j in range(len(sums)):
-            sums[j] += weights[j] * value
+def _add_up(weights: Floats, values: Floats, inputs: int, sums: Floats, width: int) -> None:
+    """Add the products of the inputs `values` and the weights to the sums of each row's outputs.
+
+    Each weight is used for all rows before the next ones are read from memory, and four inputs are added at a time.
+    """
+    whole = inputs - inputs % 4
+    for i in range(0, whole, 4):
+        start = i * width
+        a, b = weights[start : start + width], weights[start + width : start + 2 * width]
+        c, d = weights[start + 2 * width : start + 3 * width], weights[start + 3 * width : start + 4 * width]
+        for row in range(len(sums)):
+            into = sums[row][:width]
+            u, v, w, x = values[row, i], values[row, i + 1], values[row, i + 2], values[row, i + 3]
+            for j in range(len(into)):
+                into[j] = into[j] + a[j] * u + b[j] * v + c[j] * w + d[j] * x
+    for i in range(whole, inputs):
+        rest = weights[i * width : (i + 1) * width]
+        for row in range(len(sums)):
+            into, value = sums[row][:width], values[row, i]
+            for j in range(len(into)):
+                into[j] += rest[j] * value

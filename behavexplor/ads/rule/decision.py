@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed import SpeedPlan
+from behavexplor.ads.rule.speed_search import SpeedPlan
 from behavexplor.ads.rule.station_time import (
     HARD_HIGH,
     HARD_LOW,

@@ -14,7 +14,7 @@ from behavexplor.ads.rule.memory import N_MEMORIES, as_records
 from behavexplor.ads.rule.option import Surroundings
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
-from behavexplor.ads.rule.speed import empty_nodes
+from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import empty_station_time
 from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes

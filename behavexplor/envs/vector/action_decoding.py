@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from highway_env.envs.common.action import ActionType, DiscreteAction, DiscreteMetaAction
-from highway_env.utils import lmap
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import MANEUVERS
@@ -23,12 +22,11 @@ def make_commands(action_type: ActionType) -> Commands:
         return partial(_looked_up, np.array(codes))
     if isinstance(action_type, DiscreteAction):
         return partial(_looked_up, _discrete_commands(action_type))
-    return partial(
-        _continuous_commands,
-        clip=action_type.clip,
-        acceleration_range=action_type.acceleration_range if action_type.longitudinal else None,
-        steering_range=action_type.steering_range if action_type.lateral else None,
-    )
+    steered, driven = action_type.lateral, action_type.longitudinal
+    ranges = [action_type.acceleration_range] * driven + [action_type.steering_range] * steered
+    scales = np.array([(low, high - low) for low, high in ranges], dtype=np.float64).T
+    columns = slice(0 if driven else 1, 2 if steered else 1)
+    return partial(_continuous_commands, scales, columns, action_type.clip)
 
 
 def _looked_up(table: Floats, actions: NDArray[Any]) -> Floats:
@@ -45,19 +43,11 @@ def _discrete_commands(action_type: DiscreteAction) -> Floats:
     return np.array([(float(command["acceleration"]), float(command["steering"])) for command in given])
 
 
-def _continuous_commands(
-    actions: NDArray[Any],
-    *,
-    clip: bool,
-    acceleration_range: tuple[float, float] | None,
-    steering_range: tuple[float, float] | None,
-) -> Floats:
+def _continuous_commands(scales: Floats, columns: slice, clip: bool, actions: NDArray[Any]) -> Floats:
     """Compute `ContinuousAction.get_action` for a batch, in the precision of the actions, as highway-env does."""
-    commands = np.zeros((len(actions), 2))
     if clip:
-        actions = np.clip(actions, -1, 1)
-    if acceleration_range is not None:
-        commands[:, 0] = lmap(actions[:, 0], [-1, 1], acceleration_range)
-    if steering_range is not None:
-        commands[:, 1] = lmap(actions[:, -1], [-1, 1], steering_range)
+        actions = np.minimum(np.maximum(actions, -1), 1)
+    low, span = scales.astype(actions.dtype) if actions.dtype.kind == "f" else scales
+    commands = np.zeros((len(actions), 2))
+    commands[:, columns] = low + (actions + 1) * span / 2
     return commands

@@ -21,7 +21,7 @@ from behavexplor.ads.rule.decision import (
 from behavexplor.ads.rule.lane_choice import ABORT, CHANGE, KEEP, EgoState
 from behavexplor.ads.rule.memory import as_records
 from behavexplor.ads.rule.parameters import numbers
-from behavexplor.ads.rule.speed import SpeedPlan
+from behavexplor.ads.rule.speed_search import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road

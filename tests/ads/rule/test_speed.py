@@ -1,21 +1,14 @@
 """The best speed along a path among others, which are given as spans of its stations over time."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.speed import (
-    ACCELERATIONS,
-    Situation,
-    _advance,
-    empty_nodes,
-    free_acceleration,
-    plan_speed,
-)
+from behavexplor.ads.rule.speed import free_acceleration, plan_speed
+from behavexplor.ads.rule.speed_search import ACCELERATIONS, Situation, empty_nodes
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
 from behavexplor.envs.roads import crossing, straight_road
 
@@ -100,23 +93,6 @@ def test_where_contact_cannot_be_ruled_out_it_is_put_off():
     from_behind = situation((0, 1, -50.0, 30.5, CROSSES, 0.0), (2, 31, -50.0, 33.5, CROSSES, 0.0))
     pushed = plan(from_behind, 30.1, 5.0)
     assert (pushed.survived, pushed.acceleration) == (0, ACCELERATIONS[-1])
-
-
-@pytest.mark.parametrize("path", [ROAD, TURN], ids=["road", "turn"])
-def test_stronger_accelerations_are_left_out_only_where_they_are_the_same_motion(path):
-    rng = np.random.default_rng(0)
-    same = 0
-    for _ in range(400):
-        low = rng.uniform(20.0, 120.0)
-        world = situation((0, 31, low, low + 8.0, CROSSES, rng.uniform(0.0, 5.0)), path=path)
-        station = rng.uniform(20.0, 110.0)
-        speed = rng.choice([path.limits[int(station)], 0.0, path.speed_limit, rng.uniform(0.0, 11.0)])
-        motions = [_advance(world, station, speed, a, 4, 4) for a in ACCELERATIONS if a >= 0.0]
-        for weaker, stronger in pairwise(motions):
-            if weaker[-1]:
-                same += 1
-                assert stronger == weaker
-    assert same > 100
 
 
 def test_who_cannot_be_touched_makes_no_difference():
