@@ -88,12 +88,12 @@ def box_distance(a: Floats, b: Floats) -> Floats:
     Returns:
         Distances, shape (...).
     """
-    gaps = []
-    for corners, box in ((a, b), (b, a)):
-        start, end = box, np.roll(box, -1, axis=-2)
-        gap = point_segment_distance(corners[..., :, None, :], start[..., None, :, :], end[..., None, :, :])
-        gaps.append(gap.min((-1, -2)))
-    return np.where(boxes_overlap(a, b), 0.0, np.minimum(*gaps))
+    from behavexplor.data.box_kernels import fill_box_distances  # noqa: PLC0415 - numba is slow to import
+
+    a, b = np.broadcast_arrays(a, b)
+    gaps = np.empty(a.shape[:-2])
+    fill_box_distances(_flat(a, 4), _flat(b, 4), gaps.reshape(-1))
+    return gaps
 
 
 def box_segment_distance(box: Floats, segment: Floats) -> Floats:
@@ -106,12 +106,18 @@ def box_segment_distance(box: Floats, segment: Floats) -> Floats:
     Returns:
         Distances, shape (...).
     """
-    start, end = segment[..., 0, :], segment[..., 1, :]
-    to_segment = point_segment_distance(box, start[..., None, :], end[..., None, :]).min(-1)
-    to_box = point_segment_distance(
-        segment[..., :, None, :], box[..., None, :, :], np.roll(box, -1, axis=-2)[..., None, :, :]
-    ).min((-1, -2))
-    return np.where(segment_meets_box(box, segment), 0.0, np.minimum(to_segment, to_box))
+    from behavexplor.data.box_kernels import fill_box_segment_distances  # noqa: PLC0415 - numba is slow to import
+
+    shape = np.broadcast_shapes(box.shape[:-2], segment.shape[:-2])
+    box, segment = np.broadcast_to(box, (*shape, 4, 2)), np.broadcast_to(segment, (*shape, 2, 2))
+    gaps = np.empty(shape)
+    fill_box_segment_distances(_flat(box, 4), _flat(segment, 2), gaps.reshape(-1))
+    return gaps
+
+
+def _flat(points: Floats, count: int) -> Floats:
+    """Return figures of some points each, shape (..., count, 2), as one writable array of shape (n, count, 2)."""
+    return np.array(points, dtype=np.float64, order="C").reshape(-1, count, 2)
 
 
 def segment_meets_box(box: Floats, segment: Floats) -> NDArray[np.bool_]:
