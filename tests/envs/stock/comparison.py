@@ -75,7 +75,7 @@ def drive(env, world, slots, scratch, result, decisions):
     for _ in range(decisions):
         action = env.action_space.sample()
         try:
-            with np.errstate(invalid="ignore"):  # the reward of TwoWayEnv, for an ego in the only lane of oncoming traffic
+            with np.errstate(invalid="ignore"):  # the reward of TwoWayEnv in the only oncoming lane
                 *_, terminated, truncated, _ = env.step(action)
         except ZeroDivisionError:  # the same reward, if it is computed without numpy
             terminated = True
