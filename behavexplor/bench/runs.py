@@ -75,7 +75,8 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
         return RunState(0, finished=False)
     stored = stored_config(folder)
     check_revision(stored, str(folder))
-    if replace(stored, budget=run.config.budget) != run.config:
+    scene = stored.env_config or run.config.env_config  # earlier versions stored an unknown one as an empty one
+    if replace(stored, budget=run.config.budget, env_config=scene) != run.config:
         raise InputError(f"{folder} holds a campaign with a different configuration: choose another --out")
     count, budget = _stored_executions(folder), int(run.config.budget)
     if count > budget:

@@ -96,7 +96,7 @@ class Suite:
             config |= first.setup.scene_config
         if ads == self.driver and self.stochastic:
             settings["stochastic"] = True
-        return Target(self.env, ads, env_config=config, traffic=self.traffic, **settings)
+        return Target(self.env, ads, env_config=config or None, traffic=self.traffic, **settings)
 
     @classmethod
     def read(cls, folder: Path) -> Self:

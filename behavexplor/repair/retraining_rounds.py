@@ -85,7 +85,7 @@ class RetrainingConfig:
     def target(self) -> Target:
         """The policy and its environment."""
         # Nothing in the policy's file is executed, so no process has to confine it.
-        return Target(self.env, self.policy, unconfined=True, env_config=self.env_config, traffic=self.traffic)
+        return Target(self.env, self.policy, unconfined=True, env_config=self.env_config or None, traffic=self.traffic)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def check_same_driving(first: tuple[Path, CampaignConfig], others: Iterable[tupl
     """
     for folder, config in others:
         for name in ("env", "env_config", "traffic", "stochastic", "specs"):
-            own, other = getattr(first[1], name), getattr(config, name)
+            own, other = getattr(first[1], name) or None, getattr(config, name) or None
             if own != other:
                 raise InputError(
                     f"{folder} and {first[0]} cannot be in one suite: their {name} is {other!r} and {own!r}; "
