@@ -24,7 +24,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
-from behavexplor.jit import kernel, kernel_in_place
+from behavexplor.jit import kernel, kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -158,7 +158,7 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
     return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False)
 
 
-@kernel_in_place
+@kernel_inner
 def _choose(now: Floats, count: int, stage: int, nodes: Nodes) -> int:
     """Begin a motion with every acceleration from every node of a stage, and return the number of motions."""
     motions, n = nodes.motions, 0
@@ -175,7 +175,7 @@ def _choose(now: Floats, count: int, stage: int, nodes: Nodes) -> int:
     return n
 
 
-@kernel_in_place
+@kernel_inner
 def _drive(situation: Situation, k: int, n: int, motions: Floats) -> None:
     """Drive all motions of a stage through one interval. Those that end in contact are marked, and driven on."""
     path, p = situation.path, situation.p
@@ -200,21 +200,21 @@ def _drive(situation: Situation, k: int, n: int, motions: Floats) -> None:
         motions[STATION + j], motions[SPEED + j] = motions[AHEAD + j], after
 
 
-@kernel_in_place
+@kernel_inner
 def moved(s: float, v: float, a: float, limit: float) -> tuple[float, float]:
     """Return station and speed after one interval, in which the speed does not rise above the limit."""
     after = min(max(v + a * INTERVAL, 0.0), max(limit, v))
     return s + 0.5 * (v + after) * INTERVAL, after
 
 
-@kernel_in_place
+@kernel_inner
 def is_near(situation: Situation, k: int, s: float, ahead: float) -> bool:
     """Return whether driving from one station to another meets a vehicle or the wall, or comes close to a vehicle."""
     reaches = situation.graph.reaches
     return ahead > situation.wall or (ahead > reaches[k, 0] and s < reaches[k, 1])
 
 
-@kernel_in_place
+@kernel_inner
 def meet(situation: Situation, k: int, s: float, ahead: float, cost: float, risk: float) -> tuple[bool, float, float]:
     """Return whether an interval is free of contact, and the cost and risk with those of coming too close added."""
     spans = situation.graph.spans
@@ -227,7 +227,7 @@ def meet(situation: Situation, k: int, s: float, ahead: float, cost: float, risk
     return ahead <= situation.wall, cost, risk
 
 
-@kernel_in_place
+@kernel_inner
 def stops_inside(situation: Situation, v: float, after: float, ahead: float) -> bool:
     """Return whether the ego hardly moves, and does not speed up, inside the junction."""
     begin = situation.path.junction_start - situation.half_length
@@ -235,7 +235,7 @@ def stops_inside(situation: Situation, v: float, after: float, ahead: float) -> 
     return (after <= v) & (after < situation.p.slow_speed) & (begin < ahead) & (ahead < end)
 
 
-@kernel_in_place
+@kernel_inner
 def _plus_effort(cost: float, v: float, after: float, limit: float, k: int, p: Numbers) -> float:
     """Return a cost with those of delay, of changing the speed, and of exceeding the limit in an interval added."""
     achieved = (after - v) / INTERVAL
@@ -246,7 +246,7 @@ def _plus_effort(cost: float, v: float, after: float, limit: float, k: int, p: N
     return cost + (p.overspeed_cost * (after - limit) * INTERVAL if after > limit else 0.0)
 
 
-@kernel_in_place
+@kernel_inner
 def _compare(situation: Situation, station: float, n: int, nodes: Nodes) -> None:
     """Compute the bin in which each motion ends, and its cost since the start of the plan, infinite after a contact."""
     motions, jerk_cost = nodes.motions, situation.p.jerk_cost
@@ -260,7 +260,7 @@ def _compare(situation: Situation, station: float, n: int, nodes: Nodes) -> None
         motions[TOTAL_SPENT + j] = total if motions[CLEAR + j] == 1.0 else math.inf
 
 
-@kernel_in_place
+@kernel_inner
 def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes: Nodes) -> int:
     """Keep the cheapest motion in each bin as a node of the next stage, and return the number of nodes."""
     motions, bins, cheapest, found = nodes.motions, nodes.bins, nodes.cheapest, 0
@@ -286,7 +286,7 @@ def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes
     return found
 
 
-@kernel_in_place
+@kernel_inner
 def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     """Return the cost of the braking that a plan leaves for later; without it every plan would brake too late."""
     if survived < N_INTERVALS:
@@ -300,7 +300,7 @@ def _debt(situation: Situation, s: float, v: float, survived: int) -> float:
     return debt
 
 
-@kernel_in_place
+@kernel_inner
 def _braking_cost(situation: Situation, closing: float, room: float) -> float:
     """Return the cost of losing a closing speed [m/s] within a distance [m] by constant braking."""
     if closing <= 0.0:
