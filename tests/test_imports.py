@@ -10,7 +10,7 @@ import pytest
     "name", ["behavexplor", "behavexplor.fuzz", "behavexplor.fuzz.methods", "behavexplor.judge.specs"]
 )
 def test_import_is_light(name):
-    heavy = "{'torch', 'stable_baselines3', 'highway_env', 'sklearn', 'pandas', 'matplotlib', 'pygame', 'numba'}"
+    heavy = "{'torch', 'stable_baselines3', 'highway_env', 'sklearn', 'scipy', 'pandas', 'matplotlib', 'pygame', 'numba'}"
     code = f"import sys, {name}; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
