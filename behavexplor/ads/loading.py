@@ -172,7 +172,7 @@ def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap | None) -> An
     if missing:
         raise InputError(
             f"The ADS {name!r} cannot be created: it needs {' and '.join(missing)}, and is called with no arguments; "
-            "name a class or function that needs none, an object with a predict method, or a function of one observation"
+            "name an object with a predict method, a function of one observation, or a class that needs no arguments"
         )
     try:
         return factory(**keywords)
