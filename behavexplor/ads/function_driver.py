@@ -1,7 +1,7 @@
 """A plain function of one observation as a driving system under test."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +11,7 @@ from behavexplor.data.observations import Observation, mapped
 
 DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency", "env_config")
 _BY_POSITION: Final = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+_VARIADIC: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 class FunctionDriver:
@@ -67,9 +68,18 @@ def takes_one_observation(function: Callable[..., Any]) -> bool:
 
     A factory needs none, or the road map in its parameter `roadmap`.
     """
+    needed = needed_parameters(function)
+    return len(needed) == 1 and needed[0].kind in _BY_POSITION and needed[0].name != "roadmap"
+
+
+def needed_parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return the parameters without which a callable cannot be called."""
+    return [one for one in parameters_of(function).values() if one.default is one.empty and one.kind not in _VARIADIC]
+
+
+def parameters_of(function: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    """Return the parameters of a callable by name; none if Python cannot tell them."""
     try:
-        parameters = inspect.signature(function).parameters.values()
+        return inspect.signature(function).parameters
     except (TypeError, ValueError):
-        return False
-    needed = [one for one in parameters if one.default is one.empty and one.kind in _BY_POSITION]
-    return len(needed) == 1 and needed[0].name != "roadmap"
+        return {}

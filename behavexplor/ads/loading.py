@@ -2,12 +2,16 @@
 
 from collections.abc import Callable, Collection
 from importlib import import_module
-from inspect import signature
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from behavexplor.ads.function_driver import FunctionDriver, takes_one_observation
+from behavexplor.ads.function_driver import (
+    FunctionDriver,
+    needed_parameters,
+    parameters_of,
+    takes_one_observation,
+)
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.network_file import TrainedNetwork, read_network
 from behavexplor.ads.sb3.description import Description, describe, find_model
@@ -163,11 +167,14 @@ def as_driver(found: Any) -> ADS | None:
 
 def _call(name: str, factory: Callable[..., Any], roadmap: RoadMap | None) -> Any:
     """Call a class or function, with the road map if it has a parameter `roadmap`."""
+    keywords = {"roadmap": roadmap} if "roadmap" in parameters_of(factory) else {}
+    missing = [repr(one.name) for one in needed_parameters(factory) if one.name not in keywords]
+    if missing:
+        raise InputError(
+            f"The ADS {name!r} cannot be created: it needs {' and '.join(missing)}, and is called with no arguments; "
+            "name an object with a predict method, a function of one observation, or a class that needs no arguments"
+        )
     try:
-        wants_map = "roadmap" in signature(factory).parameters
-    except (TypeError, ValueError):
-        wants_map = False
-    try:
-        return factory(roadmap=roadmap) if wants_map else factory()
+        return factory(**keywords)
     except Exception as error:
         raise InputError(f"The ADS {name!r} cannot be created: {type(error).__name__}: {error}") from error

@@ -83,12 +83,14 @@ def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
 def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     """Write the pictures and print a description."""
     footage = footage_of(execution, shape)
-    trace, caption = footage.trace, footage.caption
-    frame = decisive_frame(trace, execution.record.violated)
-    degrees = ", ".join(f"{name} {degree:.2f}" for name, degree in execution.record.degrees.items())
+    trace, caption, violated = footage.trace, footage.caption, execution.record.violated
+    frame = decisive_frame(trace, violated)
+    degrees = ", ".join(
+        f"{name} {degree:.2f}{' (violated)' * (name in violated)}" for name, degree in execution.record.degrees.items()
+    )
     animation, picture = _save(footage, frame, folder / f"{execution.id:06d}")
     print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
-    print(f"Violation degrees, which guide the search (lower is nearer to a violation): {degrees}")
+    print(f"Violation degrees, which guide the search (lower is nearer to a violation):\n  {degrees}")
     print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 

@@ -226,7 +226,7 @@ def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, 
     except InputError:
         raise
     except gymnasium.error.UnregisteredEnv as error:
-        hint = "" if module else f": if another package registers it, name the module that does, as in module:{own}"
+        hint = "" if module else f" (if another package registers it, name the module that does, as in module:{own})"
         raise InputError(f"The environment {name!r} cannot be made: {error}{hint}") from error
     except Exception as error:  # gymnasium's other errors, and any error of the environment's package
         raise InputError(f"The environment {name!r} cannot be made: {type(error).__name__}: {error}") from error

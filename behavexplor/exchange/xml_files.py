@@ -21,7 +21,8 @@ def read_xml(path: Path) -> Element:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+        hint = ": name one of the files in it" if path.is_dir() else ""
+        raise InputError(f"{path} cannot be read: {error.strerror}{hint}") from None
     if len(data) > MAX_SIZE:
         raise InputError(f"{path} has {len(data)} bytes, but at most {MAX_SIZE} are read")
     parser = etree.XMLParser(

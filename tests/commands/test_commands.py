@@ -106,6 +106,7 @@ def test_a_failure_is_replayed_to_pictures(finished, tmp_path):
     assert result.returncode == 0, result.stderr
     assert "violates collision and destination, ended by a collision" in result.stdout
     assert "gave the same trace" in result.stdout
+    assert re.search(r"  collision 0.00 \(violated\), lines [\d.]+, destination [\d.]+ \(violated\)\n", result.stdout)
     with Image.open(tmp_path / f"{number:06d}.gif") as animation:
         store = Store.read(folder)
         duration = store.execution(number).load_trace().duration
@@ -146,7 +147,7 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
     ("arguments", "message"),
     [
         (["fuzz", "--env", "intersection-strait"], "did you mean 'intersection-straight'?"),
-        (["fuzz", "--env", "nowhere/x-v0"], "The environment 'nowhere/x-v0' cannot be made"),
+        (["fuzz", "--env", "nowhere/x-v0"], "name the module that does, as in module:nowhere/x-v0)"),
         (["fuzz", "--env", "CartPole-v1"], "cannot be fuzzed"),
         (["fuzz", "--ads", "rules"], "did you mean 'rule'?"),
         (["fuzz", "--env", "intersection"], "did you mean 'intersection-left' or 'intersection-straight'?"),
@@ -154,6 +155,7 @@ def test_a_class_or_function_makes_the_ads(tmp_path, ads):
         (["fuzz", "--ads", "tests/drivers.py"], "is a Python module: name the driver in it, such as"),
         (["fuzz", "--ads", "tests.drivers:make_nothing"], "has no predict method"),
         (["fuzz", "--ads", "tests.drivers:np.pi"], "cannot be imported"),
+        (["import", "tests"], "tests cannot be read: Is a directory: name one of the files in it"),
         (["fuzz", "--method", "unifrom"], "did you mean 'uniform'?"),
         (["fuzz", "--budget", "0"], "neither a number of executions"),
         (["fuzz", "--batch", "0"], "The batch 0"),
