@@ -43,9 +43,9 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
             Stable-Baselines3, whose policy is tested as it is now; or a name, as `--ads` takes it.
         env: id of the environment, or an environment of gymnasium, whose id and configuration are taken. By default
             the environment in which the model was trained, or else intersection-straight.
-        method: search method, see docs/methods.md.
-        budget: number of executions, or running time such as "90s" or "30m".
-        seed: random seed. The same seed gives the same records.
+        method: search method, see docs/methods.md; by default BehAVExplor.
+        budget: number of executions, or running time such as "90s" or "30m"; by default 750 executions.
+        seed: random seed, by default 0. The same seed gives the same records.
         specs: requirements in addition to R1, R2 and R3: functions from a trace to its signed robustness, defined at
             the top level of a module or notebook, or their names as "module:attribute".
         env_config: configuration of the environment, as far as it differs from its own. An empty one says that the
