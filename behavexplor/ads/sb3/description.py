@@ -105,7 +105,7 @@ def describe(model: Path) -> Description:
         description = _of_zoo(folders[0], model)
     else:
         description = Description()
-    if description.statistics is None:
+    if description.statistics is None and description.decision is None:  # a network of `train` has none of its own
         return replace(description, statistics=_statistics_in(model.parent, model))
     return description
 

@@ -85,9 +85,15 @@ def test_a_model_that_sees_scaled_features_is_refused(model, tmp_path):
         behavexplor.find_failures(trained, ENV, budget=1, out=tmp_path / "run")
     trained.save(tmp_path / "model.zip")
     scaled.save(str(tmp_path / "vecnormalize.pkl"))
-    (tmp_path / "model.yaml").write_text("decision: mean\n")
+    (tmp_path / "model.yaml").write_text("decision: mean\nstatistics: vecnormalize.pkl\n")
     with pytest.raises(InputError, match="neither scaled nor stacked"):
         load_ads(str(tmp_path / "model.zip"), learning_env(ENV, 1).roadmap)
+
+
+def test_statistics_of_another_model_in_the_folder_do_not_count(model):
+    (model.parent / "vecnormalize.pkl").touch()
+    assert load_ads(str(model), learning_env(ENV, 1).roadmap).policy_frequency == 5
+    (model.parent / "vecnormalize.pkl").unlink()
 
 
 def test_a_network_of_another_form_is_not_written(tmp_path, capsys):
