@@ -24,7 +24,7 @@ class FunctionDriver:
         function: the function.
 
     Attributes:
-        is_function: tells those who write messages that the user has written no `predict`.
+        is_function: True, so that messages speak of a function instead of `predict`.
     """
 
     vectorized = False
@@ -49,7 +49,7 @@ class FunctionDriver:
 
 
 def _row(action: Any) -> NDArray[Any]:
-    """Return an action as a batch of one; what is no array is kept as it is, and refused as any wrong answer."""
+    """Return an action as a batch of one. An answer that cannot be an array is kept, and refused by its check."""
     try:
         return np.asarray(action)[None]
     except ValueError:

@@ -13,7 +13,7 @@ from behavexplor.ads.function_driver import (
     takes_one_observation,
 )
 from behavexplor.ads.interface import ADS
-from behavexplor.ads.learned.network_file import TrainedNetwork, read_network
+from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError, missing_library, unknown_name
@@ -109,16 +109,30 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
         raise missing_library(str(path), error.name, "rl") from None
     model = find_model(path)
     described = describe(model)
-    policy: Any = load_policy(path, trust) if described.decision is None else _learned(model, described, roadmap, trust)
+    if described.decision is None:
+        policy: Any = load_policy(path, trust)
+    else:
+        _check_features(model, described)
+        policy = _learned(model, described.decision, roadmap, trust)
     ads: ADS = policy
     return ads
 
 
-def _learned(model: Path, described: Description, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
+def _check_features(model: Path, described: Description) -> None:
+    """Refuse a network of `train` that is described as seeing anything but the features.
+
+    Raises:
+        InputError: if its features would be scaled or stacked.
+    """
+    if described.statistics is not None or described.frame_stack > 1:
+        raise InputError(f"{model} is described as a network of `train`, whose features are neither scaled nor stacked")
+
+
+def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection[str]) -> Any:
     """Return the driver of a network of `train` that was saved as a model of Stable-Baselines3.
 
     Raises:
-        InputError: if it cannot drive here, or sees more than the features.
+        InputError: if it cannot drive here.
     """
     from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.archive import read_archive  # noqa: PLC0415
@@ -127,10 +141,7 @@ def _learned(model: Path, described: Description, roadmap: RoadMap | None, trust
 
     if roadmap is None:
         raise InputError(f"{model} is a network of `train`, which follows a route on the roads of this package")
-    if described.statistics is not None or described.frame_stack > 1:
-        raise InputError(f"{model} is described as a network of `train`, whose features are neither scaled nor stacked")
     network = load_network(read_archive(model), trust)
-    rule = described.decision or "mean"
     return LearnedDriver(roadmap, TrainedNetwork(layer_arrays(dense_layers(network)), rule))
 
 

@@ -141,7 +141,7 @@ def given(arguments):
 
 
 def is_excepted(line, one):
-    """Whether an exception is that of a line."""
+    """True if an exception covers a line: the whole line, or its beginning if the exception ends in a space."""
     return line == one or (one.endswith(" ") and line.startswith(one))
 
 
@@ -228,7 +228,7 @@ def test_a_line_that_does_not_run_fails(line, folder):
         run_line(line)
 
 
-def test_an_exception_is_not_that_of_a_longer_line():
+def test_an_exception_does_not_cover_a_longer_line():
     assert is_excepted("ray start --head", "ray ")
     assert is_excepted("./run bench methods", "./run bench methods")
     assert not is_excepted("./run bench methods --dry-run", "./run bench methods")

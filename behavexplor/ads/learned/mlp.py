@@ -49,7 +49,7 @@ def evaluate_batch(network: DenseNetwork, seen: Floats) -> Floats:
     """
     rooms = np.empty((2, len(seen), int(network.widths.max())))
     rooms[0, :, : seen.shape[1]] = seen
-    return rooms[_evaluate_all(network, rooms), :, : network.widths[-1]]
+    return rooms[_evaluate_all(network, rooms), :, : network.widths[-1]].copy()
 
 
 @kernel_in_place

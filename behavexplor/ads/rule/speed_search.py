@@ -128,12 +128,7 @@ def empty_nodes() -> Nodes:
 def search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Find the cheapest way to each (station, speed) stage by stage, and return the cheapest of the last stage.
 
-    Args:
-        situation: situation of the ego.
-        station: station of the ego [m].
-        speed: speed of the ego [m/s].
-        acceleration: last commanded acceleration [m/s2].
-        nodes: working space for the search.
+    The arguments are those of `behavexplor.ads.rule.speed.plan_speed`.
     """
     now, following, count = nodes.stages[0], nodes.stages[1], 1
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0

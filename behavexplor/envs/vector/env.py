@@ -55,7 +55,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     Attributes:
         gives_rewards: whether rewards are computed, True at first. If it is set to False, they are 0, and infos hold
-            only the ends of episodes. Executions do not need them, and they take a third of the time of a step.
+            only the ends of episodes. Executions do not need them.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only the single environment supports.

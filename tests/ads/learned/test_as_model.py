@@ -1,5 +1,7 @@
 """A network of `train` as a model of Stable-Baselines3: it drives as before, and a script can train it further."""
 
+import shutil
+
 import numpy as np
 import pytest
 import yaml
@@ -90,10 +92,11 @@ def test_a_model_that_sees_scaled_features_is_refused(model, tmp_path):
         load_ads(str(tmp_path / "model.zip"), learning_env(ENV, 1).roadmap)
 
 
-def test_statistics_of_another_model_in_the_folder_do_not_count(model):
-    (model.parent / "vecnormalize.pkl").touch()
-    assert load_ads(str(model), learning_env(ENV, 1).roadmap).policy_frequency == 5
-    (model.parent / "vecnormalize.pkl").unlink()
+def test_statistics_of_another_model_in_the_folder_do_not_count(model, tmp_path):
+    for file in (model, model.with_suffix(".yaml")):
+        shutil.copy(file, tmp_path)
+    (tmp_path / "vecnormalize.pkl").touch()
+    assert load_ads(str(tmp_path / model.name), learning_env(ENV, 1).roadmap).policy_frequency == 5
 
 
 def test_a_network_of_another_form_is_not_written(tmp_path, capsys):
