@@ -1,8 +1,10 @@
 """Compact tables with a row for each method and a column for each scenario."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from behavexplor.bench.comparisons import compared_figures, families, samples
+from behavexplor.bench.equal_time import EqualTime
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, Comparison, compare
 from behavexplor.bench.summaries import Summary
@@ -11,16 +13,31 @@ from behavexplor.bench.table import Column, Figure, Table, Value, mean, of_group
 Pair = tuple[str, str, str, str]  # environment, ADS, and two methods
 
 
-def overviews(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """Return the means of each figure in which methods are compared, and the effect sizes; none for one scenario."""
+def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTime | None) -> list[Table]:
+    """Return the means of each figure in which methods are compared, and the effect sizes; none for one scenario.
+
+    Args:
+        experiment: the experiment.
+        summaries: summaries of its finished campaigns.
+        cut: these campaigns in equal time, for means of its own; None if it was not measured.
+    """
     if len(places(experiment)) == 1:
         return []
-    figures = [(key, f"Number of {words}", figure) for key, words, figure in compared_figures(summaries)]
-    figures.append(("novelty", "Executions with new behavior, in per cent", _novelty))
-    means = [_means(key, title, figure, experiment, summaries) for key, title, figure in figures]
+    compared = [(key, f"Number of {words}", figure) for key, words, figure in compared_figures(summaries)]
+    others: list[tuple[str, str, Figure]] = [
+        ("npc-caused", "Number of collisions that an NPC caused", _npc_caused),
+        ("novelty", "Executions with new behavior, in per cent", _novelty),
+    ]
+    means = [_means(*figure, experiment, summaries) for figure in compared + others]
+    if cut:
+        means += [_in_equal_time(*figure, experiment, cut) for figure in compared]
     named = [family for family in families(experiment) if family[0] in (experiment.compared, experiment.baseline)]
     effects = [_effects(name, title, pairs, experiment, summaries) for name, title, pairs in named]
     return [table for table in (*means, *effects) if table.rows]
+
+
+def _npc_caused(summary: Summary) -> float:
+    return summary.npc_caused
 
 
 def _novelty(summary: Summary) -> float:
@@ -41,13 +58,20 @@ def _means(key: str, title: str, figure: Figure, experiment: Experiment, summari
         if any(found):
             rows.append((method, *(mean(group, figure) if group else None for group in found)))
             counts |= set(map(len, found))
+    most = "" if all(summary.executions == experiment.budget for summary in summaries) else "at most "
     notes = (
         "Question: how do methods differ in this figure, and does it depend on the scenario?",
-        f"Means over {_range(counts)} campaigns of {experiment.budget} executions, with the 95 % interval in brackets "
-        "(Student's t).",
+        f"Means over {_range(counts)} campaigns of {most}{experiment.budget} executions, with the 95 % interval in "
+        "brackets (Student's t).",
     )
     heads = _columns(experiment, best=True)
     return Table(f"overview-{key}", title, heads, tuple(rows), (len(rows),), notes)
+
+
+def _in_equal_time(key: str, title: str, figure: Figure, experiment: Experiment, cut: EqualTime) -> Table:
+    """Return the table of the means of a figure in equal time."""
+    table = _means(f"{key}-equal-time", f"{title}, in equal time", figure, experiment, cut.summaries)
+    return replace(table, notes=(*table.notes, *cut.notes))
 
 
 def _range(counts: set[int]) -> str:

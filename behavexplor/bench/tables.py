@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from behavexplor.bench.comparisons import comparisons
+from behavexplor.bench.equal_time import EqualTime, in_equal_time
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.forecast_table import forecasts, pooled_forecasts
 from behavexplor.bench.overviews import overviews
@@ -47,7 +48,9 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         summaries: summaries of its finished campaigns.
     """
     made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
-    made += filter(None, [in_equal_time(experiment, summaries)])
+    cut = in_equal_time(experiment, summaries)
+    if cut:
+        made.append(violations_in_equal_time(experiment, cut))
     for name, methods in experiment.groups.items():
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
     if all_classified(summaries):
@@ -55,7 +58,7 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         made += filter(None, [forecasts(experiment, summaries), pooled_forecasts(experiment, summaries)])
     if all_signed(summaries):
         made.append(weaknesses(experiment, summaries))
-    made += overviews(experiment, summaries)
+    made += overviews(experiment, summaries, cut)
     made.append(times(experiment, summaries))
     made += filter(None, [mutations(experiment, summaries), correlations(experiment, summaries)])
     return made + comparisons(experiment, summaries)
@@ -75,32 +78,17 @@ def violations(
     return _means(Table(name, title, (), (), (), notes), experiment, summaries, methods, columns)
 
 
-def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
-    """Return the table of violations that each method found in the same time; None if a time was not measured.
-
-    The time is that of the paper's budget: the simulated time of the executions, and the time for everything else. In
-    each environment, all campaigns are cut off when the one that took least was finished.
-    """
-    cut, limits = [], []
-    for env, ads in places(experiment):
-        here = [summary for summary in summaries if (summary.env, summary.ads) == (env, ads)]
-        if not here:
-            continue
-        limit = min(summary.time for summary in here)
-        if math.isnan(limit) or any(math.isnan(summary.time) for summary in here):
-            return None
-        cut += [summary.within(limit) for summary in here]
-        limits.append(f"{' with '.join(place_cells(experiment, env, ads))} {limit / 3600:.2f} h")
-    columns = [(Column("Executions"), _n_executions), *_found(summaries)]
+def violations_in_equal_time(experiment: Experiment, cut: EqualTime) -> Table:
+    """Return the table of violations that each method found in the same time."""
+    columns = [(Column("Executions"), _n_executions), *_found(cut.summaries)]
     notes = (
         "Question: which method finds most in the same time, as the paper compares them, instead of in the same number "
         "of executions?",
-        f"The time of the campaign that took least: {', '.join(limits)}. It is the simulated time of the executions, "
-        "and the measured time for everything else, spread evenly over the executions.",
-        *_explained(summaries),
+        *cut.notes,
+        *_explained(cut.summaries),
     )
     table = Table("violations-equal-time", "Violations found in equal time", (), (), (), notes)
-    return _means(table, experiment, cut, tuple(experiment.methods), columns)
+    return _means(table, experiment, cut.summaries, tuple(experiment.methods), columns)
 
 
 def _n_executions(summary: Summary) -> int:

@@ -122,6 +122,8 @@ def test_an_overview_has_a_row_for_each_method_and_a_column_for_each_scenario():
     assert search[1].mean == (2 + 4 + 4) / 3  # the first collisions are an NPC's
     assert without[2] is None
     assert "0 to 3 campaigns" in table.notes[1]
+    collisions = made("overview-npc-caused")
+    assert collisions.rows[0][1].mean == 2 / 3
 
 
 def test_effect_sizes_of_all_figures_are_those_of_the_comparisons():
@@ -278,11 +280,20 @@ def test_in_equal_time_scenarios_have_a_time_each():
     assert [mean.mean for mean in column(made("violations-equal-time", runs), "Executions")] == [100, 100]
 
 
+def test_an_overview_in_equal_time_has_what_was_found_until_then():
+    short = replace(campaign("Search", 1, ["R1", "R1", "R2"]), durations=(1.0,) * 100)
+    long = replace(campaign("w/o it", 1, ["R2"] * 8), durations=(4.0,) * 100)
+    table = made("overview-failures-equal-time", [short, long])
+    assert [row[1].mean for row in table.rows] == [3, 5]
+    assert "at most" in table.notes[1]
+    assert "lane-follow 0.03 h" in table.notes[-1]
+
+
 @pytest.mark.parametrize("unknown", [{"durations": ()}, {"analysing": math.nan}])
 def test_there_is_no_table_of_equal_time_if_a_time_is_not_known(unknown):
     runs = [replace(campaign("Search", seed, []), durations=(1.0,) * 100) for seed in (1, 2)]
     runs[1] = replace(runs[1], **unknown)
-    assert "violations-equal-time" not in [table.name for table in tables(EXPERIMENT, runs)]
+    assert not [table.name for table in tables(EXPERIMENT, runs) if table.name.endswith("-equal-time")]
 
 
 def test_a_contrast_is_a_family_of_its_own():
