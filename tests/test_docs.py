@@ -152,15 +152,19 @@ def test_the_aimed_vehicle_of_the_figure_meets_the_recorded_ego():
 
 
 def test_tables_are_put_into_their_places(tmp_path):
-    (tmp_path / "times.md").write_text("| new |\n")
+    folder = tmp_path / "paper"
+    (folder / "tables").mkdir(parents=True)
+    (folder / "tables" / "times.md").write_text("**Times**\n\n| new |\n\nQuestion: how long?\n")
     filled = runpy.run_path(str(ROOT / "docs" / "results.py"))["filled"]
-    page = "a\n<!-- table: times -->\nold\n<!-- end -->\nb\n<!-- table: other -->\nold\n<!-- end -->\n"
-    expected = page.replace("old", "\n| new |\n", 1)
-    assert filled(page, tmp_path) == expected
-    assert filled(expected, tmp_path) == expected
+    names = ("paper/times", "paper/not-there", "windows/times")
+    page = "".join(f"text\n<!-- table: {name} -->\nold\n<!-- end -->\n" for name in names)
+    expected = page.replace("old", "\n**Times**\n\n| new |\n", 1)
+    assert filled(page, folder) == expected
+    assert filled(expected, folder) == expected
 
 
 def test_the_results_have_places_for_the_tables_of_the_second_question():
     places = re.findall(r"<!-- table: (\S+) -->", (ROOT / "docs" / "results.md").read_text())
     contrasts = [f"{figure}-contrast-ablation" for figure in ("failures", "unique", "weaknesses")]
-    assert {"mutations", "correlations", "violations-equal-time", *contrasts} <= set(places)
+    wanted = {"mutations", "correlations", "overview-at-fault-classes-equal-time", *contrasts}
+    assert {f"paper/{name}" for name in wanted} <= set(places)
