@@ -97,7 +97,7 @@ def worker_count(given: GivenDriver, target: Target, workers: int | None) -> int
 
 @contextmanager
 def in_this_process(workers: int) -> Iterator[None]:
-    """Execute scenarios as silently as worker processes do, and without workers in a single thread, as they do."""
+    """Execute scenarios as worker processes do: silently and, if there are no workers, in a single thread."""
     logger = logging.getLogger("behavexplor.jit")  # tells that kernels are being compiled
     before = logger.level
     logger.setLevel(logging.ERROR)
@@ -109,7 +109,7 @@ def in_this_process(workers: int) -> Iterator[None]:
 
 
 def _stoppable(campaign: Campaign) -> AbstractContextManager[None]:
-    """Return a context in which the first Ctrl-C lets the current execution end, and the second one does not."""
+    """Return a context in which the first Ctrl-C lets the current execution end, and the second one ends it at once."""
     if threading.current_thread() is not threading.main_thread():  # which alone may handle signals
         return nullcontext()
     return stopped_by_signals(campaign.stop, signal.default_int_handler)

@@ -31,11 +31,13 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
         given: name as in `behavexplor.envs.making.environment_id`, or an environment that gymnasium has made.
 
     Returns:
-        The name, and of an environment object the configuration: what differs from its default, and of an environment
-        of highway-env the whole scene, because a model could have been trained in another one. None for a name.
+        The name and the configuration; None as the configuration of a name. The configuration of an object is what
+        differs from its default. For an environment of highway-env, it also has all keys of the scene, because a model
+        could have been trained in another scene.
 
     Raises:
-        InputError: if it is neither, or has a wrapper that would change what a driver observes or does, or how long.
+        InputError: if it is neither, or has a wrapper that would change what a driver observes or does, or a limit that
+            would end episodes early.
     """
     if isinstance(given, str):
         return given, None

@@ -26,8 +26,8 @@ from behavexplor.bench.table import (
 def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     """Return tables that compare the reference with each other method, and each method with the baseline.
 
-    There is one table for each of the two and each figure: failures at fault and their classes, all failures, unique
-    violations and weaknesses; and one for each of the experiment's contrasts and each figure.
+    Each figure has one table for each of the two, and one for each of the experiment's contrasts. The figures are
+    failures at fault and their classes, all failures, unique violations and weaknesses.
     """
     return [
         _compared(f"{key}-{slug(name).lower()}", f"Number of {words}: {title}", experiment, rows)

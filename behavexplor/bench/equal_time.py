@@ -26,7 +26,7 @@ def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Equal
     """Return the campaigns of an experiment in equal time; None if a time was not measured.
 
     The time is that of the paper's budget: the simulated time of the executions, and the time for everything else. In
-    each environment, all campaigns are cut off when the one that took least was finished.
+    each environment, all campaigns are cut off at the time that the shortest one took.
     """
     if any(math.isnan(summary.time) for summary in summaries):
         return None

@@ -19,7 +19,7 @@ def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTi
     Args:
         experiment: the experiment.
         summaries: summaries of its finished campaigns.
-        cut: these campaigns in equal time, for means of its own; None if it was not measured.
+        cut: these campaigns in equal time, whose means get tables, too; None if a time was not measured.
     """
     if len(places(experiment)) == 1:
         return []

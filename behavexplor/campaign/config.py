@@ -75,11 +75,11 @@ class CampaignConfig:
             highway-env, see docs/highway-env.md. None if it is not known.
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
-        confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
+        confirm: whether highway-env itself confirms each failure that the compiled engine finds in a stock environment.
         options: options of the search method; see its `Options`.
         revision: revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,
-            but not continued. Campaigns that do not say it are of revision 1.
+            but not continued. Campaigns that do not state it are of revision 1.
 
     Raises:
         InputError: if a value is out of range.

@@ -268,7 +268,7 @@ def is_whole(path: Path) -> bool:
     """Return whether the structure of a database is intact. The contents of its rows have checksums of their own.
 
     Raises:
-        sqlite3.Error: if the check fails for another reason than damage.
+        sqlite3.Error: if the check fails for a reason other than damage.
     """
     try:
         with closing(connect(path, "rw")) as connection:

@@ -7,7 +7,7 @@ from typing import Final
 
 from behavexplor.campaign.config import CampaignConfig
 
-RUNS: Final = Path("runs")  # folder of those folders
+RUNS: Final = Path("runs")  # their parent folder
 
 
 def run_folder(config: CampaignConfig, root: Path = RUNS) -> Path:

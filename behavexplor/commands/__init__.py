@@ -1,7 +1,8 @@
 """The command line interface. Only this package parses arguments and prints.
 
-Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wrong input, 3 an execution could not be
-carried out or the run folder could not be written, 70 a bug in this package, 130 interrupted.
+Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wrong input or an error in the user's code,
+3 an execution could not be carried out, the run folder could not be written, or the driver failed in every execution,
+70 a bug in this package, 130 interrupted.
 """
 
 import logging

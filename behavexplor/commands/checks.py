@@ -16,8 +16,8 @@ class Checks:
     """What makes a campaign fail as a check.
 
     Attributes:
-        on_violation: whether any failure does.
-        above: share of failed executions above which it does; None for no such share.
+        on_violation: whether any failure makes it fail.
+        above: share of failed executions above which it fails; None for no limit.
         known: classes of failures that do not count.
 
     Raises:

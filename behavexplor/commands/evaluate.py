@@ -79,7 +79,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         stochastic: Draw the actions of a stochastic policy, as in its training. By default, it decides
-            deterministically, and the rates with drawn actions are shown beside.
+            deterministically, and the rates with drawn actions are shown, too.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
@@ -166,7 +166,7 @@ def _rates_beside(name: str, target: Target, run: _Run) -> Evaluation | None:
 
 
 def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
-    """Return a sentence on whether a policy drives otherwise when its actions are drawn."""
+    """Return a sentence on whether a policy drives differently when its actions are drawn."""
     cells = {
         name: [[found.counts.get(name, 0), found.n - found.counts.get(name, 0)] for found in (chosen, drawn)]
         for name in {**chosen.counts, **drawn.counts}
@@ -184,8 +184,8 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
 def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: bool) -> dict[str, Target]:
     """Return what a rate is compared with, by the heading of its column.
 
-    This is a stochastic policy with drawn actions. In a stock environment, it is also the environment's own traffic, if
-    the rate is one in wide traffic, and simple drivers in the configuration of the policy.
+    A stochastic policy is compared with its drawn actions. In a stock environment, a rate is also compared with simple
+    drivers in the configuration of the policy, and a rate in wide traffic with that in the environment's own traffic.
     """
     columns = {DRAWN: replace(target, stochastic=True)} if draws and not target.stochastic else {}
     if not isinstance(logical, DrawnLogicalScenario):

@@ -30,7 +30,7 @@ def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
         what: what is resumed, for the message.
 
     Raises:
-        InputError: if a value is another one.
+        InputError: if a value differs.
     """
     for name, value in given.items():
         if value != getattr(stored, name):

@@ -160,7 +160,7 @@ def _checked(code: int, folder: Path, checks: Checks, file: Path | None) -> int:
     if file is not None:
         write_json(file, summary_values(found, folder, checks))
     if code == OK and found.violations.get(ERROR) == found.executions:
-        print(f"{program()}: The driver drove in no execution, so nothing was tested", file=sys.stderr)
+        print(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
     reason = checks.failed(found) if code == OK else None
     if reason is not None:

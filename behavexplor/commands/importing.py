@@ -1,4 +1,4 @@
-"""`behavexplor import`: make a scenario of a scene, and execute it."""
+"""`behavexplor import`: make a scenario from a scene, and execute it."""
 
 import json
 import sys
@@ -37,7 +37,7 @@ def importing(
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
     unconfined: bool = False,
 ) -> int:
-    """Make a scenario of a scene that `export` wrote, also if it was changed by hand (docs/exchange.md).
+    """Make a scenario from a scene that `export` wrote, even if it was changed by hand (docs/exchange.md).
 
     The scenario is printed as JSON. With a driving system, it is executed instead, and the verdict is printed.
 

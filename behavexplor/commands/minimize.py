@@ -66,7 +66,7 @@ def minimize(
 
 
 def table(found: Sequence[Minimized]) -> str:
-    """Return the table for the terminal, and what it says in sum."""
+    """Return the table for the terminal, with a summary."""
     if not found:
         return "The run has no failures, so there is nothing to minimize."
     lost = [minimal for minimal in found if not minimal.reproduced]

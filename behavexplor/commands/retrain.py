@@ -42,14 +42,14 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
 ) -> int:
     """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
 
-    The best round is chosen in validation scenarios. `compare` then shows in others what was fixed and broken.
+    The best round is chosen in validation scenarios. `compare` then shows in other scenarios what was fixed and broken.
 
     Args:
         policy: Model of Stable-Baselines3 (PPO, A2C, TRPO, DQN or QR-DQN), policy.npz of `train`, or learned:NAME.
         env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id".
         pool: Scenarios in which the policy fails and which are mixed in: none; those of its own training; those that
             campaigns find; or both.
-        share: Probability that the scenario of an episode is one of these.
+        share: Probability that the scenario of an episode comes from this pool.
         rounds: Number of rounds. Each trains and validates, after a search if --pool is found or both.
         steps: Number of decisions in a round, including those of the campaign.
         envs: Number of environments in lock-step.

@@ -34,7 +34,7 @@ def suite(
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
 
-    Only failures count for which the driver was at fault, as far as the trace can tell, or as triage has found.
+    Only failures at fault count, as far as the trace can tell or as triage has found.
 
     Args:
         runs: Run folders of one environment.

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 NO_TEMPORARY_FOLDER: Final = (
-    "There is no folder for temporary files: name one that can be written with the environment variable TMPDIR"
+    "There is no folder for temporary files: set the environment variable TMPDIR to a folder that can be written"
 )
 _VARIABLE: Final = "MPLCONFIGDIR"  # names the folder in which matplotlib keeps its cache
 

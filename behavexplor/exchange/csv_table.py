@@ -15,7 +15,7 @@ COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "l
 
 
 def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
-    """Write a trace as a table with the columns `COLUMNS`: one row for each frame and vehicle that is there."""
+    """Write a trace as a table with the columns `COLUMNS`: one row for each frame and vehicle present in it."""
     pose = mirrored(np.concatenate([trace.position, trace.heading[..., None]], axis=2))
     motion = np.concatenate([pose, mirrored_points(trace.velocity)], axis=2)
     motion = np.round(motion, DIGITS) + 0.0  # no negative zeros

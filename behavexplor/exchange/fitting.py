@@ -72,7 +72,7 @@ def _corners(route: Route, time: Floats, stations: Floats, per_lane: int) -> tup
     """Return positions [m] and speeds [m/s] to begin with: the corners of the squared speed over the station.
 
     Between two waypoints, the squared speed is linear in the station. So a waypoint is added where the trajectory
-    deviates most from the lines between those before, in lanes that have fewer than `per_lane`.
+    deviates most from the lines between those so far, in lanes that have fewer than `per_lane`.
     """
     middle, squared = (stations[1:] + stations[:-1]) / 2, np.maximum(np.diff(stations) / np.diff(time), 0.0) ** 2
     lane = np.searchsorted(route.bounds[1:-1], middle, side="right")

@@ -1,7 +1,7 @@
 """Scenes as OpenSCENARIO XML 1.2, written by the library scenariogeneration.
 
-Every vehicle has a bounding box, and there are no catalogs. The motion of a vehicle is a trajectory with times. What
-OpenSCENARIO has no element for stands in properties, whose names begin with "behavexplor:".
+Every vehicle has a bounding box, and there are no catalogs. The motion of a vehicle is a trajectory with times.
+Properties, whose names begin with "behavexplor:", hold what OpenSCENARIO has no element for.
 """
 
 import json

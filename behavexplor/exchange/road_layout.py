@@ -1,8 +1,8 @@
 """The layout of a plan as OpenDRIVE needs it: roads of parallel lanes, their links, and their junctions.
 
 OpenDRIVE links one road to one other road. Where roads fork or merge, they cross a junction: the roads on the side with
-several roads become the junction's connecting roads. Such a road begins and ends at roads outside the junction, so its
-end is cut off as a road of its own where there would be none.
+several roads become the junction's connecting roads. A connecting road must begin and end at roads outside the
+junction. Where there would be none, its end is cut off as a road of its own.
 """
 
 from collections.abc import Iterator

@@ -31,7 +31,8 @@ def read_scene(path: Path) -> Scene:
     """Read a scene.
 
     Raises:
-        InputError: if the file is not an OpenSCENARIO XML file, or has something that cannot be taken, which is named.
+        InputError: if the file is not an OpenSCENARIO XML file, or has something that cannot be taken; the message
+            names it.
     """
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))

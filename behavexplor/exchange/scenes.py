@@ -1,4 +1,4 @@
-"""Scenes: what an exchanged file says of one execution, as plain values in this package's frame.
+"""Scenes: what an exchanged file says about one execution, as plain values in this package's frame.
 
 The writers make files of a scene, and the reader makes a scene of a file.
 """
@@ -38,10 +38,10 @@ class Mover:
         time: times at which its pose is known, increasing, shape (T,) [s]; T >= 1.
         pose: x [m], y [m] and heading [rad] of its center at these times, shape (T, 3).
         speed: speed at the first of these times [m/s].
-        is_gone: whether it leaves the scene after the last of these times, instead of with its end.
+        is_gone: whether it leaves the scene after the last of these times, before the scene ends.
         script: its route and waypoints; None if it is not scripted.
         route: points of its route, see `behavexplor.exchange.routes`; empty if it is not scripted.
-        is_changed: whether its motion in a file is another one than was written.
+        is_changed: whether its motion in a file differs from the motion that was written.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Scene:
         road_file: name of the road's file, beside the scene's.
         movers: the vehicles; the ego first.
         is_ego_free: whether the ego is driven by another tool's driver, so that only its start is known.
-        destination: where the ego shall go, shape (2,) [m].
+        destination: destination of the ego, shape (2,) [m].
         stops_there: whether the scene ends when the ego arrives.
         time_limit: time at which the scene ends [s].
         scenario: the scenario, if its vehicles are not scripted; see `behavexplor.data.scenario`.

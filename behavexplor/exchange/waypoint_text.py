@@ -19,7 +19,7 @@ def read_script(name: str, kind: str, route: str, text: str) -> NPC:
         text: its waypoints, as `waypoint_text` writes them.
 
     Raises:
-        InputError: if the text is not one of waypoints.
+        InputError: if the text does not describe waypoints.
     """
     waypoints = []
     for pair in text.split(","):

@@ -31,7 +31,7 @@ class Card:
         words: the class as a sentence.
         count: number of executions.
         first: first of these executions.
-        look_at: first execution with an exact second execution if triage found one, otherwise the first execution.
+        look_at: first execution that triage reproduced exactly; if there is none, the first execution.
         facts: names and values of further facts.
         replays: executions with their replays in the page, or what `minimal_name` returns.
         is_minimal: whether this card shows a minimized failure.

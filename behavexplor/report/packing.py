@@ -92,7 +92,7 @@ def _spans(trace: Trace, kept: NDArray[np.int64]) -> list[tuple[int, int]]:
 
 
 def _held(trace: Trace) -> Floats:
-    """Return the positions, where a vehicle that is absent stays at the nearest place of its presence."""
+    """Return the positions. An absent vehicle is where it appears next, or else where it was last."""
     if not trace.present.size:
         return trace.position
     position = trace.position.copy()

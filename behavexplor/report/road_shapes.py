@@ -56,7 +56,7 @@ def shape_of(roadmap: RoadMap) -> RoadShape:
 
 
 def line_kinds(shape: RoadShape | None, trace: Trace) -> tuple[str, ...]:
-    """Return the kinds of a trace's illegal lines; they count as curbs if the road does not tell."""
+    """Return the kinds of a trace's illegal lines; they count as curbs if the road does not name them."""
     known = shape is not None and len(shape.line_kinds) == len(trace.illegal_lines)
     return shape.line_kinds if shape is not None and known else (CURB,) * len(trace.illegal_lines)
 

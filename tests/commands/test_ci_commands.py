@@ -141,7 +141,7 @@ def test_a_driver_that_never_drives_is_said_to(tmp_path, capsys):
     assert main([*arguments, "tests.commands.test_ci_commands:raising"]) == 3
     printed = capsys.readouterr()
     assert "The driver itself failed in every execution, first in 0: ZeroDivisionError: no gap" in printed.out
-    assert "drove in no execution, so nothing was tested" in printed.err
+    assert "failed in every execution, so nothing was tested" in printed.err
     again = [one for one in arguments if one != "--quiet"]
     assert main([*again[:-2], str(tmp_path / "b"), "--ads", "tests.commands.test_ci_commands:raising"]) == 3
     assert "no gap to divide by (test_ci_commands.py, line " in capsys.readouterr().err

@@ -244,7 +244,7 @@ def test_what_an_ads_does_instead_of_driving_is_recorded(driver, kind, message, 
     (tmp_path / "limits.yaml").write_text("time_limit: 2\nmemory_limit: 3\n")
     flags = ["--method", "uniform", "--budget", 3, "--workers", workers, "--config", tmp_path / "limits.yaml"]
     result = run(*FUZZ, *flags, "--ads", f"tests.drivers:{driver}", "--out", tmp_path / "a")
-    assert result.returncode == (0 if driver == "Faulty" else 3), result.stderr  # 3: it drove in no execution
+    assert result.returncode == (0 if driver == "Faulty" else 3), result.stderr  # 3: it failed in every execution
     assert "Traceback" not in result.stderr
     assert "Warning" in result.stderr or kind in {"crash", "hang"}
     failed = [record for record in records(tmp_path / "a") if "error" in record]
