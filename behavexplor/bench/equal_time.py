@@ -38,7 +38,7 @@ def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Equal
             cut += [summary.within(limit) for summary in here]
             limits.append(f"{' with '.join(place_cells(experiment, env, ads))} {limit / 3600:.2f} h")
     notes = (
-        f"The time of the campaign that took least: {', '.join(limits)}. It is the simulated time of the executions, "
+        f"The time of the shortest campaign: {', '.join(limits)}. It is the simulated time of the executions, "
         "and the measured time for everything else, spread evenly over the executions.",
     )
     return EqualTime(tuple(cut), notes)

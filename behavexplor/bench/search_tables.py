@@ -64,7 +64,7 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table 
         "A lower degree is nearer to a violation, so a negative r means that new behavior came nearer to one.",
         "Passed: over mutants that did not fail. A failing run ends early at a collision or late at a standstill, so "
         "that its length makes it far from other behaviors, and its violation makes its degree low.",
-        "The p-values take mutants as independent. They are not, since one is made of another.",
+        "The p-values treat mutants as independent. They are not, since one is made from another.",
     )
     title = "Correlation of violation degree and behavior distance"
     return Table("correlations", title, heads, tuple(rows), tuple(filter(None, blocks)), notes)

@@ -36,7 +36,7 @@ SIGNATURES: Final = (
     "the cause that replays show."
 )
 RARITY: Final = (
-    "How rare each weakness is was set with the paper's findings in sight, so finding all sixteen replicates nothing."
+    "The rarity of each weakness was set with the paper's findings in sight, so finding all sixteen replicates nothing."
 )
 
 
