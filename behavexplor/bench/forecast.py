@@ -22,21 +22,21 @@ TRIAL: Final = 10  # number of timed executions
 _WARMING: Final = 2  # number of executions before them, which compile kernels
 
 
-def forecast(experiment: Experiment, root: Path, jobs: int) -> float:
-    """Return the estimated time for the unfinished runs [s].
+def forecast(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> float:
+    """Return the estimated time for the unfinished runs of an experiment [s].
 
     The estimate uses the measured time per execution of finished campaigns with the same environment, ADS and method.
     Without such a campaign, a few executions are timed now, and the time of the search method itself is left out.
 
     Args:
         experiment: the experiment.
+        runs: runs of the experiment that may be unfinished.
         root: the experiment's folder.
         jobs: number of campaigns at a time.
 
     Raises:
         InputError: if an ADS or an environment cannot be used.
     """
-    runs = experiment.runs()
     measured = _measured(runs, root)
     seconds = 0.0
     for run in runs:

@@ -13,7 +13,7 @@ from typing import Final
 from behavexplor.bench.campaign_service import RUN, campaign_recipe, campaign_request, take_outcome
 from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
-from behavexplor.campaign.config import check_revision, stored_config
+from behavexplor.campaign.config import CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
@@ -73,15 +73,28 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
     folder = root / run.folder
     if not (folder / DATABASE).is_file():
         return RunState(0, finished=False)
-    stored = stored_config(folder)
-    check_revision(stored, str(folder))
-    scene = stored.env_config or run.config.env_config  # earlier versions stored an unknown one as an empty one
-    if replace(stored, budget=run.config.budget, env_config=scene) != run.config:
-        raise InputError(f"{folder} holds a campaign with a different configuration: choose another --out")
+    check_same_campaign(stored_config(folder), run, str(folder))
     count, budget = _stored_executions(folder), int(run.config.budget)
     if count > budget:
         raise InputError(f"{folder} has {count} executions, more than the budget {budget}: choose another --out")
     return RunState(count, finished=count == budget or read_timing(folder).ended is not None)
+
+
+def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> None:
+    """Refuse a stored campaign that is not that of a run. Its budget may differ.
+
+    Args:
+        stored: configuration of the stored campaign.
+        run: the run.
+        what: name of the stored campaign for the message, such as its run folder.
+
+    Raises:
+        InputError: if the campaign has another configuration or another revision.
+    """
+    check_revision(stored, what)
+    scene = stored.env_config or run.config.env_config  # earlier versions stored an unknown one as an empty one
+    if replace(stored, budget=run.config.budget, env_config=scene) != run.config:
+        raise InputError(f"{what} holds a campaign with a different configuration: choose another --out")
 
 
 def _stored_executions(folder: Path) -> int:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from behavexplor.bench.archive import ARCHIVE, Archive, read_archive, write_archive
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.forecast import forecast
@@ -61,18 +62,21 @@ def bench(
     chosen = read_experiment(experiment)
     jobs = _checked_jobs(jobs, cluster)
     root = out or RUNS / chosen.name
+    archived = read_archive(chosen.runs(), root)
+    runs = [run for run in chosen.runs() if run not in archived]
     if dry_run:
-        print(_plan(chosen, root, jobs))
+        print(_plan(chosen, runs, root, jobs))
         return OK
     code = OK
     if not tables_only:
         _prepare(chosen, root)
-        code = _run(chosen, root, jobs, cluster, quiet=quiet)
-    finished = [run for run in chosen.runs() if run_state(run, root).finished]
-    if finished:
-        _report(chosen, root, _summaries(finished, root, quiet=quiet))
-    print(f"{len(finished)} of {_counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
-    if finished:
+        code = _run(chosen, runs, root, jobs, cluster, quiet=quiet)
+    finished = [run for run in runs if run_state(run, root).finished]
+    summaries = {**archived, **_summaries(finished, root, quiet=quiet)}
+    if summaries:
+        _report(chosen, root, {run: summaries[run] for run in chosen.runs() if run in summaries})
+    print(f"{len(summaries)} of {_counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
+    if summaries:
         print(f"Report: {root / PAGE}")
     return code
 
@@ -88,11 +92,11 @@ def _checked_jobs(jobs: int | None, cluster: str) -> int:
     return jobs
 
 
-def _plan(experiment: Experiment, root: Path, jobs: int) -> str:
-    """Describe the campaigns that would be run."""
-    runs = experiment.runs()
+def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int) -> str:
+    """Describe the campaigns that would be run; `runs` are those that are not archived."""
     states = [run_state(run, root) for run in runs]
-    finished = sum(found.finished for found in states)
+    planned = len(experiment.runs())
+    finished = planned - len(runs) + sum(found.finished for found in states)
     left = sum(experiment.budget - found.executions for found in states if not found.finished)
     parts = ", ".join(
         [
@@ -103,9 +107,9 @@ def _plan(experiment: Experiment, root: Path, jobs: int) -> str:
         ]
     )
     at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
-    seconds = forecast(experiment, root, at_a_time)
+    seconds = forecast(experiment, runs, root, at_a_time)
     return (
-        f"{_counted(len(runs), 'campaign')} of {_counted(experiment.budget, 'execution')}: {parts}\n"
+        f"{_counted(planned, 'campaign')} of {_counted(experiment.budget, 'execution')}: {parts}\n"
         f"{finished} finished; {_counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
     )
 
@@ -121,7 +125,8 @@ def _prepare(experiment: Experiment, root: Path) -> None:
     Raises:
         InputError: if an environment, an ADS, a method, a spec or the folder cannot be used.
     """
-    if root.is_dir() and any(root.iterdir()) and not (root / EXPERIMENT).is_file():
+    known = any((root / name).is_file() for name in (EXPERIMENT, ARCHIVE))
+    if root.is_dir() and any(root.iterdir()) and not known:
         raise InputError(f"{root} is neither empty nor an experiment folder: choose another --out")
     load_specs(experiment.specs)
     unlike: dict[tuple[str, str], list[PlannedRun]] = {}
@@ -142,10 +147,12 @@ def _prepare(experiment: Experiment, root: Path) -> None:
         raise InputError(f"The experiment folder {root} cannot be written: {error.strerror}") from None
 
 
-def _run(experiment: Experiment, root: Path, jobs: int, cluster: str, *, quiet: bool) -> int:
+def _run(
+    experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: int, cluster: str, *, quiet: bool
+) -> int:
     """Run the unfinished campaigns, and return the exit code."""
-    running = ExperimentRunner(experiment.runs(), root, jobs, experiment.workers, cluster)
-    total = len(experiment.runs()) * experiment.budget
+    running = ExperimentRunner(runs, root, jobs, experiment.workers, cluster)
+    total = len(runs) * experiment.budget
     with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
         ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
     for warning in ended.warnings:
@@ -164,22 +171,23 @@ def _words(progress: ExperimentProgress) -> str:
     return f"{progress.finished} of {_counted(progress.runs, 'campaign')}{failed}{left}"
 
 
-def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> list[Summary]:
+def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> dict[PlannedRun, Summary]:
     """Summarize each campaign, which takes a minute or two for a large experiment with many failures."""
     with Meter(sys.stderr, len(runs), "campaigns read", quiet=quiet) as meter:
-        found = []
+        found = {}
         for run in runs:
-            found.append(summarize(run, root))
+            found[run] = summarize(run, root)
             meter.show(len(found))
     return found
 
 
-def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) -> None:
-    """Print the tables, and write the tables, curves, summaries and report page to the experiment folder.
+def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
+    """Print the tables, and write the tables, curves, summaries, archive and page to the experiment folder.
 
     Raises:
         InputError: if a file cannot be written.
     """
+    summaries = list(campaigns.values())
     made = tables(experiment, summaries)
     printed = "\n\n".join(map(text, made)) + "\n"
     drawn = curves(experiment, summaries)
@@ -193,6 +201,7 @@ def _report(experiment: Experiment, root: Path, summaries: Sequence[Summary]) ->
         (root / "tables").mkdir(exist_ok=True)
         for name, content in files.items():
             (root / name).write_text(content)
+        write_archive(campaigns, root)
     except OSError as error:
         raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
     print(printed)

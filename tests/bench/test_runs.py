@@ -161,7 +161,7 @@ def test_a_forecast_takes_what_was_measured_and_knows_what_is_left(whole, tmp_pa
         method: np.mean([(t.executing + t.analysing) / 20 for run, t in timings.items() if run.method == method])
         for method in experiment.methods
     }
-    assert forecast(experiment, root, 4) == pytest.approx(2 * 30 * sum(seconds.values()) / 4)
+    assert forecast(experiment, experiment.runs(), root, 4) == pytest.approx(2 * 30 * sum(seconds.values()) / 4)
 
 
 def stored(root):

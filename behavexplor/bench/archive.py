@@ -1,0 +1,95 @@
+"""The archive of an experiment: what its tables need of each finished campaign, in one small file.
+
+With the archive, tables are made without the run folders, which are a thousand times as large, and an experiment
+continues on another machine.
+"""
+
+import gzip
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from behavexplor.bench.experiment import PlannedRun
+from behavexplor.bench.runs import check_same_campaign
+from behavexplor.bench.summaries import Summary
+from behavexplor.campaign.config import campaign_config
+from behavexplor.campaign.damage import DATABASE
+from behavexplor.data.validation import checked
+from behavexplor.errors import InputError
+
+ARCHIVE: Final = "campaigns.jsonl.gz"  # file in an experiment's folder, a line for each campaign
+
+Archive = Mapping[PlannedRun, Summary]
+
+
+def read_archive(runs: Sequence[PlannedRun], root: Path) -> Archive:
+    """Return the summaries of those campaigns that are in the archive of an experiment and have no run folder.
+
+    A campaign with a smaller budget than the experiment's is left out, so that it runs again.
+
+    Args:
+        runs: all runs of the experiment.
+        root: the experiment's folder.
+
+    Raises:
+        InputError: if the archive is damaged, or holds a campaign with a different configuration.
+    """
+    lines = _read_lines(root / ARCHIVE)
+    found = {}
+    for run in runs:
+        line = lines.get(_key(run))
+        if line is None or (root / run.folder / DATABASE).is_file():
+            continue
+        what = f"{_key(run)} in {root / ARCHIVE}"
+        stored = campaign_config(line["config"])
+        check_same_campaign(stored, run, what)
+        if int(stored.budget) > int(run.config.budget):
+            raise InputError(
+                f"{what} has a budget of {stored.budget} executions, and the experiment one of {run.config.budget}: "
+                "choose another --out"
+            )
+        if stored.budget == run.config.budget:
+            found[run] = checked(Summary, line["summary"], what)
+    return found
+
+
+def write_archive(summaries: Archive, root: Path) -> None:
+    """Add campaigns to the archive of an experiment. Campaigns of other experiments in it are kept.
+
+    Args:
+        summaries: summaries of finished campaigns.
+        root: the experiment's folder.
+
+    Raises:
+        InputError: if the archive is damaged.
+        OSError: if it cannot be written.
+    """
+    path = root / ARCHIVE
+    lines = _read_lines(path)
+    for run, summary in summaries.items():
+        lines[_key(run)] = {"run": _key(run), "config": asdict(run.config), "summary": asdict(summary)}
+    text = "".join(f"{json.dumps(line)}\n" for _, line in sorted(lines.items()))
+    partial = path.with_name(f"{ARCHIVE}.part")
+    partial.write_bytes(gzip.compress(text.encode(), mtime=0))
+    partial.replace(path)
+
+
+def _key(run: PlannedRun) -> str:
+    return run.folder.as_posix()
+
+
+def _read_lines(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the lines of an archive by run; empty if there is no archive."""
+    if not path.is_file():
+        return {}
+    try:
+        packed = path.read_bytes()
+        if not packed:
+            raise EOFError("it is empty")
+        lines = [json.loads(line) for line in gzip.decompress(packed).decode().splitlines()]
+        return {line["run"]: {name: line[name] for name in ("run", "config", "summary")} for line in lines}
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zlib.error) as error:
+        raise InputError(f"{path} is damaged ({error}): restore it, or delete it to run its campaigns again") from None
