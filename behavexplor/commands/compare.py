@@ -28,6 +28,7 @@ from behavexplor.repair.pair_campaigns import (
     PAGE,
     SECOND,
     SETTINGS,
+    check_search,
     compared,
     differences,
     driven,
@@ -110,6 +111,9 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             "confirm": confirm,
         }
     )
+    searching = replace(config, method=method, budget=str(budget), batch=_DEFAULTS.batch)
+    if search:
+        check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")
     try:
         _drive(config, folder / FIRST, count, quiet=quiet)
@@ -117,15 +121,12 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         _drive(other, folder / SECOND, count, quiet=quiet)
         pairs = compared(folder)
         print(table(pairs, config.env, first, second))
-        pages = [folder]
-        if search:
-            searching = replace(config, method=method, budget=str(budget), batch=_DEFAULTS.batch)
-            if _searched(searching, other, folder / SEARCH, count, quiet=quiet):
-                pages.append(folder / SEARCH)
+        _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
+        if search and _searched(searching, other, folder / SEARCH, count, quiet=quiet):
+            _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
-    _write(folder, pairs, pages)
     print(f"Page: {folder / PAGE}")
     print(f"Replay a scenario that only one of them fails: {program()} replay {shlex.quote(str(folder / FIRST))} ID")
     return OK

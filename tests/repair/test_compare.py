@@ -6,9 +6,10 @@ import pytest
 
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
-from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.judge.specs import Verdict
 from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference
+from behavexplor.repair.pairs import AT_FAULT, Pairs
 
 SWERVER, CRUISER = "tests.drivers:Swerver", "tests.drivers:Cruiser"
 
@@ -58,6 +59,35 @@ def test_the_page_has_both_runs_and_the_pairs(compared):
 def test_a_driver_that_does_not_exist_is_one_sentence(tmp_path, capsys):
     assert main(["compare", "rule", "rules", "--scenarios", "1", "--workers", "0", "--out", str(tmp_path)]) == BAD_INPUT
     assert "rules" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("flag", "value"), [("--method", "nsga3"), ("--budget", "0")])
+def test_a_search_that_cannot_begin_is_refused_before_anybody_drives(flag, value, tmp_path, monkeypatch, capsys):
+    monkeypatch.delattr("behavexplor.commands.compare._drive")
+    out = tmp_path / "out"
+    assert main(["compare", "rule", "idm", "--search", flag, value, "--workers", "0", "--out", str(out)]) == BAD_INPUT
+    assert f"{value!r}" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_search_that_fails_leaves_the_comparison_on_disk(tmp_path, monkeypatch, capsys):
+    def fail(*_, **__):
+        raise RuntimeError("a worker ended")
+
+    written = []
+    pairs = [Pairs(AT_FAULT, (), (), 0, 1)]
+    for name, function in {
+        "_drive": lambda *_, **__: None,
+        "second_config": lambda first, *_: first,
+        "compared": lambda _: pairs,
+        "_write": lambda *given: written.append(given),
+        "_searched": fail,
+    }.items():
+        monkeypatch.setattr(f"behavexplor.commands.compare.{name}", function)
+    arguments = ["compare", "rule", "idm", "--search", "--workers", "0", "--out", str(tmp_path)]
+    assert main(arguments) == EXECUTION_FAILED
+    assert "a worker ended" in capsys.readouterr().err.casefold()
+    assert written == [(tmp_path, pairs, [tmp_path])]
 
 
 def verdict(degree, *violated):
