@@ -72,7 +72,8 @@ def table(found: Sequence[Minimized]) -> str:
     lost = [minimal for minimal in found if not minimal.reproduced]
     kept = [minimal for minimal in found if minimal.reproduced]
     lines = [
-        f"Execution {minimal.id} did not fail in the same way when it was repeated, so it was not minimized"
+        f"Execution {minimal.id} did not fail in the same way when it was repeated, or its driver ended or blocked its "
+        "process, so it was not minimized"
         for minimal in lost
     ]
     if kept:

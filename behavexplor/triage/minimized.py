@@ -24,7 +24,8 @@ class Minimized:
         class_id: class of the failure.
         fault: fault for a collision, by triage where the run has been triaged, otherwise by the trace alone.
         cause: weakness of the rule planner that caused the failure; None without triage.
-        reproduced: whether the failure happened again. Only then it was minimized.
+        reproduced: whether the failure happened again. Only then it was minimized. It is not repeated if the driver
+            ended or blocked its process.
         is_minimal: whether the scenario cannot be simplified by one more step; False if `LIMIT` was reached before.
         found: size of the found scenario.
         minimal: size of the minimized scenario.

@@ -1,23 +1,28 @@
 """Minimized failures: what the command finds, keeps and says."""
 
 import json
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.store import Store
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.record import Record
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.parts import Size
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM
+from behavexplor.triage.minimization import MINIMIZE
 from behavexplor.triage.minimized import Minimized, minimized_path, read_minimized, trace_path
 from behavexplor.triage.same_failure import ManyScenarios, signature
+from tests.fakes import LOGICAL
 from tests.triage.test_triage import fuzz
 from tests.triage.test_triage import run as triaged  # noqa: F401 - a fixture
 
@@ -102,6 +107,47 @@ def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     found = read_minimized(folder)[number]
     assert not found.reproduced
     assert found.load_scenario() == Store.read(folder).execution(number).scenario
+
+
+class Dying:
+    """An executor whose process the driver ends in every call."""
+
+    def __init__(self):
+        self.calls = []
+
+    def submit(self, function, data):
+        self.calls.append(function)
+        future = Future()
+        if function == MINIMIZE:
+            future.set_exception(ADSError("crash", "its process was ended by SIGKILL"))
+        else:
+            future.set_result(b"")
+        return future
+
+    def shutdown(self, *, wait=True):
+        pass
+
+
+def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_being_minimized(
+    tmp_path, monkeypatch, capsys
+):
+    dying = Dying()
+    monkeypatch.setattr("behavexplor.triage.minimization.start_executor", lambda *_, **__: dying)
+    store = Store.create(tmp_path / "run", CampaignConfig(ads="idm").to_yaml())
+    for number, kind in enumerate(["hang", "raised", "crash"]):
+        scenario = LOGICAL.sample(np.random.default_rng(number))
+        failure = {"kind": kind, "message": ""}
+        named = {"violated": ("error",), "error": failure, "class": f"error/{kind}", "scenario": scenario.to_dict()}
+        record = Record.from_json(json.dumps({"id": number, "end": "error", **named}))
+        store.add(Execution(record, LOGICAL.first_frame(scenario, "error").to_bytes(), 0.0))
+    store.commit()
+    store.close()
+    assert main(["minimize", str(tmp_path / "run"), "--workers", "1", "--quiet"]) == OK
+    assert capsys.readouterr().out.count("so it was not minimized") == 3
+    assert dying.calls.count(MINIMIZE) == 1  # a driver that blocks would do so for hours
+    found = read_minimized(tmp_path / "run")
+    assert [one.class_id for one in found.values()] == ["error/hang", "error/raised", "error/crash"]
+    assert not any(one.reproduced or one.is_minimal for one in found.values())
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": 9}', '{"format": 1}', '{"format": 1, "id": "x"}'])
