@@ -20,7 +20,7 @@ from behavexplor.repair.cases import TEST, Case, Suite
 from behavexplor.repair.selection import candidates, case_of, check_same_driving
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import minimize_failures
-from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.minimized import Minimized, known_minimized
 
 TRIES = 3  # failures of one class that are tried, in case the first ones cannot be reproduced
 
@@ -79,7 +79,7 @@ def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], workers
     with closing(Store.read(run)) as store:
         findings = known_findings(run)
         left = {kind: ids for kind, ids in candidates(store.records(), findings).items() if kind not in taken}
-        known, made = read_minimized(run), []
+        known, made = known_minimized(run, findings), []
         for attempt in range(TRIES):
             chosen = [ids[attempt] for ids in left.values() if len(ids) > attempt]
             waiting = [number for number in chosen if number not in known]

@@ -19,8 +19,9 @@ from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM
+from behavexplor.triage.findings import Finding
 from behavexplor.triage.minimization import MINIMIZE
-from behavexplor.triage.minimized import Minimized, minimized_path, read_minimized, trace_path
+from behavexplor.triage.minimized import Minimized, known_minimized, minimized_path, read_minimized, trace_path
 from behavexplor.triage.same_failure import ManyScenarios, signature
 from tests.fakes import LOGICAL
 from tests.triage.test_triage import fuzz
@@ -148,6 +149,21 @@ def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_be
     found = read_minimized(tmp_path / "run")
     assert [one.class_id for one in found.values()] == ["error/hang", "error/raised", "error/crash"]
     assert not any(one.reproduced or one.is_minimal for one in found.values())
+
+
+def test_what_triage_has_overtaken_or_lost_its_trace_is_minimized_again(tmp_path):
+    made = {"class_id": "R1", "reproduced": True, "is_minimal": True, "found": (1, 1), "minimal": (1, 1)}
+    (tmp_path / "minimized").mkdir()
+    for number, fault in enumerate(["other", "other", None, "preventable"]):
+        one = Minimized(id=number, fault=fault, cause=None, executions=1, violated=(), scenario={}, **made)
+        one.write(tmp_path, b"trace")
+    trace_path(tmp_path, 3).unlink()
+    seen = {"spec": "R1", "class_id": "R1", "words": "", "same_verdict": True, "same_trace": True}
+    triage = {1: Finding(id=1, fault="preventable", **seen), 2: Finding(id=2, cause="R2-1", **seen)}
+    assert sorted(known_minimized(tmp_path, {})) == [0, 1, 2]
+    assert sorted(known_minimized(tmp_path, triage)) == [0]
+    triage = {0: Finding(id=0, fault="other", **seen), 2: Finding(id=2, **seen)}
+    assert sorted(known_minimized(tmp_path, triage)) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": 9}', '{"format": 1}', '{"format": 1, "id": "x"}'])
