@@ -21,7 +21,14 @@ from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures
 from behavexplor.repair.pool_watch import PoolWatch
-from behavexplor.repair.retraining_rounds import RetrainingConfig, Round, append_round, best, finished_rounds
+from behavexplor.repair.retraining_rounds import (
+    ROUNDS,
+    RetrainingConfig,
+    Round,
+    append_round,
+    best,
+    finished_rounds,
+)
 from behavexplor.repair.scenario_pool import Pool, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
 from behavexplor.training import Learned, log_formats, restore_model, save_model
@@ -55,7 +62,8 @@ def retrain(
         trainee.scenarios.sampler = pool.sample
         work = _Work(config, folder, trainee, pool)
         if rounds:
-            restore_model(trainee.model, work.file(rounds[-1].number, ".pt"))
+            again = f"delete the last line of {folder / ROUNDS} to resume from the round before"
+            restore_model(trainee.model, work.file(rounds[-1].number, ".pt"), again)
         else:
             rounds = [work.finish(0, None)]
             report(rounds[-1])

@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -21,8 +22,9 @@ from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
+from behavexplor.repair import retraining
 from behavexplor.repair.retraining import retrain
-from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, best, finished_rounds
+from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
 
 POLICY = "learned:lane-change"
 SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
@@ -99,6 +101,18 @@ def test_a_damaged_list_of_rounds_is_named(retrained, tmp_path):
     (folder / ROUNDS).write_text(json.dumps({"number": 0}))
     with pytest.raises(InputError, match=r"rounds\.jsonl cannot be read"):
         finished_rounds(folder)
+
+
+def test_a_damaged_round_is_named_with_what_helps(tmp_path, monkeypatch):
+    venv = SimpleNamespace(close=lambda: None)
+    trainee = SimpleNamespace(venv=venv, model=None, scenarios=SimpleNamespace(logical=None))
+    monkeypatch.setattr(retraining, "open_trainee", lambda *_: trainee)
+    append_round(tmp_path, Round(0, 0, 10, (), 10))
+    (tmp_path / "rounds").mkdir()
+    (tmp_path / "rounds" / "round-0000.jsonl").touch()
+    (tmp_path / "rounds" / "round-0000.pt").write_bytes(b"rubbish")
+    with pytest.raises(InputError, match=r"Cannot resume from .*\.pt: .*; delete the last line of .*rounds\.jsonl"):
+        retrain(RetrainingConfig(policy=POLICY, **SMALL), tmp_path, lambda _: None, lambda _: None)
 
 
 @pytest.mark.parametrize(
