@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.config import CONFIG, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE
@@ -44,7 +44,8 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
         traffic=WIDE if target.traffic == WIDE else DEFAULT,
         unconfined=target.unconfined,
     )
-    with opened(config, folder, 0, resume=folder.is_dir()) as ready:
+    begun = (folder / CONFIG).is_file()  # a folder without it was interrupted before its campaign began
+    with opened(config, folder, 0, resume=begun) as ready:
         ready.campaign.run(lambda _: None)
     with closing(Store.read(folder)) as store:
         executions = list(store.executions())

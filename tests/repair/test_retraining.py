@@ -20,9 +20,10 @@ from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scenario import parse_scenario
+from behavexplor.data.target import Target
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
-from behavexplor.repair import retraining
+from behavexplor.repair import finding, retraining
 from behavexplor.repair.retraining import retrain
 from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
 
@@ -86,6 +87,21 @@ def test_every_round_keeps_its_campaign_and_its_pool(retrained):
         assert (retrained / "campaigns" / f"{one.number:04d}" / "campaign.db").is_file()
         lines = (retrained / "rounds" / f"round-{one.number:04d}.jsonl").read_text().splitlines()
         assert len(lines) == one.pool
+
+
+def test_a_campaign_that_was_cut_off_before_it_began_begins_anew(tmp_path, monkeypatch):
+    asked = []
+
+    def opened(*_, resume):
+        asked.append(resume)
+        raise CutError
+
+    monkeypatch.setattr(finding, "opened", opened)
+    for name in ("", "campaign.lock", "config.yaml"):
+        (tmp_path / name).touch()
+        with pytest.raises(CutError):
+            finding.found_failures(Target("lane-change", POLICY), "uniform", 5, 1, tmp_path)
+    assert asked == [False, False, True]
 
 
 def test_without_a_pool_there_are_no_campaigns(tmp_path):
