@@ -16,6 +16,25 @@ from behavexplor.triage.blame import blame
 from behavexplor.triage.examination import STREAM
 
 
+def search_config(target: Target, method: str, budget: int, seed: int) -> CampaignConfig:
+    """Return the configuration of the campaign of `found_failures`.
+
+    Raises:
+        InputError: if a value is out of range.
+    """
+    return CampaignConfig(
+        env=target.env,
+        ads=target.ads,
+        method=method,
+        budget=str(budget),
+        seed=seed,
+        batch=32,
+        env_config=None if target.env_config is None else dict(target.env_config),
+        traffic=WIDE if target.traffic == WIDE else DEFAULT,
+        unconfined=target.unconfined,
+    )
+
+
 def found_failures(target: Target, method: str, budget: int, seed: int, folder: Path) -> tuple[list[Any], int]:
     """Run a campaign on a policy, or read it if its folder has it.
 
@@ -33,17 +52,7 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
     Raises:
         ExecutionError: if an execution could not be carried out.
     """
-    config = CampaignConfig(
-        env=target.env,
-        ads=target.ads,
-        method=method,
-        budget=str(budget),
-        seed=seed,
-        batch=32,
-        env_config=None if target.env_config is None else dict(target.env_config),
-        traffic=WIDE if target.traffic == WIDE else DEFAULT,
-        unconfined=target.unconfined,
-    )
+    config = search_config(target, method, budget, seed)
     begun = (folder / CONFIG).is_file()  # a folder without it was interrupted before its campaign began
     with opened(config, folder, 0, resume=begun) as ready:
         ready.campaign.run(lambda _: None)

@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import gymnasium
@@ -21,6 +22,7 @@ from behavexplor.ads.sb3.description import trained_in
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.target import Target
+from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
 from behavexplor.repair import finding, retraining
@@ -119,10 +121,28 @@ def test_a_damaged_list_of_rounds_is_named(retrained, tmp_path):
         finished_rounds(folder)
 
 
-def test_a_damaged_round_is_named_with_what_helps(tmp_path, monkeypatch):
+@pytest.fixture
+def trainee(monkeypatch):
+    """A policy that cannot learn."""
     venv = SimpleNamespace(close=lambda: None)
-    trainee = SimpleNamespace(venv=venv, model=None, scenarios=SimpleNamespace(logical=None))
+    trainee = SimpleNamespace(venv=venv, model=None, scenarios=SimpleNamespace(logical=LaneChangeEnv.logical))
     monkeypatch.setattr(retraining, "open_trainee", lambda *_: trainee)
+    return trainee
+
+
+@pytest.mark.usefixtures("trainee")
+@pytest.mark.parametrize(
+    ("changed", "message"), [({"method": "unifrom"}, "did you mean 'uniform'"), ({"seed": 2**63 - 1}, "The seed")]
+)
+def test_a_search_that_cannot_begin_is_refused_before_the_first_round(changed, message):
+    config = RetrainingConfig(policy=POLICY, **{**SMALL, **changed})
+    with pytest.raises(InputError, match=message):
+        retraining.check(config)
+    retraining.check(replace(config, pool="own"))
+
+
+@pytest.mark.usefixtures("trainee")
+def test_a_damaged_round_is_named_with_what_helps(tmp_path):
     append_round(tmp_path, Round(0, 0, 10, (), 10))
     (tmp_path / "rounds").mkdir()
     (tmp_path / "rounds" / "round-0000.jsonl").touch()
