@@ -4,6 +4,7 @@ import io
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium
@@ -20,6 +21,7 @@ from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands.retrain import comparison
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
@@ -180,6 +182,13 @@ def test_the_command_says_what_every_round_brought(retrained, tmp_path, capsys):
     for flags in (["--rounds", "9"], ["--envs", "3"]):
         assert main(["retrain", "--resume", str(folder), *flags]) == BAD_INPUT
         assert f"{flags[0]} cannot be changed with --resume: the retraining has " in capsys.readouterr().err
+
+
+def test_the_comparison_is_in_the_environment_of_the_training():
+    config = RetrainingConfig("merge-v0", "a model.zip")
+    assert comparison(config, Path("b.zip")).endswith(" compare 'a model.zip' b.zip --env merge-v0")
+    config = replace(config, traffic="wide", env_config={"duration": 5})
+    assert comparison(config, Path("b.zip")).endswith(" --env merge-v0 --traffic wide --env-config FILE")
 
 
 @pytest.fixture(scope="module")
