@@ -30,6 +30,7 @@ from behavexplor.errors import InputError
 from behavexplor.repair import finding, retraining
 from behavexplor.repair.retraining import retrain
 from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
+from behavexplor.repair.trainees import copy_policy, open_trainee
 
 POLICY = "learned:lane-change"
 SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
@@ -71,6 +72,12 @@ def test_a_retraining_that_was_cut_off_ends_as_if_it_had_not_been(retrained, tmp
 def test_the_first_round_is_the_policy_as_it_was(retrained):
     assert all(map(np.array_equal, layers(retrained / "rounds/round-0000.npz"), layers(policy_file(POLICY))))
     assert not np.array_equal(layers(retrained / "rounds/round-0002.npz")[0], layers(policy_file(POLICY))[0])
+
+
+def test_a_retrained_network_says_where_it_was_trained(tmp_path):
+    open_trainee(Target("lane-change", POLICY), seed=0, envs=1).write(tmp_path / "round.npz")
+    copy_policy(tmp_path / "round.npz", tmp_path / "policy.npz")
+    assert trained_in(str(tmp_path / "policy.npz")) == "lane-change"
 
 
 def test_the_best_round_becomes_the_policy(retrained):
