@@ -1,15 +1,18 @@
 """The command `compare`, and its search for scenarios in which only one of two drivers fails."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
-from behavexplor.judge.specs import Verdict
-from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference
+from behavexplor.judge.specs import SPECS, Verdict, judge
+from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
 from behavexplor.repair.pairs import AT_FAULT, Pairs
+from tests.judge.test_fault import BEHIND, trace
 
 SWERVER, CRUISER = "tests.drivers:Swerver", "tests.drivers:Cruiser"
 
@@ -107,3 +110,13 @@ def test_the_difference_of_verdicts(first, second, degrees, violated):
     found = difference(first, second)
     assert tuple(found.degrees.values()) == degrees
     assert found.violated == violated
+
+
+def test_only_what_the_records_count_as_a_failure_at_fault_is_one():
+    line = np.array([[[-10.0, -5.0], [-10.0, 5.0]]])
+    struck = replace(trace(5.0, BEHIND, 9.0), illegal_lines=line)  # by a vehicle from behind, after it touched a line
+    assert {"collision", "lines"} <= set(judge(struck).violated)
+    assert verdict_at_fault(struck, None, SPECS).violated == ()
+    assert "collision" in verdict_at_fault(trace(5.0, BEHIND, 9.0, swerve=0.5), None, SPECS).violated
+    assert verdict_at_fault(struck, "raised", SPECS).violated == ("error",)
+    assert verdict_at_fault(struck, "differs", SPECS).violated == ()
