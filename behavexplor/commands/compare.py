@@ -122,7 +122,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         pairs = compared(folder)
         print(table(pairs, config.env, first, second))
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
-        if search and _searched(searching, other, folder / SEARCH, count, quiet=quiet):
+        if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
@@ -145,11 +145,19 @@ def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -
         say(f"Warning: {config.ads}: {warning}")
 
 
-def _searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
+def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
     """Search for differences, drive those that were found again, and return whether there are any."""
+    executed = 0
     with Meter(sys.stderr, int(config.budget), "scenarios with both", quiet=quiet) as meter:
-        found = differences(config, other, folder, max(1, workers // 2) if workers else 0, meter.show)
-    print(f"\nSearch with {config.method}: {len(found)} of {config.budget} scenarios in which only one driver fails")
+
+        def observe(done: int) -> None:
+            nonlocal executed
+            executed = done
+            meter.show(done)
+
+        found = differences(config, other, folder, max(1, workers // 2) if workers else 0, observe)
+    early = "" if executed == int(config.budget) else f"; it ended before its budget of {config.budget} was used up"
+    print(f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}")
     if not found:
         return False
     options: dict[str, Any] = {"file": str((folder / DIFFERENCES).resolve())}

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.commands.compare import searched
 from behavexplor.judge.specs import SPECS, Verdict, judge
 from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
 from behavexplor.repair.pairs import AT_FAULT, Pairs
@@ -84,13 +85,24 @@ def test_a_search_that_fails_leaves_the_comparison_on_disk(tmp_path, monkeypatch
         "second_config": lambda first, *_: first,
         "compared": lambda _: pairs,
         "_write": lambda *given: written.append(given),
-        "_searched": fail,
+        "searched": fail,
     }.items():
         monkeypatch.setattr(f"behavexplor.commands.compare.{name}", function)
     arguments = ["compare", "rule", "idm", "--search", "--workers", "0", "--out", str(tmp_path)]
     assert main(arguments) == EXECUTION_FAILED
     assert "a worker ended" in capsys.readouterr().err.casefold()
     assert written == [(tmp_path, pairs, [tmp_path])]
+
+
+def test_a_search_that_ends_early_says_how_many_scenarios_it_drove(tmp_path, monkeypatch, capsys):
+    def differences(*given):
+        given[-1](7)
+        return []
+
+    monkeypatch.setattr("behavexplor.commands.compare.differences", differences)
+    config = CampaignConfig(method="random", budget="12")
+    assert not searched(config, config, tmp_path, 0, quiet=True)
+    assert "0 of 7 scenarios in which only one driver fails; it ended before" in capsys.readouterr().out
 
 
 def verdict(degree, *violated):
