@@ -16,7 +16,7 @@ from behavexplor.commands.meter import Meter
 from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
-from behavexplor.repair.cases import TEST, Case, Suite
+from behavexplor.repair.cases import TEST, Case, Suite, check_free
 from behavexplor.repair.selection import candidates, case_of, check_same_driving
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import minimize_failures
@@ -44,6 +44,7 @@ def suite(
     """
     if not runs:
         raise InputError("Give at least one run folder, such as runs/my-run")
+    check_free(out)  # before failures are minimized, which takes minutes
     count = chosen_workers(workers)
     configs = [(run, stored_config(run)) for run in runs]
     check_same_driving(configs[0], configs[1:])
