@@ -45,6 +45,8 @@ def minimize(
             or cause since then are always minimized again.
         quiet: Print only the table.
     """
+    if every and numbers:
+        raise InputError("Give either numbers of executions or --all")
     count = chosen_workers(workers)
     with closing(Store.read(run)) as store:
         chosen = chosen_failures(store, numbers, every=every)

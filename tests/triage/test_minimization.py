@@ -99,6 +99,11 @@ def test_an_execution_that_passed_cannot_be_minimized(run, capsys):
     assert f"Execution {passed} of {run} has no failure" in capsys.readouterr().err
 
 
+def test_numbers_beside_all_are_refused(tmp_path, capsys):
+    assert main(["minimize", str(tmp_path), "3", "--all"]) == BAD_INPUT
+    assert "Give either numbers of executions or --all" in capsys.readouterr().err
+
+
 def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     folder = tmp_path / "run"
     fuzz(folder, "tests.triage.test_triage:Wavering", 3)
