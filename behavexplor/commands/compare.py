@@ -12,6 +12,7 @@ import tyro
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import trained_in
+from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
 from behavexplor.campaign.run_names import stamped_folder
@@ -190,13 +191,9 @@ def _listed(numbers: Sequence[int], most: int = 8) -> str:
     return ", ".join(map(str, numbers[:most])) + (", ..." if len(numbers) > most else "")
 
 
-def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
-    """Write the paired statistics as JSON, and the page.
-
-    Raises:
-        InputError: if the files cannot be written.
-    """
-    values = [
+def values(pairs: Sequence[Pairs]) -> list[dict[str, Any]]:
+    """Return the paired statistics as JSON values, with the p-values of the table."""
+    return [
         {
             "outcome": row.outcome,
             "n": row.n,
@@ -205,14 +202,22 @@ def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
             "both": row.both,
             "neither": row.neither,
             "difference": row.difference,
-            "p": row.p,
+            "p": p,
         }
-        for row in pairs
+        for row, p in zip(pairs, holm([row.p for row in pairs]), strict=True)
     ]
+
+
+def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
+    """Write the paired statistics as JSON, and the page.
+
+    Raises:
+        InputError: if the files cannot be written.
+    """
     runs = [read_run(place / name) for place in pages for name in (FIRST, SECOND)]
     text = page(runs, _REPLAYS, (COLUMNS, rows(pairs)))
     try:
-        write_durably(folder / TABLE, json.dumps(values, indent=1) + "\n")
+        write_durably(folder / TABLE, json.dumps(values(pairs), indent=1) + "\n")
         write_durably(folder / PAGE, text)
     except OSError as error:
         raise InputError(f"{folder} cannot be written: {error.strerror}") from None

@@ -9,10 +9,10 @@ import pytest
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
-from behavexplor.commands.compare import searched
+from behavexplor.commands.compare import searched, values
 from behavexplor.judge.specs import SPECS, Verdict, judge
 from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
-from behavexplor.repair.pairs import AT_FAULT, Pairs
+from behavexplor.repair.pairs import AT_FAULT, Pairs, rows
 from tests.judge.test_fault import BEHIND, trace
 
 SWERVER, CRUISER = "tests.drivers:Swerver", "tests.drivers:Cruiser"
@@ -103,6 +103,11 @@ def test_a_search_that_ends_early_says_how_many_scenarios_it_drove(tmp_path, mon
     config = CampaignConfig(method="random", budget="12")
     assert not searched(config, config, tmp_path, 0, quiet=True)
     assert "0 of 7 scenarios in which only one driver fails; it ended before" in capsys.readouterr().out
+
+
+def test_the_p_values_of_the_file_are_those_of_the_table():
+    pairs = [Pairs("any failure", (), tuple(range(6)), 2, 92), Pairs("lines", (), (), 0, 100)]
+    assert [f"{row['p']:.2g}" for row in values(pairs)] == [cells[-1] for cells in rows(pairs)] == ["0.062", "1"]
 
 
 def verdict(degree, *violated):
