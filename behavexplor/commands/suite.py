@@ -34,7 +34,8 @@ def suite(
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
 
-    Only failures at fault count, as far as the trace can tell or as triage has found.
+    Only failures at fault count, as far as the trace can tell or as triage has found. Errors, in which the driver
+    failed instead of driving, are left out.
 
     Args:
         runs: Run folders of one environment.
@@ -57,7 +58,7 @@ def suite(
         print(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     if not cases:
-        raise InputError("None of the failures is reproducible and the driver's fault, so there is nothing to check")
+        raise InputError("Apart from errors, no failure is reproducible and at fault, so there is nothing to check")
     first = configs[0][1]
     Suite(
         env=first.env,
