@@ -168,8 +168,13 @@ def save_model(model: BaseAlgorithm, path: Path) -> None:
     part.replace(path)
 
 
-def restore_model(model: BaseAlgorithm, path: Path) -> None:
+def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
     """Load a saved state into a new model. Only numbers are read from the file, never code.
+
+    Args:
+        model: the model.
+        path: file of `save_model`.
+        otherwise: what a user can do if the file cannot be read.
 
     Raises:
         InputError: if the file is damaged or belongs to another model.
@@ -181,7 +186,7 @@ def restore_model(model: BaseAlgorithm, path: Path) -> None:
         model.num_timesteps, model._n_updates = int(learned["steps"]), int(learned["updates"])  # noqa: SLF001
     except Exception as error:  # torch can raise anything for a damaged file
         first = str(error).split("\n", maxsplit=1)[0]
-        raise InputError(f"Cannot resume from {path}: {first}; delete it to resume from the model before it") from error
+        raise InputError(f"Cannot resume from {path}: {first}; {otherwise}") from error
 
 
 def load_layers(model: BaseAlgorithm, layers: Layers) -> None:
@@ -272,7 +277,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
     saved = sorted(path for path in (folder / MODELS).glob("stage-*.pt") if re.fullmatch(r"stage-\d{4,}", path.stem))
     if not saved:
         return 0, model
-    restore_model(model, saved[-1])
+    restore_model(model, saved[-1], "delete it to resume from the model before it")
     return int(saved[-1].stem.removeprefix("stage-")), model
 
 

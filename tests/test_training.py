@@ -117,6 +117,13 @@ def test_the_command_trains_evaluates_and_tells_how_to_go_on(tmp_path, capsys, m
     assert "--steps cannot be changed with --resume: the training has 2000" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("command", "name"), [("train", "training.yaml"), ("retrain", "retraining.yaml")])
+def test_a_configuration_that_is_lost_is_not_taken_for_the_defaults(command, name, tmp_path, capsys):
+    (tmp_path / name).touch()
+    assert main([command, "--resume", str(tmp_path)]) == BAD_INPUT
+    assert f"{name} is empty" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("flags", "message"),
     [

@@ -30,7 +30,7 @@ from behavexplor.report.road_shapes import known_road
 from behavexplor.report.run_page import page
 from behavexplor.triage.findings import Triage, known_findings
 from behavexplor.triage.minimization import chosen_failures, minimize_failures
-from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.minimized import Minimized, known_minimized
 from behavexplor.triage.run_triage import RunTriage
 
 if TYPE_CHECKING:
@@ -171,9 +171,9 @@ class Run:
         count = fewest_workers(self.config.target) if workers is None else workers
         with closing(Store.read(self.folder)) as store:
             chosen = chosen_failures(store, [] if numbers is None else [int(number) for number in numbers])
-            known = read_minimized(self.folder)
-            waiting = [number for number in chosen if number not in known]
             findings = known_findings(self.folder)
+            known = known_minimized(self.folder, findings)
+            waiting = [number for number in chosen if number not in known]
             for one in minimize_failures(store, self.config, waiting, findings, count, self._given.driver):
                 known[one.id] = one
         return [known[number] for number in chosen]

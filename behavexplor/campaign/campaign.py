@@ -210,7 +210,7 @@ class Campaign:
             verdict = self._judge(candidate, trace)
             if failure is not None:
                 verdict = replace(verdict, violated=(ERROR,))
-            kind, fault = class_id(trace, verdict, failure), _fault(trace, verdict)
+            kind, fault = class_id(trace, verdict, failure), collision_fault(trace, verdict)
         with self._clock.during(MINING):
             novelty = self._archive.observe(trace)
             learned = self._method.tell(candidate, trace, verdict)
@@ -289,7 +289,7 @@ def class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) 
     return kind.id if kind else REQUIREMENTS.get(first, first)
 
 
-def _fault(trace: Trace, verdict: Verdict) -> str | None:
+def collision_fault(trace: Trace, verdict: Verdict) -> str | None:
     """Return the fault of a collision, as stored in its record; None if the first violated spec is not R1."""
     is_collision = bool(verdict.violated) and REQUIREMENTS.get(verdict.violated[0]) == R1
     return contact_fault(trace) if is_collision else None

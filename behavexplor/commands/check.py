@@ -50,12 +50,12 @@ def check(
     except RuntimeError as error:
         print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    if junit is not None:
-        _write(junit, suite, outcomes)
     failed = sum(not outcome.passed for outcome in outcomes)
     if not quiet:
         print(_table(outcomes), end="\n\n")
     print(result(failed, len(outcomes)))
+    if junit is not None:
+        _write(junit, suite, outcomes)
     return CHECK_FAILED if failed else OK
 
 

@@ -12,6 +12,7 @@ import tyro
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import trained_in
+from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
 from behavexplor.campaign.run_names import stamped_folder
@@ -28,6 +29,7 @@ from behavexplor.repair.pair_campaigns import (
     PAGE,
     SECOND,
     SETTINGS,
+    check_search,
     compared,
     differences,
     driven,
@@ -110,6 +112,9 @@ def compare(  # noqa: PLR0913 - one argument for each flag
             "confirm": confirm,
         }
     )
+    searching = replace(config, method=method, budget=str(budget), batch=_DEFAULTS.batch)
+    if search:
+        check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")
     try:
         _drive(config, folder / FIRST, count, quiet=quiet)
@@ -117,15 +122,12 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         _drive(other, folder / SECOND, count, quiet=quiet)
         pairs = compared(folder)
         print(table(pairs, config.env, first, second))
-        pages = [folder]
-        if search:
-            searching = replace(config, method=method, budget=str(budget), batch=_DEFAULTS.batch)
-            if _searched(searching, other, folder / SEARCH, count, quiet=quiet):
-                pages.append(folder / SEARCH)
+        _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
+        if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
+            _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
-    _write(folder, pairs, pages)
     print(f"Page: {folder / PAGE}")
     print(f"Replay a scenario that only one of them fails: {program()} replay {shlex.quote(str(folder / FIRST))} ID")
     return OK
@@ -144,11 +146,19 @@ def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -
         say(f"Warning: {config.ads}: {warning}")
 
 
-def _searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
+def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
     """Search for differences, drive those that were found again, and return whether there are any."""
+    executed = 0
     with Meter(sys.stderr, int(config.budget), "scenarios with both", quiet=quiet) as meter:
-        found = differences(config, other, folder, max(1, workers // 2) if workers else 0, meter.show)
-    print(f"\nSearch with {config.method}: {len(found)} of {config.budget} scenarios in which only one driver fails")
+
+        def observe(done: int) -> None:
+            nonlocal executed
+            executed = done
+            meter.show(done)
+
+        found = differences(config, other, folder, max(1, workers // 2) if workers else 0, observe)
+    early = "" if executed == int(config.budget) else f"; it ended before its budget of {config.budget} was used up"
+    print(f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}")
     if not found:
         return False
     options: dict[str, Any] = {"file": str((folder / DIFFERENCES).resolve())}
@@ -181,13 +191,9 @@ def _listed(numbers: Sequence[int], most: int = 8) -> str:
     return ", ".join(map(str, numbers[:most])) + (", ..." if len(numbers) > most else "")
 
 
-def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
-    """Write the paired statistics as JSON, and the page.
-
-    Raises:
-        InputError: if the files cannot be written.
-    """
-    values = [
+def values(pairs: Sequence[Pairs]) -> list[dict[str, Any]]:
+    """Return the paired statistics as JSON values, with the p-values of the table."""
+    return [
         {
             "outcome": row.outcome,
             "n": row.n,
@@ -196,14 +202,22 @@ def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
             "both": row.both,
             "neither": row.neither,
             "difference": row.difference,
-            "p": row.p,
+            "p": p,
         }
-        for row in pairs
+        for row, p in zip(pairs, holm([row.p for row in pairs]), strict=True)
     ]
+
+
+def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
+    """Write the paired statistics as JSON, and the page.
+
+    Raises:
+        InputError: if the files cannot be written.
+    """
     runs = [read_run(place / name) for place in pages for name in (FIRST, SECOND)]
     text = page(runs, _REPLAYS, (COLUMNS, rows(pairs)))
     try:
-        write_durably(folder / TABLE, json.dumps(values, indent=1) + "\n")
+        write_durably(folder / TABLE, json.dumps(values(pairs), indent=1) + "\n")
         write_durably(folder / PAGE, text)
     except OSError as error:
         raise InputError(f"{folder} cannot be written: {error.strerror}") from None

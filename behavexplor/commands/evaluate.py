@@ -113,13 +113,13 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
     except RuntimeError as error:
         print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
+    print(table(env, found))
+    if DRAWN in found:
+        print(_gap(found[Path(ads).name], found[DRAWN]))
     if json_file is not None:
         first, *others = found.items()
         values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
         write_json(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
-    print(table(env, found))
-    if DRAWN in found:
-        print(_gap(found[Path(ads).name], found[DRAWN]))
     return OK
 
 

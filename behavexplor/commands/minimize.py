@@ -19,7 +19,7 @@ from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import chosen_failures, minimize_failures
-from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.minimized import Minimized, known_minimized
 
 
 def minimize(
@@ -41,19 +41,23 @@ def minimize(
         numbers: Numbers of failed executions; by default the first failure of each class.
         every: Minimize all failures.
         workers: Number of worker processes; 0 uses this process. The results do not depend on it.
-        afresh: Minimize failures again that have been minimized before.
+        afresh: Minimize failures again that have been minimized before. Those for which triage has found another fault
+            or cause since then are always minimized again.
         quiet: Print only the table.
     """
+    if every and numbers:
+        raise InputError("Give either numbers of executions or --all")
     count = chosen_workers(workers)
     with closing(Store.read(run)) as store:
         chosen = chosen_failures(store, numbers, every=every)
-        known = {} if afresh else read_minimized(run)
+        findings = known_findings(run)
+        known = {} if afresh else known_minimized(run, findings)
         found = {number: known[number] for number in chosen if number in known}
         waiting = [number for number in chosen if number not in found]
         try:
             with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
                 config = stored_config(run)
-                for minimal in minimize_failures(store, config, waiting, known_findings(run), count):
+                for minimal in minimize_failures(store, config, waiting, findings, count):
                     found[minimal.id] = minimal
                     meter.show(len(found) - len(chosen) + len(waiting))
         except OSError as error:
@@ -72,7 +76,8 @@ def table(found: Sequence[Minimized]) -> str:
     lost = [minimal for minimal in found if not minimal.reproduced]
     kept = [minimal for minimal in found if minimal.reproduced]
     lines = [
-        f"Execution {minimal.id} did not fail in the same way when it was repeated, so it was not minimized"
+        f"Execution {minimal.id} did not fail in the same way when it was repeated, or its driver ended or blocked its "
+        "process, so it was not minimized"
         for minimal in lost
     ]
     if kept:

@@ -117,14 +117,23 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
     print(_table(rounds))
-    name = shlex.quote(str(retraining.policy_in(folder, config)))
+    made = retraining.policy_in(folder, config)
+    name = shlex.quote(str(made))
     chosen = best(rounds).number
     if chosen == 0:
         print(f"\nNo round was better than the policy as it was given, of which {name} is a copy.")
         return OK
     print(f"\nThe policy of round {chosen} is in {name}. What it fixed and what it broke:")
-    print(f"{program()} compare {shlex.quote(config.policy)} {name} --env {config.env}")
+    print(comparison(config, made))
     return OK
+
+
+def comparison(config: RetrainingConfig, made: Path) -> str:
+    """Return the command that compares the policy as it was given with another one, where it was trained."""
+    words = ["compare", config.policy, str(made), "--env", config.env]
+    words += ["--traffic", config.traffic] if config.traffic != RetrainingConfig.traffic else []
+    words += ["--env-config", "FILE"] if config.env_config else []  # the file that was given is not known here
+    return f"{program()} {shlex.join(words)}"
 
 
 def _words(one: Round) -> str:

@@ -16,11 +16,11 @@ from behavexplor.commands.meter import Meter
 from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
-from behavexplor.repair.cases import TEST, Case, Suite
+from behavexplor.repair.cases import TEST, Case, Suite, check_free
 from behavexplor.repair.selection import candidates, case_of, check_same_driving
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import minimize_failures
-from behavexplor.triage.minimized import Minimized, read_minimized
+from behavexplor.triage.minimized import Minimized, known_minimized
 
 TRIES = 3  # failures of one class that are tried, in case the first ones cannot be reproduced
 
@@ -34,7 +34,8 @@ def suite(
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
 
-    Only failures at fault count, as far as the trace can tell or as triage has found.
+    Only failures at fault count, as far as the trace can tell or as triage has found. Errors, in which the driver
+    failed instead of driving, are left out.
 
     Args:
         runs: Run folders of one environment.
@@ -44,6 +45,7 @@ def suite(
     """
     if not runs:
         raise InputError("Give at least one run folder, such as runs/my-run")
+    check_free(out)  # before failures are minimized, which takes minutes
     count = chosen_workers(workers)
     configs = [(run, stored_config(run)) for run in runs]
     check_same_driving(configs[0], configs[1:])
@@ -56,7 +58,7 @@ def suite(
         print(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     if not cases:
-        raise InputError("None of the failures is reproducible and the driver's fault, so there is nothing to check")
+        raise InputError("Apart from errors, no failure is reproducible and at fault, so there is nothing to check")
     first = configs[0][1]
     Suite(
         env=first.env,
@@ -79,7 +81,7 @@ def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], workers
     with closing(Store.read(run)) as store:
         findings = known_findings(run)
         left = {kind: ids for kind, ids in candidates(store.records(), findings).items() if kind not in taken}
-        known, made = read_minimized(run), []
+        known, made = known_minimized(run, findings), []
         for attempt in range(TRIES):
             chosen = [ids[attempt] for ids in left.values() if len(ids) > attempt]
             waiting = [number for number in chosen if number not in known]

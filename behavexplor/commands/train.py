@@ -14,6 +14,7 @@ from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.evaluate import table
 from behavexplor.commands.flags import check_unchanged, flag
 from behavexplor.commands.meter import Meter
+from behavexplor.data.durable import write_durably
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, missing_library
@@ -97,7 +98,10 @@ def resumed_config(kind: type[_Config], file: Path, what: str) -> _Config:
     """
     if not file.is_file():
         raise InputError(f"{file.parent} is not the folder of a {what}: it has no {file.name}")
-    return checked(kind, read_yaml(file), what)
+    values = read_yaml(file)
+    if not values:
+        raise InputError(f"{file} is empty, so the configuration of the {what} is lost: restore it or start a new one")
+    return checked(kind, values, what)
 
 
 def begin_training(folder: Path, name: str, config: "TrainingConfig | RetrainingConfig") -> None:
@@ -110,7 +114,7 @@ def begin_training(folder: Path, name: str, config: "TrainingConfig | Retraining
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise InputError(f"{folder} is not empty: resume with --resume {folder}, or choose another --out")
-        (folder / name).write_text(config.to_yaml())
+        write_durably(folder / name, config.to_yaml())
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None
 

@@ -5,10 +5,9 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
-from behavexplor.campaign.config import read_yaml
+from behavexplor.ads.sb3.description import env_in_card
 from behavexplor.commands import OK, program
 from behavexplor.errors import InputError, missing_library
 
@@ -52,9 +51,7 @@ def _env_of(path: Path) -> str:
     Raises:
         InputError: if no card names it, or the card cannot be read.
     """
-    card = path.with_suffix(".yaml")
-    training = read_yaml(card).get("training") if card.is_file() else None
-    env = training.get("env") if isinstance(training, dict) else None
-    if isinstance(env, str) and env in FUNCTIONAL_SCENARIOS:
-        return env
-    raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")
+    env = env_in_card(path)
+    if env is None:
+        raise InputError(f"No file beside {path} says in which functional scenario it was trained: give --env")
+    return env

@@ -122,15 +122,14 @@ class Suite:
         return cls(**{**asdict(suite), "cases": tuple(cases)})
 
     def write(self, folder: Path) -> None:
-        """Write the suite and its test file into a new or empty folder.
+        """Write the suite and its test file into a folder.
 
         Raises:
-            InputError: if the folder is not empty, or cannot be written.
+            InputError: if the folder has such files already, or cannot be written.
         """
+        check_free(folder)
         try:
             (folder / CASES).mkdir(parents=True, exist_ok=True)
-            if any((folder / CASES).iterdir()) or (folder / SUITE).exists():
-                raise InputError(f"{folder} already has a suite: give another --out, or delete it")
             for case in self.cases:
                 write_durably(folder / CASES / f"{case.name}.yaml", _case_text(case))
             write_durably(folder / TEST, test_text(self.driver))
@@ -145,6 +144,21 @@ class Suite:
             write_durably(folder / SUITE, _yaml({"format": FORMAT, **values, **config}))
         except OSError as error:
             raise InputError(f"{folder} cannot be written: {error.strerror}") from None
+
+
+def check_free(folder: Path) -> None:
+    """Check that a suite in a folder would replace nothing.
+
+    Raises:
+        InputError: if the folder already has a file that a suite would have.
+    """
+    try:
+        if (folder / SUITE).exists() or ((folder / CASES).is_dir() and any((folder / CASES).iterdir())):
+            raise InputError(f"{folder} already has a suite: give another --out, or delete it")
+        if (folder / TEST).exists():
+            raise InputError(f"{folder} already has a {TEST}, which a suite would replace: give another --out")
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read: {error.strerror}") from None
 
 
 def _check(path: Path, case: Case, names: Sequence[str] | set[str]) -> None:

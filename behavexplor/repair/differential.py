@@ -7,9 +7,10 @@ does not fail alone".
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
+from behavexplor.campaign.campaign import collision_fault
 from behavexplor.campaign.record import ERROR
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
@@ -18,8 +19,8 @@ from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
-from behavexplor.judge.fault import own_violations
-from behavexplor.judge.specs import Spec, Verdict, judge
+from behavexplor.judge.fault import is_at_fault
+from behavexplor.judge.specs import DIFFERS, Spec, Verdict, judge
 
 ONLY_FIRST, ONLY_SECOND = "only-first-fails", "only-second-fails"
 BOTH_FAIL: Final = 1.0  # degree of a scenario in which both drivers fail [m], as if one of them nearly failed
@@ -94,7 +95,7 @@ def search_differences(
             return found
         candidate, *futures = pending.popleft()
         one, other = (_result(first, candidate.scenario, future) for future in futures)
-        verdict = difference(_verdict(one, specs), _verdict(other, specs))
+        verdict = difference(verdict_at_fault(*one, specs), verdict_at_fault(*other, specs))
         found += [Difference(candidate.number, name, candidate.scenario) for name in verdict.violated]
         method.tell(candidate, one[0], verdict)
         done += 1
@@ -118,16 +119,23 @@ def _submitted(driven: Driven, candidate: Candidate) -> "Future[bytes]":
     return driven.executor.submit(EXECUTE, driven.logical.adopted(candidate.scenario).to_json().encode())
 
 
-def _result(first: Driven, scenario: Scenario, future: "Future[bytes]") -> tuple[Trace, bool]:
-    """Return the trace of an execution, and whether the ADS failed instead of driving."""
+def _result(first: Driven, scenario: Scenario, future: "Future[bytes]") -> tuple[Trace, str | None]:
+    """Return the trace of an execution, and the kind of the failure if the ADS failed instead of driving."""
     try:
-        return Trace.from_bytes(future.result()), False
-    except ADSError:
-        return first.logical.first_frame(scenario, ERROR), True
+        return Trace.from_bytes(future.result()), None
+    except ADSError as error:
+        return first.logical.first_frame(scenario, ERROR), error.kind
 
 
-def _verdict(result: tuple[Trace, bool], specs: Sequence[Spec]) -> Verdict:
-    """Return the verdict on a driver, which is not to blame for collisions that other vehicles cause."""
-    trace, is_error = result
+def verdict_at_fault(trace: Trace, error: str | None, specs: Sequence[Spec]) -> Verdict:
+    """Return the verdict on a driver. Only failures at fault count, see `behavexplor.campaign.record.Record.at_fault`.
+
+    Args:
+        trace: trace of an execution.
+        error: kind of the failure if the driver failed instead of driving; None if it drove.
+        specs: the specs that judge it.
+    """
     verdict = judge(trace, specs)
-    return Verdict(verdict.degrees, (ERROR,) if is_error else own_violations(trace, verdict.violated))
+    if error is not None:
+        return replace(verdict, violated=() if error == DIFFERS else (ERROR,))
+    return verdict if is_at_fault(collision_fault(trace, verdict)) else replace(verdict, violated=())

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.config import CONFIG, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE
@@ -14,6 +14,25 @@ from behavexplor.data.target import Target
 from behavexplor.execution.simulation import Simulation
 from behavexplor.triage.blame import blame
 from behavexplor.triage.examination import STREAM
+
+
+def search_config(target: Target, method: str, budget: int, seed: int) -> CampaignConfig:
+    """Return the configuration of the campaign of `found_failures`.
+
+    Raises:
+        InputError: if a value is out of range.
+    """
+    return CampaignConfig(
+        env=target.env,
+        ads=target.ads,
+        method=method,
+        budget=str(budget),
+        seed=seed,
+        batch=32,
+        env_config=None if target.env_config is None else dict(target.env_config),
+        traffic=WIDE if target.traffic == WIDE else DEFAULT,
+        unconfined=target.unconfined,
+    )
 
 
 def found_failures(target: Target, method: str, budget: int, seed: int, folder: Path) -> tuple[list[Any], int]:
@@ -33,18 +52,9 @@ def found_failures(target: Target, method: str, budget: int, seed: int, folder: 
     Raises:
         ExecutionError: if an execution could not be carried out.
     """
-    config = CampaignConfig(
-        env=target.env,
-        ads=target.ads,
-        method=method,
-        budget=str(budget),
-        seed=seed,
-        batch=32,
-        env_config=None if target.env_config is None else dict(target.env_config),
-        traffic=WIDE if target.traffic == WIDE else DEFAULT,
-        unconfined=target.unconfined,
-    )
-    with opened(config, folder, 0, resume=folder.is_dir()) as ready:
+    config = search_config(target, method, budget, seed)
+    begun = (folder / CONFIG).is_file()  # a folder without it was interrupted before its campaign began
+    with opened(config, folder, 0, resume=begun) as ready:
         ready.campaign.run(lambda _: None)
     with closing(Store.read(folder)) as store:
         executions = list(store.executions())

@@ -13,7 +13,10 @@ from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.target import Target
+from behavexplor.envs.making import is_stock
+from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_loading, logical_of_target, start_executor
+from behavexplor.fuzz.methods import load_method
 from behavexplor.judge.robustness import load_specs
 from behavexplor.repair.differential import Difference, Driven, search_differences
 from behavexplor.repair.pairs import Pairs, paired
@@ -67,6 +70,21 @@ def compared(folder: Path) -> list[Pairs]:
     """Return the paired statistics of a folder's two runs."""
     with closing(Store.read(folder / FIRST)) as first, closing(Store.read(folder / SECOND)) as second:
         return paired(first.records(), second.records())
+
+
+def check_search(config: CampaignConfig) -> None:
+    """Check the search for differences as far as that is possible before a driver is loaded.
+
+    Args:
+        config: configuration of the first driver, with the search method.
+
+    Raises:
+        InputError: if the search method cannot be used.
+    """
+    if is_stock(config.env):  # where the logical scenario depends on what the driver declares
+        load_method(config.method)
+    else:
+        search_method(config, logical_scenario(config.env))
 
 
 def differences(

@@ -16,12 +16,20 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
+from behavexplor.campaign.campaign import search_method
 from behavexplor.data.target import Target
 from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
-from behavexplor.repair.finding import found_failures
+from behavexplor.repair.finding import found_failures, search_config
 from behavexplor.repair.pool_watch import PoolWatch
-from behavexplor.repair.retraining_rounds import RetrainingConfig, Round, append_round, best, finished_rounds
+from behavexplor.repair.retraining_rounds import (
+    ROUNDS,
+    RetrainingConfig,
+    Round,
+    append_round,
+    best,
+    finished_rounds,
+)
 from behavexplor.repair.scenario_pool import Pool, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
 from behavexplor.training import Learned, log_formats, restore_model, save_model
@@ -55,7 +63,8 @@ def retrain(
         trainee.scenarios.sampler = pool.sample
         work = _Work(config, folder, trainee, pool)
         if rounds:
-            restore_model(trainee.model, work.file(rounds[-1].number, ".pt"))
+            again = f"delete the last line of {folder / ROUNDS} to resume from the round before"
+            restore_model(trainee.model, work.file(rounds[-1].number, ".pt"), again)
         else:
             rounds = [work.finish(0, None)]
             report(rounds[-1])
@@ -65,12 +74,16 @@ def retrain(
 
 
 def check(config: RetrainingConfig) -> None:
-    """Check that a policy can be trained further.
+    """Check that a policy can be trained further, and that its failures can be searched for.
 
     Raises:
-        InputError: if it cannot; the message says why.
+        InputError: if not; the message says why.
     """
-    open_trainee(config.target, config.seed, config.envs).venv.close()
+    trainee = open_trainee(config.target, config.seed, config.envs)
+    with closing(trainee.venv):
+        if config.searches:
+            last = search_config(config.target, config.method, config.budget, config.seed + config.rounds)
+            search_method(last, trainee.scenarios.logical)
 
 
 def policy_in(folder: Path, config: RetrainingConfig) -> Path:
@@ -104,7 +117,7 @@ class _Work:
         self.trainee.model.set_logger(configure(str(logs), log_formats()))
         with closing(self.trainee.model.logger):
             for number in range(len(rounds), config.rounds + 1):
-                found, charged = self.refresh(number) if config.pool in ("found", "both") else (None, 0)
+                found, charged = self.refresh(number) if config.searches else (None, 0)
                 self.train(number, max(config.steps - charged, 1), watch)
                 rounds.append(self.finish(number, found))
                 report(rounds[-1])

@@ -82,6 +82,11 @@ class RetrainingConfig:
         return yaml.safe_dump(asdict(self), sort_keys=False)
 
     @property
+    def searches(self) -> bool:
+        """Whether each round begins with a campaign."""
+        return self.pool in ("found", "both")
+
+    @property
     def target(self) -> Target:
         """The policy and its environment."""
         # Nothing in the policy's file is executed, so no process has to confine it.

@@ -119,7 +119,7 @@ def open_trainee(target: Target, seed: int, envs: int | None = None) -> Trainee:
     return made(simulation, target.env, path, seed, envs)
 
 
-def _of_network(simulation: Simulation, _: str, path: Path, seed: int, envs: int | None) -> Trainee:
+def _of_network(simulation: Simulation, env: str, path: Path, seed: int, envs: int | None) -> Trainee:
     """Return a policy whose network is that of a file, with a new critic."""
     network = read_network(path)
     scenarios = _scenarios(simulation, envs or _ENVS)
@@ -130,6 +130,7 @@ def _of_network(simulation: Simulation, _: str, path: Path, seed: int, envs: int
 
     def write(path: Path) -> None:
         write_network(path, trained_network(model))
+        path.with_suffix(OWN[0]).write_text(yaml.safe_dump({"training": {"env": env}}))
 
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import asdict, replace
 from typing import Any, Final
 
@@ -9,13 +10,14 @@ from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import LOCK_STEP, recipe_for
 from behavexplor.execution.lookahead import AHEAD, in_order
 from behavexplor.execution.rollout import ADSError, LockStep
-from behavexplor.execution.start import start_executor, start_in_process
+from behavexplor.execution.start import logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.examination import STREAM, FailureEvaluator
@@ -27,6 +29,7 @@ from behavexplor.triage.shrinking import shrink, size_of
 LIMIT: Final = 500  # executions of candidates for one failure
 TIME_LIMIT: Final = 100.0  # time limit of one failure, in units of the time limit of an execution
 MINIMIZE: Final = "minimize"  # function of the service
+ENDINGS: Final = frozenset({"crash", "hang"})  # kinds of errors by which a driver ends or blocks its process
 
 
 class Minimizer(FailureEvaluator):
@@ -114,6 +117,28 @@ def minimized(
     ), logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
 
 
+def left_as_found(
+    logical: LogicalScenario, specs: Sequence[Spec], execution: Execution, known: Finding | None
+) -> Minimized:
+    """Return a failure that cannot be minimized as it was found; see `minimized` for the arguments."""
+    record = execution.record
+    sought = recorded_signature(record, execution.load_trace(), specs)
+    size = size_of(logical.parts(execution.scenario), removable=logical.removable)
+    return Minimized(
+        id=record.id,
+        class_id=sought.class_id,
+        fault=known.fault if known else sought.fault,
+        cause=known.cause if known else None,
+        reproduced=False,
+        is_minimal=False,
+        found=size,
+        minimal=size,
+        executions=0,
+        violated=record.violated,
+        scenario=record.scenario,
+    )
+
+
 def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = False) -> list[int]:
     """Return the failures to minimize, in order.
 
@@ -146,6 +171,8 @@ def minimize_failures(
 ) -> Iterator[Minimized]:
     """Minimize failures of a run in parallel, write the results into its folder, and yield them in order.
 
+    A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
+
     Args:
         store: the executions of the run.
         config: configuration of the run.
@@ -169,15 +196,36 @@ def minimize_failures(
         executor = start_in_process(target, driver, recipe)
     try:
         (store.folder / MINIMIZED).mkdir(exist_ok=True)
-        calls = (_call(store.execution(number), config.seed, known.get(number)) for number in failures)
-        for future in in_order(executor, calls, AHEAD * workers):
-            head, trace = future.result().split(b"\n", 1)
-            minimal = checked(Minimized, json.loads(head), "the minimized failure")
+        ended = {number for number in failures if _ends_process(store.execution(number).record)}
+        tried = (number for number in failures if number not in ended)
+        calls = (_call(store.execution(number), config.seed, known.get(number)) for number in tried)
+        futures = in_order(executor, calls, AHEAD * workers)
+        for number in failures:
+            answer = None if number in ended else _answer(next(futures))
+            if answer is None:
+                execution = store.execution(number)
+                logical, specs = logical_of_target(executor, config.env), load_specs(config.specs)
+                answer = left_as_found(logical, specs, execution, known.get(number)), execution.trace
+            minimal, trace = answer
             minimal.write(store.folder, trace)
             yield minimal
     finally:
         executor.shutdown(wait=False)
 
 
+def _ends_process(record: Record) -> bool:
+    """Return whether the driver ended or blocked its process, so that this process could not try anything else."""
+    return record.error is not None and record.error["kind"] in ENDINGS
+
+
 def _call(execution: Execution, seed: int, known: Finding | None) -> tuple[str, bytes]:
     return MINIMIZE, minimization(execution.record, execution.trace, seed, known)
+
+
+def _answer(future: "Future[bytes]") -> tuple[Minimized, bytes] | None:
+    """Return a minimized failure and its trace; None if the driver ended or blocked its process in a candidate."""
+    try:
+        head, trace = future.result().split(b"\n", 1)
+    except ADSError:
+        return None
+    return checked(Minimized, json.loads(head), "the minimized failure"), trace

@@ -1,6 +1,7 @@
 """Minimized failures of runs as plain data: `minimized/` in the run folder."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -10,6 +11,7 @@ from behavexplor.data.parts import Size
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
+from behavexplor.triage.findings import Finding
 
 FORMAT: Final = 1
 MINIMIZED: Final = "minimized"
@@ -24,7 +26,8 @@ class Minimized:
         class_id: class of the failure.
         fault: fault for a collision, by triage where the run has been triaged, otherwise by the trace alone.
         cause: weakness of the rule planner that caused the failure; None without triage.
-        reproduced: whether the failure happened again. Only then it was minimized.
+        reproduced: whether the failure happened again. Only then it was minimized. It is not repeated if the driver
+            ended or blocked its process.
         is_minimal: whether the scenario cannot be simplified by one more step; False if `LIMIT` was reached before.
         found: size of the found scenario.
         minimal: size of the minimized scenario.
@@ -93,3 +96,21 @@ def read_minimized(folder: Path) -> dict[int, Minimized]:
     """Return the minimized failures of a run by the numbers of their executions."""
     found = (Minimized.read(path) for path in sorted((folder / MINIMIZED).glob("*.json")))
     return {one.id: one for one in found}
+
+
+def known_minimized(folder: Path, findings: Mapping[int, Finding]) -> dict[int, Minimized]:
+    """Return the minimized failures of a run that need not be minimized again, by the numbers of their executions.
+
+    Left out are those whose trace is missing, and those that were minimized before triage found another fault or cause,
+    which they may have lost.
+
+    Args:
+        folder: run folder.
+        findings: findings of triage by the numbers of the executions; none before triage.
+    """
+    return {
+        number: one
+        for number, one in read_minimized(folder).items()
+        if trace_path(folder, number).is_file()
+        and (number not in findings or (one.fault, one.cause) == (findings[number].fault, findings[number].cause))
+    }

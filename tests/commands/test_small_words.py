@@ -1,11 +1,18 @@
 """Results in words, and flags that two commands share."""
 
+from contextlib import nullcontext
+from types import SimpleNamespace
+
 import pytest
 
 from behavexplor.campaign.config import stored_config
-from behavexplor.commands import OK, main
+from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.commands.check import result
+from behavexplor.evaluation import Evaluation
 from behavexplor.execution.simulation import Simulation
+from behavexplor.repair.cases import Case, Suite
+from behavexplor.repair.checking import Outcome
+from tests.fakes import LOGICAL
 
 
 @pytest.mark.parametrize(
@@ -32,3 +39,22 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
     assert main(["compare", *drivers, *flags, "--out", str(tmp_path / "out")]) == OK
     assert "2 scenarios of merge-v0" in capsys.readouterr().out
     assert not stored_config(tmp_path / "out" / "second").confirm
+
+
+def test_what_was_driven_is_shown_even_if_a_file_of_it_cannot_be_written(tmp_path, monkeypatch, capsys):
+    case = Case(words="", class_id="R2", run="run", execution=7, holds=("lines",), scenario={})
+    outcome = Outcome(case, ("lines",), "Touched a line")
+    monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm", cases=(case,)))
+    drive = SimpleNamespace(all_of=lambda _: [outcome])
+    monkeypatch.setattr("behavexplor.commands.check.opened_driver", lambda *_, **__: nullcontext(drive))
+    assert main(["check", "suite", "--junit", str(tmp_path)]) == BAD_INPUT
+    printed = capsys.readouterr()
+    assert "R2-7      FAIL  Touched a line" in printed.out
+    assert "cannot be written" in printed.err
+
+    rates = Evaluation(4, {"arrived": 3})
+    monkeypatch.setattr("behavexplor.commands.evaluate._evaluated", lambda *_: (LOGICAL, rates, False))
+    assert main(["evaluate", "--json", str(tmp_path)]) == BAD_INPUT
+    printed = capsys.readouterr()
+    assert "75.0% (" in printed.out
+    assert "cannot be written" in printed.err

@@ -1,14 +1,19 @@
 """The command `compare`, and its search for scenarios in which only one of two drivers fails."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
-from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.judge.specs import Verdict
-from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.commands.compare import searched, values
+from behavexplor.judge.specs import SPECS, Verdict, judge
+from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
+from behavexplor.repair.pairs import AT_FAULT, Pairs, rows
+from tests.judge.test_fault import BEHIND, trace
 
 SWERVER, CRUISER = "tests.drivers:Swerver", "tests.drivers:Cruiser"
 
@@ -60,6 +65,51 @@ def test_a_driver_that_does_not_exist_is_one_sentence(tmp_path, capsys):
     assert "rules" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("flag", "value"), [("--method", "nsga3"), ("--budget", "0")])
+def test_a_search_that_cannot_begin_is_refused_before_anybody_drives(flag, value, tmp_path, monkeypatch, capsys):
+    monkeypatch.delattr("behavexplor.commands.compare._drive")
+    out = tmp_path / "out"
+    assert main(["compare", "rule", "idm", "--search", flag, value, "--workers", "0", "--out", str(out)]) == BAD_INPUT
+    assert f"{value!r}" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_search_that_fails_leaves_the_comparison_on_disk(tmp_path, monkeypatch, capsys):
+    def fail(*_, **__):
+        raise RuntimeError("a worker ended")
+
+    written = []
+    pairs = [Pairs(AT_FAULT, (), (), 0, 1)]
+    for name, function in {
+        "_drive": lambda *_, **__: None,
+        "second_config": lambda first, *_: first,
+        "compared": lambda _: pairs,
+        "_write": lambda *given: written.append(given),
+        "searched": fail,
+    }.items():
+        monkeypatch.setattr(f"behavexplor.commands.compare.{name}", function)
+    arguments = ["compare", "rule", "idm", "--search", "--workers", "0", "--out", str(tmp_path)]
+    assert main(arguments) == EXECUTION_FAILED
+    assert "a worker ended" in capsys.readouterr().err.casefold()
+    assert written == [(tmp_path, pairs, [tmp_path])]
+
+
+def test_a_search_that_ends_early_says_how_many_scenarios_it_drove(tmp_path, monkeypatch, capsys):
+    def differences(*given):
+        given[-1](7)
+        return []
+
+    monkeypatch.setattr("behavexplor.commands.compare.differences", differences)
+    config = CampaignConfig(method="random", budget="12")
+    assert not searched(config, config, tmp_path, 0, quiet=True)
+    assert "0 of 7 scenarios in which only one driver fails; it ended before" in capsys.readouterr().out
+
+
+def test_the_p_values_of_the_file_are_those_of_the_table():
+    pairs = [Pairs("any failure", (), tuple(range(6)), 2, 92), Pairs("lines", (), (), 0, 100)]
+    assert [f"{row['p']:.2g}" for row in values(pairs)] == [cells[-1] for cells in rows(pairs)] == ["0.062", "1"]
+
+
 def verdict(degree, *violated):
     return Verdict({"collision": degree, "lines": 5.0}, violated)
 
@@ -77,3 +127,13 @@ def test_the_difference_of_verdicts(first, second, degrees, violated):
     found = difference(first, second)
     assert tuple(found.degrees.values()) == degrees
     assert found.violated == violated
+
+
+def test_only_what_the_records_count_as_a_failure_at_fault_is_one():
+    line = np.array([[[-10.0, -5.0], [-10.0, 5.0]]])
+    struck = replace(trace(5.0, BEHIND, 9.0), illegal_lines=line)  # by a vehicle from behind, after it touched a line
+    assert {"collision", "lines"} <= set(judge(struck).violated)
+    assert verdict_at_fault(struck, None, SPECS).violated == ()
+    assert "collision" in verdict_at_fault(trace(5.0, BEHIND, 9.0, swerve=0.5), None, SPECS).violated
+    assert verdict_at_fault(struck, "raised", SPECS).violated == ("error",)
+    assert verdict_at_fault(struck, "differs", SPECS).violated == ()

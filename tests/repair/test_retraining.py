@@ -3,6 +3,9 @@
 import io
 import json
 import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -18,11 +21,16 @@ from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands.retrain import comparison
 from behavexplor.data.scenario import parse_scenario
+from behavexplor.data.target import Target
+from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
+from behavexplor.repair import finding, retraining
 from behavexplor.repair.retraining import retrain
-from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, best, finished_rounds
+from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
+from behavexplor.repair.trainees import copy_policy, open_trainee
 
 POLICY = "learned:lane-change"
 SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
@@ -66,6 +74,12 @@ def test_the_first_round_is_the_policy_as_it_was(retrained):
     assert not np.array_equal(layers(retrained / "rounds/round-0002.npz")[0], layers(policy_file(POLICY))[0])
 
 
+def test_a_retrained_network_says_where_it_was_trained(tmp_path):
+    open_trainee(Target("lane-change", POLICY), seed=0, envs=1).write(tmp_path / "round.npz")
+    copy_policy(tmp_path / "round.npz", tmp_path / "policy.npz")
+    assert trained_in(str(tmp_path / "policy.npz")) == "lane-change"
+
+
 def test_the_best_round_becomes_the_policy(retrained):
     rounds = finished_rounds(retrained)
     chosen = f"rounds/round-{best(rounds).number:04d}.npz"
@@ -86,6 +100,21 @@ def test_every_round_keeps_its_campaign_and_its_pool(retrained):
         assert len(lines) == one.pool
 
 
+def test_a_campaign_that_was_cut_off_before_it_began_begins_anew(tmp_path, monkeypatch):
+    asked = []
+
+    def opened(*_, resume):
+        asked.append(resume)
+        raise CutError
+
+    monkeypatch.setattr(finding, "opened", opened)
+    for name in ("", "campaign.lock", "config.yaml"):
+        (tmp_path / name).touch()
+        with pytest.raises(CutError):
+            finding.found_failures(Target("lane-change", POLICY), "uniform", 5, 1, tmp_path)
+    assert asked == [False, False, True]
+
+
 def test_without_a_pool_there_are_no_campaigns(tmp_path):
     rounds = retrain(
         RetrainingConfig(policy=POLICY, pool="none", **{**SMALL, "rounds": 1}), tmp_path, lambda _: None, lambda _: None
@@ -99,6 +128,36 @@ def test_a_damaged_list_of_rounds_is_named(retrained, tmp_path):
     (folder / ROUNDS).write_text(json.dumps({"number": 0}))
     with pytest.raises(InputError, match=r"rounds\.jsonl cannot be read"):
         finished_rounds(folder)
+
+
+@pytest.fixture
+def trainee(monkeypatch):
+    """A policy that cannot learn."""
+    venv = SimpleNamespace(close=lambda: None)
+    trainee = SimpleNamespace(venv=venv, model=None, scenarios=SimpleNamespace(logical=LaneChangeEnv.logical))
+    monkeypatch.setattr(retraining, "open_trainee", lambda *_: trainee)
+    return trainee
+
+
+@pytest.mark.usefixtures("trainee")
+@pytest.mark.parametrize(
+    ("changed", "message"), [({"method": "unifrom"}, "did you mean 'uniform'"), ({"seed": 2**63 - 1}, "The seed")]
+)
+def test_a_search_that_cannot_begin_is_refused_before_the_first_round(changed, message):
+    config = RetrainingConfig(policy=POLICY, **{**SMALL, **changed})
+    with pytest.raises(InputError, match=message):
+        retraining.check(config)
+    retraining.check(replace(config, pool="own"))
+
+
+@pytest.mark.usefixtures("trainee")
+def test_a_damaged_round_is_named_with_what_helps(tmp_path):
+    append_round(tmp_path, Round(0, 0, 10, (), 10))
+    (tmp_path / "rounds").mkdir()
+    (tmp_path / "rounds" / "round-0000.jsonl").touch()
+    (tmp_path / "rounds" / "round-0000.pt").write_bytes(b"rubbish")
+    with pytest.raises(InputError, match=r"Cannot resume from .*\.pt: .*; delete the last line of .*rounds\.jsonl"):
+        retrain(RetrainingConfig(policy=POLICY, **SMALL), tmp_path, lambda _: None, lambda _: None)
 
 
 @pytest.mark.parametrize(
@@ -130,6 +189,13 @@ def test_the_command_says_what_every_round_brought(retrained, tmp_path, capsys):
     for flags in (["--rounds", "9"], ["--envs", "3"]):
         assert main(["retrain", "--resume", str(folder), *flags]) == BAD_INPUT
         assert f"{flags[0]} cannot be changed with --resume: the retraining has " in capsys.readouterr().err
+
+
+def test_the_comparison_is_in_the_environment_of_the_training():
+    config = RetrainingConfig("merge-v0", "a model.zip")
+    assert comparison(config, Path("b.zip")).endswith(" compare 'a model.zip' b.zip --env merge-v0")
+    config = replace(config, traffic="wide", env_config={"duration": 5})
+    assert comparison(config, Path("b.zip")).endswith(" --env merge-v0 --traffic wide --env-config FILE")
 
 
 @pytest.fixture(scope="module")

@@ -84,6 +84,15 @@ def test_a_suite_is_not_overwritten(made, capsys):
     assert "already has a suite" in capsys.readouterr().err
 
 
+def test_a_test_file_of_the_user_is_not_overwritten(tmp_path, capsys):
+    (tmp_path / TEST).write_text("mine")
+    assert main(["suite", str(tmp_path / "run"), "--out", str(tmp_path)]) == BAD_INPUT  # before the run is looked at
+    assert f"already has a {TEST}" in capsys.readouterr().err
+    with pytest.raises(InputError, match=f"already has a {TEST}"):
+        Suite(env="lane-change", driver="idm").write(tmp_path)
+    assert (tmp_path / TEST).read_text() == "mine"
+
+
 def test_a_run_without_failures_makes_no_suite(tmp_path, capsys):
     fuzz(tmp_path / "run", "rule:hardened", 1)
     assert main(["suite", str(tmp_path / "run"), "--out", str(tmp_path / "suite"), "--workers", "0"]) == BAD_INPUT

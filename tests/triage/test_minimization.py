@@ -1,23 +1,29 @@
 """Minimized failures: what the command finds, keeps and says."""
 
 import json
+from concurrent.futures import Future
 
 import numpy as np
 import pytest
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.store import Store
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.record import Record
+from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.parts import Size
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
 from behavexplor.triage.examination import STREAM
-from behavexplor.triage.minimized import Minimized, minimized_path, read_minimized, trace_path
+from behavexplor.triage.findings import Finding
+from behavexplor.triage.minimization import MINIMIZE
+from behavexplor.triage.minimized import Minimized, known_minimized, minimized_path, read_minimized, trace_path
 from behavexplor.triage.same_failure import ManyScenarios, signature
+from tests.fakes import LOGICAL
 from tests.triage.test_triage import fuzz
 from tests.triage.test_triage import run as triaged  # noqa: F401 - a fixture
 
@@ -93,6 +99,11 @@ def test_an_execution_that_passed_cannot_be_minimized(run, capsys):
     assert f"Execution {passed} of {run} has no failure" in capsys.readouterr().err
 
 
+def test_numbers_beside_all_are_refused(tmp_path, capsys):
+    assert main(["minimize", str(tmp_path), "3", "--all"]) == BAD_INPUT
+    assert "Give either numbers of executions or --all" in capsys.readouterr().err
+
+
 def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     folder = tmp_path / "run"
     fuzz(folder, "tests.triage.test_triage:Wavering", 3)
@@ -102,6 +113,62 @@ def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     found = read_minimized(folder)[number]
     assert not found.reproduced
     assert found.load_scenario() == Store.read(folder).execution(number).scenario
+
+
+class Dying:
+    """An executor whose process the driver ends in every call."""
+
+    def __init__(self):
+        self.calls = []
+
+    def submit(self, function, data):
+        self.calls.append(function)
+        future = Future()
+        if function == MINIMIZE:
+            future.set_exception(ADSError("crash", "its process was ended by SIGKILL"))
+        else:
+            future.set_result(b"")
+        return future
+
+    def shutdown(self, *, wait=True):
+        pass
+
+
+def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_being_minimized(
+    tmp_path, monkeypatch, capsys
+):
+    dying = Dying()
+    monkeypatch.setattr("behavexplor.triage.minimization.start_executor", lambda *_, **__: dying)
+    store = Store.create(tmp_path / "run", CampaignConfig(ads="idm").to_yaml())
+    for number, kind in enumerate(["hang", "raised", "crash"]):
+        scenario = LOGICAL.sample(np.random.default_rng(number))
+        failure = {"kind": kind, "message": ""}
+        named = {"violated": ("error",), "error": failure, "class": f"error/{kind}", "scenario": scenario.to_dict()}
+        record = Record.from_json(json.dumps({"id": number, "end": "error", **named}))
+        store.add(Execution(record, LOGICAL.first_frame(scenario, "error").to_bytes(), 0.0))
+    store.commit()
+    store.close()
+    assert main(["minimize", str(tmp_path / "run"), "--workers", "1", "--quiet"]) == OK
+    assert capsys.readouterr().out.count("so it was not minimized") == 3
+    assert dying.calls.count(MINIMIZE) == 1  # a driver that blocks would do so for hours
+    found = read_minimized(tmp_path / "run")
+    assert [one.class_id for one in found.values()] == ["error/hang", "error/raised", "error/crash"]
+    assert not any(one.reproduced or one.is_minimal for one in found.values())
+
+
+def test_what_triage_has_overtaken_or_lost_its_trace_is_minimized_again(tmp_path):
+    made = {"class_id": "R1", "reproduced": True, "is_minimal": True, "found": (1, 1), "minimal": (1, 1)}
+    (tmp_path / "minimized").mkdir()
+    for number, fault in enumerate(["other", "other", None, "preventable"]):
+        one = Minimized(id=number, fault=fault, cause=None, executions=1, violated=(), scenario={}, **made)
+        one.write(tmp_path, b"trace")
+    trace_path(tmp_path, 3).unlink()
+    seen = {"spec": "R1", "class_id": "R1", "words": "", "same_verdict": True, "same_trace": True}
+    triage = {1: Finding(id=1, fault="preventable", **seen), 2: Finding(id=2, cause="R2-1", **seen)}
+    assert sorted(known_minimized(tmp_path, {})) == [0, 1, 2]
+    assert sorted(known_minimized(tmp_path, triage)) == [0]
+    triage = {0: Finding(id=0, fault="other", **seen), 2: Finding(id=2, **seen)}
+    assert sorted(known_minimized(tmp_path, triage)) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": 9}', '{"format": 1}', '{"format": 1, "id": "x"}'])

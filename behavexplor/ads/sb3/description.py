@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final
 import yaml
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.untrusted import parse_yaml
@@ -74,17 +75,31 @@ def find_model(path: Path) -> Path:
 
 
 def trained_in(ads: str) -> str | None:
-    """Return the environment in which a policy was trained, if the files beside its model name it.
+    """Return the environment in which a policy was trained, if the files beside its model or network name it.
 
     Args:
         ads: name of a driving system, of any kind.
     """
-    if not (ads.endswith(".zip") or Path(ads).is_dir()):
-        return None
     try:
-        return describe(find_model(Path(ads))).env
+        if ads.startswith("learned:") or ads.endswith(".npz"):
+            from behavexplor.ads.learned.shipped import policy_file  # noqa: PLC0415 - imports numba, for no other driver
+
+            return env_in_card(policy_file(ads))
+        return describe(find_model(Path(ads))).env if ads.endswith(".zip") or Path(ads).is_dir() else None
     except InputError:  # which is said when the policy is loaded
         return None
+
+
+def env_in_card(network: Path) -> str | None:
+    """Return the functional scenario that the card beside a network of `train` names; None if there is none.
+
+    Raises:
+        InputError: if the card cannot be read.
+    """
+    card = network.with_suffix(OWN[0])
+    training = _read(card).get("training") if card.is_file() else None
+    env = training.get("env") if isinstance(training, dict) else None
+    return env if isinstance(env, str) and env in FUNCTIONAL_SCENARIOS else None
 
 
 def describe(model: Path) -> Description:

@@ -7,6 +7,7 @@ import yaml
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.description import trained_in
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
@@ -38,6 +39,18 @@ def test_each_has_a_card_that_says_how_it_was_made_and_how_it_drives(name):
     assert told["evaluation"]["scenarios"] == 1000
     assert {"arrived", "collision", "lines", "destination"} <= set(told["evaluation"]["rates"])
     assert (FOLDER / f"{name}.npz").stat().st_size < 300_000
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_without_an_environment_each_drives_where_it_was_trained(name):
+    env = card(name)["training"]["env"]
+    assert trained_in(f"learned:{name}") == trained_in(str(FOLDER / f"{name}.npz")) == env
+
+
+@pytest.mark.parametrize("text", ["[", "training: 3", "training: {env: 3}", "training: {env: 'os:path'}"])
+def test_a_card_that_names_no_functional_scenario_names_nothing(text, tmp_path):
+    (tmp_path / "policy.yaml").write_text(text)
+    assert trained_in(str(tmp_path / "policy.npz")) is None
 
 
 def rates(env, ads, n, seed):
