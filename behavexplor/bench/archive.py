@@ -86,9 +86,7 @@ def _read_lines(path: Path) -> dict[str, dict[str, Any]]:
     if not path.is_file():
         return {}
     try:
-        packed = path.read_bytes()
-        if not packed:
-            raise EOFError("it is empty")
+        packed = path.read_bytes() or b"\0"  # gzip takes an empty file for empty data
         lines = [json.loads(line) for line in gzip.decompress(packed).decode().splitlines()]
         return {line["run"]: {name: line[name] for name in ("run", "config", "summary")} for line in lines}
     except (OSError, EOFError, ValueError, KeyError, TypeError, zlib.error) as error:
