@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from behavexplor.bench.experiment import Experiment, slug
-from behavexplor.bench.statistics import LEVEL, compare, least_p
+from behavexplor.bench.statistics import LEVEL, compare, compare_together, least_p
 from behavexplor.bench.summaries import Summary, all_classified, all_signed
 from behavexplor.bench.table import (
     Column,
@@ -80,6 +80,44 @@ def samples(
         for one, other in pairs
     ]
     return [sample for sample in found if sample[4] and sample[5]]
+
+
+def joint_comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
+    """Return a table for each family of comparisons, over all scenarios together; none for one scenario.
+
+    A pair of methods is compared over the scenarios in which both have finished campaigns.
+    """
+    if len(places(experiment)) == 1:
+        return []
+    made = [_together(name, title, pairs, experiment, summaries) for name, title, pairs in families(experiment)]
+    return [table for table in made if table.rows]
+
+
+def _together(
+    name: str, title: str, pairs: Sequence[tuple[str, str]], experiment: Experiment, summaries: Sequence[Summary]
+) -> Table:
+    """Return the table of a family of comparisons over all scenarios together."""
+    figures = compared_figures(summaries)
+    met = [pair for pair in pairs if samples(experiment, summaries, [pair], figures[0][2])]
+    found = [
+        compare_together([[sample[4:] for sample in samples(experiment, summaries, [pair], figure)] for pair in met])
+        for _, _, figure in figures
+    ]
+    rows: list[tuple[Value, ...]] = []
+    for pair, *compared in zip(met, *found, strict=True):
+        shown = [f"{one.effect:.2f}{'*' if one.corrected < LEVEL else ''}" for one in compared]
+        rows.append((*pair, *shown, *(one.corrected for one in compared)))
+    names = [words for _, words, _ in figures]
+    heads = [Column("Method"), Column("Against"), *map(Column, names)]
+    heads += [Column(f"p Holm: {words}", only_csv=True) for words in names]
+    notes = (
+        "Question: does the method find more than the one that it is compared with, over all scenarios together?",
+        "A12, the mean over the scenarios: probability that a campaign of the method finds more than one of the other "
+        "method; 0.5: no difference.",
+        f"*: significant at {LEVEL:g} by van Elteren's test, which is the Mann-Whitney U test stratified by scenario, "
+        "with Holm's correction over the comparisons of the same figure.",
+    )
+    return Table(f"together-{slug(name).lower()}", f"All scenarios: {title}", (*heads,), (*rows,), (len(rows),), notes)
 
 
 def _compared(name: str, title: str, experiment: Experiment, found: Sequence[Sample]) -> Table:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from behavexplor.bench.comparisons import comparisons
+from behavexplor.bench.comparisons import comparisons, joint_comparisons
 from behavexplor.bench.equal_time import EqualTime, in_equal_time
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.forecast_table import forecasts, pooled_forecasts
@@ -61,7 +61,7 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
     made += overviews(experiment, summaries, cut)
     made.append(times(experiment, summaries))
     made += filter(None, [mutations(experiment, summaries), correlations(experiment, summaries)])
-    return made + comparisons(experiment, summaries)
+    return made + joint_comparisons(experiment, summaries) + comparisons(experiment, summaries)
 
 
 def violations(

@@ -6,8 +6,19 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
-from behavexplor.bench.statistics import a12, compare, estimate, holm, least_p, mann_whitney, size
+from behavexplor.bench.statistics import (
+    a12,
+    compare,
+    compare_together,
+    estimate,
+    holm,
+    least_p,
+    mann_whitney,
+    size,
+    van_elteren,
+)
 
 LEAST = {(3, 3): 0.1, (5, 5): 2 / 252, (2, 7): 2 / 36, (10, 10): 2 / 184756, (1, 9): 1.0}
 few = st.lists(st.integers(0, 6), min_size=2, max_size=4)
@@ -111,3 +122,37 @@ def test_a_comparison_says_so_where_methods_cannot_be_told_apart():
     fewer, _ = compare([(range(8), range(10, 20)), ([1, 2], [1, 2])])
     assert fewer.verdict == "fewer, large"
     assert (fewer.n, fewer.means) == ((8, 10), (3.5, 14.5))
+
+
+@given(few, few)
+def test_van_elterens_test_of_one_stratum_is_mann_whitneys(first, second):
+    if len({*first, *second}) > 1:
+        expected = stats.mannwhitneyu(first, second, method="asymptotic", use_continuity=False).pvalue
+        assert van_elteren([(first, second)]) == pytest.approx(expected)
+
+
+def test_van_elterens_test_agrees_with_all_arrangements_of_two_strata():
+    """Of 20 x 35 arrangements, those whose sum of weighted rank sums lies as far from its mean."""
+    strata = [([4, 5, 6], [1, 2, 3]), ([3, 5, 6, 7], [1, 2, 4])]
+    weighted = []
+    for first, second in strata:
+        ranks = range(1, len(first) + len(second) + 1)
+        sums = [sum(chosen) for chosen in itertools.combinations(ranks, len(first))]
+        weighted.append([(rank_sum - sum(sums) / len(sums)) / (len(ranks) + 1) for rank_sum in sums])
+    observed = (15 - 10.5) / 7 + (3 + 5 + 6 + 7 - 16) / 8
+    totals = [abs(a + b) for a, b in itertools.product(*weighted)]
+    exact = sum(total >= observed - 1e-9 for total in totals) / len(totals)
+    assert van_elteren(strata) == pytest.approx(exact, abs=0.006)
+
+
+def test_many_small_differences_together_are_one_that_shows():
+    strata = [([2, 3, 5, 6], [1, 2, 3, 4])] * 6
+    assert min(mann_whitney(*stratum) for stratum in strata) > 0.1
+    (found,) = compare_together([strata])
+    assert found.effect == pytest.approx(a12(*strata[0]))
+    assert found.p == found.corrected < 0.01
+    assert compare_together([[([1, 1], [1, 1])]])[0].p == 1
+
+
+def test_opposite_differences_together_are_none():
+    assert van_elteren([([1, 2, 3], [4, 5, 6]), ([4, 5, 6], [1, 2, 3])]) == pytest.approx(1)

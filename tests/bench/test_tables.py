@@ -135,6 +135,21 @@ def test_effect_sizes_of_all_figures_are_those_of_the_comparisons():
     assert row[2] == ""  # nothing was run there
 
 
+def test_scenarios_are_compared_together():
+    runs = [
+        campaign(method, seed, ["R2"] * count, env=env)
+        for env in ENVS
+        for method, counts in (("Search", (5, 6, 7)), ("w/o it", (2, 3, 5)), ("Uniform_1", (5, 6, 7)))
+        for seed, count in enumerate(counts)
+    ]
+    table = made("together-search", runs)
+    assert column(table, "Against") == ["w/o it", "Uniform_1"]
+    assert [cell.rstrip("*") for cell in column(table, "failures")] == [f"{8.5 / 9:.2f}", "0.50"]
+    assert column(table, "p Holm: failures")[1] == 1
+    assert column(table, "failures")[0].endswith("*") == (column(table, "p Holm: failures")[0] < 0.05)
+    assert not [found.name for found in tables(replace(EXPERIMENT, envs=ENVS[:1]), runs) if "together" in found.name]
+
+
 def test_violations_are_means_of_what_was_found_first():
     table = made("violations")
     assert column(table, "Scenario") == ["lane-follow"] * 3 + ["lane-change"]
