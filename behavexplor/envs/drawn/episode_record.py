@@ -56,7 +56,7 @@ class EpisodeRecord:
         self._period = 1 / env.config["simulation_frequency"]
         self._actions: list[Floats] = []
         self._action_frames: list[int] = []
-        self._arrivals: list[bool] = []
+        self._arrivals: list[tuple[int, bool]] = []  # whether the ego has arrived, with the frame in which it is said
 
     def decide(self, action: Any) -> None:
         """Record a command that is given at the latest frame."""
@@ -66,7 +66,7 @@ class EpisodeRecord:
     def judge(self, arrived: bool | None) -> None:
         """Record whether the ego has arrived after a decision; None if the environment has no destination."""
         if arrived is not None:
-            self._arrivals.append(arrived)
+            self._arrivals.append((len(self.frames) - 1, arrived))
 
     def trace(self, network: RoadNetwork, *, terminated: bool) -> Trace:
         """Return the trace of the episode. It ends with the frame in which the ego crashes, if it does.
@@ -115,9 +115,9 @@ class EpisodeRecord:
         if self._leaving_matters:
             signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
         if self._arrivals:
-            ends = [*self._action_frames[1:], len(self.frames) - 1]
+            frames, arrived = zip(*self._arrivals, strict=True)
             signals[ARRIVED] = np.zeros(len(self.frames))
-            signals[ARRIVED][ends] = self._arrivals
+            signals[ARRIVED][list(frames)] = arrived
         elif self._must_move_on:
             entry = {self.frames[0].lane[:2], *(lane[:2] for lane in self._route[:2])}
             signals[ARRIVED] = np.array([frame.lane[:2] not in entry for frame in self.frames], dtype=np.float64)
@@ -125,7 +125,7 @@ class EpisodeRecord:
 
     def _end(self, *, terminated: bool) -> str:
         """Return the kind of end of an episode without a crash, one of `behavexplor.data.trace.ENDS`."""
-        if self._arrivals and self._arrivals[-1]:
+        if self._arrivals and self._arrivals[-1][1]:
             return "arrived"
         if not terminated:
             return "timeout"
