@@ -91,6 +91,7 @@ class EpisodeRecord:
         present[at], crashed[at] = True, every["crashed"]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         size = np.array([self.sizes[number] for number in numbers.tolist()])
+        count = int(crashed[:, 0].argmax()) + 1 if crashed[:, 0].any() else len(things)
         route = ego_route(network, self._route, [seen.lane for seen in self.frames], position[:, 0])
         trace = Trace(
             time=np.arange(len(things), dtype=np.float64) * self._period,
@@ -104,20 +105,26 @@ class EpisodeRecord:
             destination=route[-1],
             illegal_lines=np.zeros((0, 2, 2)),
             end=self._end(terminated=terminated),
-            signals=self._signals(crashed[:, 0]),
+            signals=self._signals(crashed[:, 0], count),
             present=present,
             partner=_partner(position, heading, size, crashed),
         )
-        return trace.until(int(crashed[:, 0].argmax()) + 1, "collision") if crashed[:, 0].any() else trace
+        return trace.until(count, "collision") if crashed[:, 0].any() else trace
 
-    def _signals(self, crashed: NDArray[np.bool_]) -> dict[str, Floats]:
+    def _signals(self, crashed: NDArray[np.bool_], count: int) -> dict[str, Floats]:
+        """Return the signals of a trace. An arrival counts if it is the last thing that is said of it.
+
+        Args:
+            crashed: whether the ego has crashed, in every frame.
+            count: number of frames that the trace keeps.
+        """
         signals = {CRASHED: crashed.astype(np.float64)}
         if self._leaving_matters:
             signals[OFF_ROAD] = np.array([not frame.is_on_road for frame in self.frames], dtype=np.float64)
         if self._arrivals:
-            frames, arrived = zip(*self._arrivals, strict=True)
             signals[ARRIVED] = np.zeros(len(self.frames))
-            signals[ARRIVED][list(frames)] = arrived
+            for frame, arrived in [said for said in self._arrivals if said[0] < count][-1:]:
+                signals[ARRIVED][frame] = arrived
         elif self._must_move_on:
             entry = {self.frames[0].lane[:2], *(lane[:2] for lane in self._route[:2])}
             signals[ARRIVED] = np.array([frame.lane[:2] not in entry for frame in self.frames], dtype=np.float64)

@@ -2,10 +2,10 @@
 
 | environment | R2: off the road | R3: not arrived |
 |---|---|---|
-| highway, merge, exit, racetrack | `on_road` is false | exit: `is_success` is false |
+| highway, merge, exit, racetrack | `on_road` is false | exit: `is_success` is false at the end |
 | intersection | | `has_arrived` is false |
 | roundabout | | the ego never entered the circle |
-| parking | | `is_success` is false |
+| parking | | `is_success` is false at the end |
 | two-way, u-turn, lane-keeping | | |
 
 Where nothing is said, it means nothing: in junctions, a vehicle that drives well leaves its lane for some frames, and

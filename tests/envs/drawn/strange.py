@@ -20,6 +20,14 @@ class SaysItLate(Brief):
         return *result, {**info, "is_success": True} if self.time >= 3 else info
 
 
+class SucceedsInPassing(Brief):
+    """Is a success in the middle of its episode, and no longer at its end."""
+
+    def step(self, action):
+        *result, info = super().step(action)
+        return *result, {**info, "is_success": self.time == 3}
+
+
 def registered(kind, **settings):
     """Register an environment, and return the name by which it is made."""
     name = f"{kind.__name__.lower()}-v0"

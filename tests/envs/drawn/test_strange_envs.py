@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.envs.making import make_env
+from behavexplor.judge.specs import Destination
 from tests.envs.drawn import strange
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*out of date:DeprecationWarning")
@@ -22,4 +23,10 @@ def test_an_arrival_is_where_the_environment_says_it():
     trace = driven(make_env(strange.registered(strange.SaysItLate), {}), 4)
     assert trace.end == "arrived"
     arrived = trace.time[np.flatnonzero(trace.signals["arrived"])]
-    assert arrived.tolist() == pytest.approx([3.0, 4.0, 5.0])
+    assert arrived.tolist() == pytest.approx([5.0])
+
+
+def test_a_success_that_is_gone_at_the_end_is_none():
+    trace = driven(make_env(strange.registered(strange.SucceedsInPassing), {}), 4)
+    assert trace.end == "timeout"
+    assert Destination().violated(trace)
