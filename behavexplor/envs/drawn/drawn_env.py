@@ -135,7 +135,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             raise ResetNeeded("The environment has not begun an episode: call reset before step")
         record.decide(action)
         observation, reward, terminated, truncated, info = self._decide(action)
-        record.judge(has_arrived(info))
+        record.judge(has_arrived(self._inner, info))
         if terminated or truncated:
             trace = record.trace(self._inner.road.network, terminated=bool(terminated))
             info = {**info, "trace": trace, "scenario": self.played()}

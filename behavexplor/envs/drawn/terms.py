@@ -18,6 +18,7 @@ from typing import Any, Final
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.exit_env import ExitEnv
 from highway_env.envs.highway_env import HighwayEnv
+from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.merge_env import MergeEnv, MergeGenericEnv
 from highway_env.envs.racetrack_env import RacetrackEnv
 from highway_env.envs.roundabout_env import RoundaboutEnv
@@ -35,9 +36,11 @@ def must_move_on(env: AbstractEnv) -> bool:
     return isinstance(env, RoundaboutEnv)
 
 
-def has_arrived(info: Mapping[str, Any]) -> bool | None:
-    """Return whether the ego has arrived, as highway-env says; None if the environment has no destination."""
+def has_arrived(env: AbstractEnv, info: Mapping[str, Any]) -> bool | None:
+    """Return whether the ego has arrived, as highway-env says; None if the environment has no destination.
+
+    The terms of a subclass's reward do not tell it, since they may be others.
+    """
     if "is_success" in info:
         return bool(info["is_success"])
-    rewards = info.get("rewards", {})
-    return bool(rewards["arrived_reward"]) if "arrived_reward" in rewards else None
+    return bool(env.has_arrived(env.vehicle)) if isinstance(env, IntersectionEnv) else None

@@ -14,7 +14,6 @@ from behavexplor.envs.drawn.course import LaneIndex
 from behavexplor.envs.drawn.draw_order import SPAWN, Place, decision_order, forms_of, start_order
 from behavexplor.envs.drawn.drawn_env import DrawnEnv
 from behavexplor.envs.drawn.episode_record import EpisodeRecord, Frame
-from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.stock.lane_network import lane_indexes
 from behavexplor.envs.stock.slot_state import are_alike
 from behavexplor.envs.stock.source_gate import changed_sources
@@ -139,7 +138,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         traces = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(~rest).tolist():
             self._log(b, len(self._engine.frame_log.frames[b]))
-            self._records[b].judge(has_arrived(_own(infos, b)))
+            self._records[b].judge(_has_arrived(infos, b))
         for b in np.flatnonzero(ended).tolist():
             traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
         return observations, rewards, terminated, truncated, {**infos, "trace": traces, "_trace": ended}
@@ -179,11 +178,9 @@ def check_compiled(env: DrawnEnv) -> None:
             raise InputError(f"The compiled engine does not know the draws of {draw.name}")
 
 
-def _own(infos: dict[str, Any], b: int) -> dict[str, Any]:
-    """Return what sub-environment b has of the infos that tell an arrival."""
-    own: dict[str, Any] = {}
+def _has_arrived(infos: dict[str, Any], b: int) -> bool | None:
+    """Return whether the ego of sub-environment b has arrived; see `behavexplor.envs.drawn.terms.has_arrived`."""
     if "is_success" in infos:
-        own["is_success"] = infos["is_success"][b]
-    if "arrived_reward" in infos.get("rewards", {}):
-        own["rewards"] = {"arrived_reward": infos["rewards"]["arrived_reward"][b]}
-    return own
+        return bool(infos["is_success"][b])
+    arrived = infos.get("rewards", {}).get("arrived_reward")  # in the engine, of an intersection alone
+    return None if arrived is None else bool(arrived[b])

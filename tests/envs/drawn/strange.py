@@ -2,6 +2,7 @@
 
 import gymnasium
 from highway_env.envs.highway_env import HighwayEnvFast
+from highway_env.envs.intersection_env import IntersectionEnv
 
 MODULE = __name__
 
@@ -26,6 +27,17 @@ class SucceedsInPassing(Brief):
     def step(self, action):
         *result, info = super().step(action)
         return *result, {**info, "is_success": self.time == 3}
+
+
+class RewardsOtherwise(IntersectionEnv):
+    """An intersection whose reward has other terms than highway-env's."""
+
+    @classmethod
+    def default_config(cls):
+        return {**super().default_config(), "initial_vehicle_count": 0, "spawn_probability": 0.0, "duration": 3}
+
+    def _rewards(self, action):
+        return {"speed_reward": self.vehicle.speed}
 
 
 def registered(kind, **settings):

@@ -30,3 +30,8 @@ def test_a_success_that_is_gone_at_the_end_is_none():
     trace = driven(make_env(strange.registered(strange.SucceedsInPassing), {}), 4)
     assert trace.end == "timeout"
     assert Destination().violated(trace)
+
+
+def test_an_intersection_with_another_reward_has_the_same_destination():
+    env = make_env(strange.registered(strange.RewardsOtherwise), {})
+    assert Destination().violated(driven(env, 0))
