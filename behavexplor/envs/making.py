@@ -114,15 +114,34 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
         An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
 
     Raises:
-        InputError: if there is no such environment, or it cannot be configured.
+        InputError: if there is no such environment, it cannot be configured, or one driver cannot drive in it.
     """
     made = make_registered(name, config)
     if not _is_stock(made):
         return made
+    _check_ego(name, made)
     _check_times(made)
     from behavexplor.envs.drawn.drawn_env import DrawnEnv  # noqa: PLC0415 - slow to import
 
     return DrawnEnv(name, made, traffic)
+
+
+def _check_ego(name: str, env: gymnasium.Env[Any, Any]) -> None:
+    """Refuse an environment with several egos, since one driver drives one.
+
+    Raises:
+        InputError: if it has not exactly one ego, or tuples for several.
+    """
+    made: Any = env.unwrapped
+    count = len(made.controlled_vehicles)
+    if count != 1:
+        raise InputError(
+            f"{name} has {count} controlled vehicles, and a driver drives one: set `controlled_vehicles` of its "
+            f"configuration to 1"
+        )
+    for kind, space in (("observation", env.observation_space), ("action", env.action_space)):
+        if isinstance(space, gymnasium.spaces.Tuple):
+            raise InputError(f"{name} has tuples as {kind}s, which no driver takes: configure another `{kind}` of it")
 
 
 def _check_times(env: gymnasium.Env[Any, Any]) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.envs.making import make_env
+from behavexplor.errors import InputError
 from behavexplor.judge.specs import Destination
 from tests.envs.drawn import strange
 
@@ -35,3 +36,20 @@ def test_a_success_that_is_gone_at_the_end_is_none():
 def test_an_intersection_with_another_reward_has_the_same_destination():
     env = make_env(strange.registered(strange.RewardsOtherwise), {})
     assert Destination().violated(driven(env, 0))
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "message"),
+    [
+        ("intersection-multi-agent-v0", {}, "has 2 controlled vehicles, and a driver drives one"),
+        ("intersection-multi-agent-v1", {"controlled_vehicles": 1}, "has tuples as observations"),
+        (
+            "highway-fast-v0",
+            {"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}},
+            "has tuples as actions",
+        ),
+    ],
+)
+def test_an_environment_of_several_egos_is_refused(name, config, message):
+    with pytest.raises(InputError, match=message):
+        make_env(name, config)
