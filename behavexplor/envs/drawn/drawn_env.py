@@ -74,6 +74,16 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         return self._inner
 
     @property
+    def wrappers(self) -> list[gymnasium.Wrapper[Any, Any, Any, Any]]:
+        """The wrappers with which the environment is registered, the outermost one first."""
+        found = []
+        env = self._env
+        while isinstance(env, gymnasium.Wrapper):
+            found.append(env)
+            env = env.env
+        return found
+
+    @property
     def max_decisions(self) -> int | None:
         """Number of decisions after which gymnasium truncates an episode; None if it does not."""
         return None if self._env.spec is None else self._env.spec.max_episode_steps

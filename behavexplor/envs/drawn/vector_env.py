@@ -3,7 +3,9 @@
 from typing import Any, Final
 
 import numpy as np
+from gymnasium import RewardWrapper
 from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit
 from highway_env.envs import IntersectionEnv
 from highway_env.road.road import RoadNetwork
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from behavexplor.errors import InputError
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
+_HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit, RewardWrapper)  # here
 _COMPARED: Final = 3  # starts of the engine that are compared with highway-env's
 
 
@@ -161,7 +164,7 @@ _SIZE: Final = (5.0, 2.0)  # length and width of highway-env's vehicles that app
 
 
 def check_compiled(env: DrawnEnv) -> None:
-    """Check that the compiled engine draws as the environment does.
+    """Check that the compiled engine draws and observes as the environment does.
 
     Raises:
         InputError: if it does not.
@@ -169,6 +172,9 @@ def check_compiled(env: DrawnEnv) -> None:
     changed = changed_sources()
     if changed:
         raise InputError(f"This release of highway-env has another {', '.join(changed[:3])} than the compiled engine")
+    for wrapper in env.wrappers:
+        if not isinstance(wrapper, _HARMLESS):
+            raise InputError(f"The compiled engine does not know the wrapper {type(wrapper).__name__}")
     for draw in env.logical.draws:
         call, _, function = draw.name.partition("/")
         is_spawn = isinstance(env.inner, IntersectionEnv) and function.startswith(SPAWN)

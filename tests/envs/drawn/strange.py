@@ -13,6 +13,17 @@ class Brief(HighwayEnvFast):
         return {**super().default_config(), "vehicles_count": 5, "duration": 5}
 
 
+class Mirrored(gymnasium.ActionWrapper):
+    """Takes "left" for "right"."""
+
+    def action(self, action):
+        return {0: 2, 2: 0}.get(action, action)
+
+
+def mirrored(**keywords):
+    return Mirrored(Brief(**keywords))
+
+
 class SaysItLate(Brief):
     """Says only near its end whether it is a success, as Stable-Baselines3 asks at the end only."""
 

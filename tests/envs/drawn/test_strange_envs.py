@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.envs.making import make_env
+from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import Destination
 from tests.envs.drawn import strange
@@ -53,3 +53,9 @@ def test_an_intersection_with_another_reward_has_the_same_destination():
 def test_an_environment_of_several_egos_is_refused(name, config, message):
     with pytest.raises(InputError, match=message):
         make_env(name, config)
+
+
+def test_a_wrapper_that_changes_what_a_driver_does_is_not_left_out():
+    env = make_env(strange.registered(strange.mirrored), {})
+    with pytest.raises(InputError, match="does not know the wrapper Mirrored"):
+        make_vector_env(env, 2, {})
