@@ -6,6 +6,7 @@ from typing import Any, Final
 import gymnasium
 import highway_env
 from gymnasium.error import ResetNeeded
+from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
@@ -84,9 +85,10 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         return found
 
     @property
-    def max_decisions(self) -> int | None:
-        """Number of decisions after which gymnasium truncates an episode; None if it does not."""
-        return None if self._env.spec is None else self._env.spec.max_episode_steps
+    def max_decisions(self) -> int:
+        """Number of decisions after which an episode is truncated: by gymnasium, or because it would never end."""
+        limits = [one._max_episode_steps for one in self.wrappers if isinstance(one, TimeLimit)]  # noqa: SLF001
+        return min([*limits, MOST_DECISIONS])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Begin an episode.

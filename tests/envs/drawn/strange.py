@@ -24,6 +24,10 @@ def mirrored(**keywords):
     return Mirrored(Brief(**keywords))
 
 
+def limited(**keywords):
+    return gymnasium.wrappers.TimeLimit(Brief(**keywords), 3)
+
+
 class SaysItLate(Brief):
     """Says only near its end whether it is a success, as Stable-Baselines3 asks at the end only."""
 

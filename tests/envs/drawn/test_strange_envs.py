@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from behavexplor.envs.drawn import drawn_env
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import Destination
@@ -59,3 +60,20 @@ def test_a_wrapper_that_changes_what_a_driver_does_is_not_left_out():
     env = make_env(strange.registered(strange.mirrored), {})
     with pytest.raises(InputError, match="does not know the wrapper Mirrored"):
         make_vector_env(env, 2, {})
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "limit"),
+    [
+        ("merge-v0", {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 10, 20]}}, 20),
+        (strange.registered(strange.limited), {}, 3),
+    ],
+)
+def test_an_ego_that_stands_still_does_not_drive_for_ever(name, config, limit, monkeypatch):
+    monkeypatch.setattr(drawn_env, "MOST_DECISIONS", 20)
+    env = make_env(name, config)
+    assert len(driven(env, 4).actions) == limit
+    envs = make_vector_env(env, 1, {})
+    envs.reset(options={"scenarios": [env.logical.sample(np.random.default_rng(0))]})
+    ended = [bool(envs.step(np.array([4]))[3][0]) for _ in range(limit)]
+    assert ended == [False] * (limit - 1) + [True]
