@@ -49,15 +49,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
         check_compiled(env)
         self._env = env
-        self._engine = StockVectorEnv(
-            type(env.inner),
-            num_envs,
-            env.config,
-            AutoresetMode.DISABLED,
-            max_episode_steps=env.max_decisions,
-            log_frames=True,
-            rewards=rewards,
-        )
+        self._engine = _engine(env, num_envs, rewards=rewards)
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}
         self.single_observation_space = self._engine.single_observation_space
@@ -76,12 +68,12 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
         rng = np.random.default_rng(0)
         scenarios = [self.logical.sample(rng) for _ in range(_COMPARED)]
-        order = start_order(self._env, scenarios)
-        if order is None or self._engine.places_own:
-            return None
+        order = None if self._engine.places_own else start_order(self._env, scenarios)
         mask = np.arange(self.num_envs) == 0
         for scenario in scenarios:
-            self._begin_by_highway_env(0, scenario)
+            self._begin_by_highway_env(0, scenario)  # refuses what the engine cannot copy, such as another road
+            if order is None:
+                continue
             expected = self._engine.state(0)
             self._engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
             if not are_alike(expected, self._engine.state(0)):
@@ -161,6 +153,30 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
 
 _SIZE: Final = (5.0, 2.0)  # length and width of highway-env's vehicles that appear in an episode [m]
+
+
+def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> StockVectorEnv:
+    """Return the engine for an environment.
+
+    Raises:
+        InputError: if it does not support the environment or its configuration, or cannot make one by its class.
+    """
+    kind = type(env.inner)
+    try:
+        return StockVectorEnv(
+            kind,
+            num_envs,
+            env.config,
+            AutoresetMode.DISABLED,
+            max_episode_steps=env.max_decisions,
+            log_frames=True,
+            rewards=rewards,
+        )
+    except InputError:
+        raise
+    except Exception as error:  # a user's class may have other arguments, or others than it is registered with
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"The compiled engine cannot make {kind.__name__} by its configuration: {reason}") from error
 
 
 def check_compiled(env: DrawnEnv) -> None:

@@ -3,6 +3,7 @@
 import gymnasium
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.envs.intersection_env import IntersectionEnv
+from highway_env.road.road import Road, RoadNetwork
 
 MODULE = __name__
 
@@ -26,6 +27,22 @@ def mirrored(**keywords):
 
 def limited(**keywords):
     return gymnasium.wrappers.TimeLimit(Brief(**keywords), 3)
+
+
+class WithoutConfig(HighwayEnvFast):
+    """Takes no configuration."""
+
+    def __init__(self, render_mode=None):
+        super().__init__({"vehicles_count": 5, "duration": 5}, render_mode)
+
+
+class OnManyRoads(Brief):
+    """Has another road in every episode."""
+
+    def _create_road(self):
+        lanes = int(self.np_random.integers(2, 5))
+        network = RoadNetwork.straight_road_network(lanes, speed_limit=30)
+        self.road = Road(network=network, np_random=self.np_random)
 
 
 class SaysItLate(Brief):

@@ -77,3 +77,17 @@ def test_an_ego_that_stands_still_does_not_drive_for_ever(name, config, limit, m
     envs.reset(options={"scenarios": [env.logical.sample(np.random.default_rng(0))]})
     ended = [bool(envs.step(np.array([4]))[3][0]) for _ in range(limit)]
     assert ended == [False] * (limit - 1) + [True]
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (strange.WithoutConfig, "cannot make WithoutConfig by its configuration: "),
+        (strange.OnManyRoads, "The road of OnManyRoads changes"),
+    ],
+)
+def test_what_the_engine_cannot_begin_is_refused_before_it_drives(kind, message):
+    env = make_env(strange.registered(kind), {})
+    with pytest.raises(InputError, match=message):
+        make_vector_env(env, 2, {})
+    assert driven(env, 4).signals
