@@ -51,17 +51,17 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self._inner: AbstractEnv = inner
         if traffic == WIDE:
             widen(inner)
-        setup = Setup(name, config_text(self._inner.config), traffic, highway_env.__version__)
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
         self.metadata = self._env.metadata
         self.record: EpisodeRecord | None = None
         self.vehicle_classes = VehicleClasses()
         self.generator = DrawnGenerator({}, 0, __file__)
-        self._setup = setup
         self._seed = 0
         self._decisions = 0
-        self.logical = DrawnLogicalScenario(setup, self._layout())
+        layout = self._layout()  # first, because an environment may also draw keys of its configuration
+        self._setup = Setup(name, config_text(self._inner.config), traffic, highway_env.__version__)
+        self.logical = DrawnLogicalScenario(self._setup, layout)
 
     @property
     def config(self) -> dict[str, Any]:

@@ -45,6 +45,14 @@ class OnManyRoads(Brief):
         self.road = Road(network=network, np_random=self.np_random)
 
 
+class DrawsItsConfig(Brief):
+    """Draws a key of its configuration in every reset."""
+
+    def _create_vehicles(self):
+        self.config["ego_spacing"] = self.np_random.uniform(1.0, 3.0)
+        super()._create_vehicles()
+
+
 class SaysItLate(Brief):
     """Says only near its end whether it is a success, as Stable-Baselines3 asks at the end only."""
 

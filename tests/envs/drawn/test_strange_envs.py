@@ -91,3 +91,10 @@ def test_what_the_engine_cannot_begin_is_refused_before_it_drives(kind, message)
     with pytest.raises(InputError, match=message):
         make_vector_env(env, 2, {})
     assert driven(env, 4).signals
+
+
+def test_a_configuration_that_is_drawn_is_the_same_in_every_process():
+    env, other = (make_env(strange.registered(strange.DrawsItsConfig), {}) for _ in range(2))
+    scenario = env.logical.sample(np.random.default_rng(0))
+    (first, _), (again, _) = (each.reset(options={"scenario": scenario}) for each in (env, other))
+    assert np.array_equal(first, again)
