@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
-from behavexplor.data.observations import Observation, joined, mapped
+from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.observations import Observation, arrays_of, joined, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import ADSError, is_function, rollout, rollout_all
@@ -48,7 +49,8 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     Returns:
         A sentence for each finding: the ADS fails, always gives the same answer, never moves, was trained with masks of
         actions, or on a different kind of observations. The last happens when its `VecNormalize` statistics are
-        missing.
+        missing. In a stock environment, also that its configuration is not known, that it is not compiled, or that its
+        draws do not determine its episodes.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -63,6 +65,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     findings = (
         _unconfigured(simulation),
         _uncompiled(simulation),
+        _unrepeatable(simulation, scenarios[0]),
         _unmasked(simulation.ads),
         _constant(witness.actions),
         _motionless(traces),
@@ -93,6 +96,24 @@ def _uncompiled(simulation: Simulation) -> str | None:
         return None
     reason = simulation.plain.partition("; use gymnasium")[0]  # which those who make vector environments are told
     return f"highway-env itself executes the scenarios, hundreds of times as slow as compiled: {reason}"
+
+
+def _unrepeatable(simulation: Simulation, scenario: Scenario) -> str | None:
+    """Return a warning if the draws of a stock environment do not determine how its episodes begin."""
+    if not isinstance(simulation.logical, DrawnLogicalScenario):
+        return None
+    env: Any = simulation.env
+    starts = set()
+    for _ in range(2):
+        observation, _ = env.reset(options={"scenario": scenario})
+        seen = [array.tobytes() for array in arrays_of(mapped(np.asarray, observation))]
+        starts.add((repr(env.record.frames[0].things.tolist()), env.road_shape().to_json(), *seen))
+    if len(starts) == 1:
+        return None
+    return (
+        "The environment begins the same scenario in another way when it is repeated, so failures can be neither "
+        "confirmed nor replayed: it must draw by its attribute np_random alone"
+    )
 
 
 def _unmasked(ads: Any) -> str | None:

@@ -6,6 +6,7 @@ import pytest
 from behavexplor.execution.preflight import SCENARIOS, preflight_warnings
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser, Lost
+from tests.envs.drawn import strange
 
 
 class Parked(Cruiser):
@@ -78,3 +79,12 @@ def test_a_policy_that_went_elsewhere_while_it_was_trained_is_fit():
 
 def test_observations_of_another_shape_are_not_compared():
     assert warnings_about(Trained(np.full((4, 3, 3), 1e9))) == []
+
+
+def test_an_environment_that_does_not_repeat_its_episodes_is_named():
+    def said_of(kind):
+        simulation = Simulation(strange.registered(kind), "constant:SLOWER")
+        return [warning for warning in preflight_warnings(simulation) if "it must draw by its attribute" in warning]
+
+    assert len(said_of(strange.DrawsElsewhere)) == 1
+    assert said_of(strange.Brief) == []

@@ -1,6 +1,7 @@
 """Environments of users that do what highway-env's own never do."""
 
 import gymnasium
+import numpy as np
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.road.road import Road, RoadNetwork
@@ -51,6 +52,14 @@ class DrawsItsConfig(Brief):
     def _create_vehicles(self):
         self.config["ego_spacing"] = self.np_random.uniform(1.0, 3.0)
         super()._create_vehicles()
+
+
+class DrawsElsewhere(Brief):
+    """Draws the ego's speed by numpy's global generator."""
+
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.vehicle.speed = np.random.uniform(20.0, 30.0)  # noqa: NPY002 - as users do
 
 
 class SaysItLate(Brief):
