@@ -35,7 +35,7 @@ def confirmed(simulation: Simulation, scenario: Scenario, driven: Trace | ADSErr
     difference = _difference(driven, reference)
     if difference is None:
         return reference
-    if _difference(driven, _driven_again(simulation, scenario)) is None:
+    if _difference(driven, driven_compiled(simulation, scenario)) is None:
         raise ADSError(DIFFERS, f"the compiled engine and highway-env disagree: {difference}")
     if isinstance(driven, ADSError):
         raise ADSError(driven.kind, f"{driven.message}; repeated, it did not fail in the same scenario", driven.place)
@@ -46,8 +46,12 @@ def confirmed(simulation: Simulation, scenario: Scenario, driven: Trace | ADSErr
     )
 
 
-def _driven_again(simulation: Simulation, scenario: Scenario) -> Trace | ADSError:
-    """Return the outcome of a scenario in the compiled engine."""
+def driven_compiled(simulation: Simulation, scenario: Scenario) -> Trace | ADSError:
+    """Return the outcome of a scenario alone in the compiled engine.
+
+    Raises:
+        InputError: if the engine cannot begin the scenario, or the scenario is not one of this environment.
+    """
     try:
         ((_, trace),) = simulation.run_all([scenario])
     except ADSError as error:

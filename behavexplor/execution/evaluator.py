@@ -14,7 +14,7 @@ from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.confinement import confine
-from behavexplor.execution.confirmation import confirmed
+from behavexplor.execution.confirmation import confirmed, driven_compiled
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.notices import collected_notices
 from behavexplor.execution.preflight import preflight_warnings
@@ -105,7 +105,9 @@ class Evaluator(Service):
         Raises:
             ADSError: if the ADS fails.
         """
-        return self.answer(self.simulation.run(_scenario(scenario)))
+        if self.batch is None:
+            return self.answer(self.simulation.run(_scenario(scenario)))
+        return self.batch.alone(scenario)
 
     def answer(self, trace: Trace) -> bytes:
         """Return what is told about an executed scenario: its trace, see `behavexplor.data.trace.Trace.to_bytes`."""
@@ -175,19 +177,43 @@ class ScenarioBatch:
         """Advance all episodes by one decision.
 
         If the ADS fails, all running scenarios must be executed alone, since it is unknown which of them is to blame.
-        That is known of an ADS that drives one episode at a time: its failure is an outcome.
+        That is known of an ADS that drives one episode at a time: its failure is an outcome. If the environment does
+        not begin an episode, they are executed alone, too.
         """
         try:
-            return [(key, self._result(key, trace)) for key, trace in self._episodes.step()]
-        except ADSError as error:
+            ended = self._episodes.step()
+        except (ADSError, InputError) as error:
             keys = self._episodes.give_up()
-            if self.capacity == 1:  # not one of many that happens to be the last, which would depend on the others
+            if self.capacity == 1 and isinstance(error, ADSError):  # not the last of many, which depends on the others
                 return [(key, self._result(key, error)) for key in keys]
             self._scenarios.clear()
             return [(key, None) for key in keys]
+        return [(key, self._result(key, trace)) for key, trace in ended]
+
+    def alone(self, request: bytes) -> bytes:
+        """Execute a scenario while no other one runs, with the same outcome as in company.
+
+        Raises:
+            ADSError: if the ADS fails.
+            InputError: if the scenario does not fit this environment.
+        """
+        scenario = _scenario(request)
+        if not isinstance(scenario, DrawnScenario):
+            return self._answer(self._simulation.run(scenario))
+        try:
+            driven = driven_compiled(self._simulation, scenario)
+        except InputError:  # the engine cannot begin it, and what highway-env itself has driven needs no confirmation
+            return self._answer(self._simulation.run(scenario))
+        result = self._outcome(scenario, driven)
+        if isinstance(result, Exception):
+            raise result
+        return result
 
     def _result(self, key: int, driven: Trace | ADSError) -> bytes | Exception:
-        scenario = self._scenarios.pop(key)
+        return self._outcome(self._scenarios.pop(key), driven)
+
+    def _outcome(self, scenario: Scenario, driven: Trace | ADSError) -> bytes | Exception:
+        """Return the answer for an executed scenario, or how the ADS failed."""
         try:
             if self._confirms and isinstance(scenario, DrawnScenario):
                 driven = confirmed(self._simulation, scenario, driven)

@@ -128,3 +128,39 @@ def test_a_configuration_that_cannot_be_used_is_named():
 def test_an_unknown_key_of_the_configuration_is_named():
     with pytest.raises(InputError, match="key of the configuration of merge-v0 'policy_freq': did you mean"):
         Simulation("merge-v0", "constant:IDLE", env_config={"policy_freq": 5})
+
+
+class Picky:
+    """Drives many episodes at a time, slowly, and fails in the scenario that begins with one observation."""
+
+    vectorized = True
+    env_config = {"duration": 5, "vehicles_count": 5}
+    refused = np.zeros((5, 5))
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if any(np.allclose(row, self.refused) for row in observation if row.any()):
+            raise RuntimeError("not this one")
+        return np.full(len(observation), 4), state
+
+
+def test_a_scenario_goes_alike_beside_one_in_which_the_driver_fails(monkeypatch):
+    simulation = Simulation("highway-fast-v0", Picky())
+    rng = np.random.default_rng(0)
+    refused, other = simulation.logical.sample(rng), simulation.logical.sample(rng)
+    beside = {}
+    target = Target("highway-fast-v0", f"{__name__}:Picky", unconfined=True)
+    in_highway_env, run = [], Simulation.run
+    monkeypatch.setattr(
+        Simulation, "run", lambda self, scenario: in_highway_env.append(scenario) or run(self, scenario)
+    )
+    for is_refused in (False, True):
+        if is_refused:
+            Picky.refused = simulation.env.reset(options={"scenario": refused})[0]
+        with start_executor(target, 0) as executor:
+            futures = [executor.submit(EXECUTE, one.to_json().encode()) for one in (refused, other)]
+            beside[is_refused] = futures[1].result()
+            if is_refused:
+                with pytest.raises(ADSError, match="not this one"):
+                    futures[0].result()
+    assert beside[True] == beside[False]
+    assert in_highway_env == [refused]
