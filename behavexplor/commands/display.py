@@ -19,7 +19,7 @@ from behavexplor.commands.wording import class_count, clock, hanging
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.judge.discovery import Discovery
-from behavexplor.judge.specs import ERROR
+from behavexplor.judge.specs import DIFFERS, ERROR
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _LISTED_FAILURES = 3  # number of listed failures for each spec
@@ -170,13 +170,19 @@ class _Failure(NamedTuple):
 
 
 def _errors(failures: list["_Failure"], progress: Progress, store: Store) -> list[str]:
-    """Return a line about a driver that failed instead of driving; none if it did not."""
-    numbers = [failure.number for failure in failures if failure.spec == ERROR]
-    if not numbers:
-        return []
-    count = "every execution" if len(numbers) == progress.executions else f"{len(numbers)} executions"
-    error = store.execution(numbers[0]).record.error or {}
-    return [f"The driver itself failed in {count}, first in {numbers[0]}: {sentence(error.get('message', ''))}"]
+    """Return a line about a driver that failed instead of driving, and one about what highway-env did not confirm."""
+    errors = [failure for failure in failures if failure.spec == ERROR]
+    own, unconfirmed = (
+        [failure.number for failure in errors if (failure.kind == f"{ERROR}/{DIFFERS}") == is_ours]
+        for is_ours in (False, True)
+    )
+    lines = []
+    for numbers, what in ((own, "The driver itself failed"), (unconfirmed, "highway-env did not confirm the failure")):
+        if numbers:
+            count = "every execution" if len(numbers) == progress.executions else f"{len(numbers)} executions"
+            error = store.execution(numbers[0]).record.error or {}
+            lines.append(f"{what} in {count}, first in {numbers[0]}: {sentence(error.get('message', ''))}")
+    return lines
 
 
 def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:

@@ -16,6 +16,7 @@ from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.errors import InputError, sentence
+from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from behavexplor.judge.specs import SPECS
@@ -54,7 +55,7 @@ def replay(
     if avoided:
         return _avoid(execution, config, run, out or run / "replays")
     if (failure := execution.record.error) is not None:
-        print(sentence(f"Execution {number}: the ADS failed ({failure['kind']}): {failure['message']}"))
+        print(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
         _show(execution, _road(config, run), out or run / "replays")
     return _compare(execution, config)

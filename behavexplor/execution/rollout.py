@@ -16,6 +16,7 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import brief, place_of
 from behavexplor.execution.drawn_actions import DrawnActions
+from behavexplor.judge.specs import DIFFERS
 
 
 class ADSError(Exception):
@@ -31,7 +32,8 @@ class ADSError(Exception):
     """
 
     def __init__(self, kind: str, message: str, place: str = "") -> None:
-        super().__init__(f"the ADS failed ({kind}): {message}{place}")
+        what = "highway-env did not confirm it" if kind == DIFFERS else f"the ADS failed ({kind})"
+        super().__init__(f"{what}: {message}{place}")
         self.kind = kind
         self.message = message
         self.place = place

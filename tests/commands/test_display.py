@@ -121,6 +121,16 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
     )
 
 
+def test_what_is_not_confirmed_is_no_failure_of_the_driver(store):  # noqa: F811 - the fixture
+    for number, kind in enumerate(["differs", "raised", "differs"]):
+        one = execution(number, ["error"], f"error/{kind}")
+        store.add(replace(one, record=replace(one.record, error={"kind": kind, "message": f"m{number}"})))
+    store.commit()
+    text = summary(replace(PROGRESS, violations={"error": 3}), store, "behavexplor")
+    assert "The driver itself failed in 1 executions, first in 1: m1\n" in text
+    assert "highway-env did not confirm the failure in 2 executions, first in 0: m0\n" in text
+
+
 def test_the_summary_of_a_campaign_without_failures(store):  # noqa: F811 - the fixture
     text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor")
     assert "None failed." in text
