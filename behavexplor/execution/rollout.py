@@ -203,7 +203,7 @@ class _Log:
     """Decision log of an ADS, with one entry per step for all sub-environments; empty for an ADS without `log`."""
 
     def __init__(self, ads: Any) -> None:
-        self._ads = ads if hasattr(ads, "log") else None
+        self._ads = ads if callable(getattr(ads, "log", None)) else None  # else, it is something of the ADS's own
         self._entries: list[dict[str, NDArray[Any]]] = []
         self._dropped = 0  # number of deleted entries, all from before the running episodes began
         self._begins: dict[int, int] = {0: 0}
@@ -222,9 +222,17 @@ class _Log:
         self._dropped = oldest
 
     def add(self, state: Any) -> None:
-        """Add the log entries of the latest decisions."""
-        if self._ads is not None:
+        """Add the log entries of the latest decisions.
+
+        Raises:
+            ADSError: if the ADS does not return its decisions.
+        """
+        if self._ads is None:
+            return
+        try:
             self._entries.append({name: np.array(values) for name, values in self._ads.log(state).items()})
+        except Exception as error:
+            raise ADSError("raised", f"log(state) must return arrays by name: {error}", place_of(error)) from error
 
     def completed(self, trace: Trace, slot: int) -> Trace:
         """Return a trace with the log entries of its episode, arrays of shape (D, ...)."""

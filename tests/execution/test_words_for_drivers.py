@@ -46,3 +46,16 @@ def test_a_file_is_named_only_beside_a_file():
     named = advice(f"{__name__}:Trained")
     assert "--env-config FILE" in named
     assert "beside the model" not in named
+
+
+def test_a_log_of_another_kind_is_no_decision_log():
+    class Keeping(Trained):
+        def __init__(self, log):
+            self.log = log
+
+    simulation = Simulation(ENV, Keeping([]), env_config=SHORT)
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    assert not simulation.run(scenario).decisions
+    simulation.ads.log = print
+    with pytest.raises(ADSError, match=r"log\(state\) must return arrays by name"):
+        simulation.run(scenario)
