@@ -18,7 +18,7 @@ from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.errors import InputError
-from behavexplor.execution.rollout import rollout, rollout_all
+from behavexplor.execution.rollout import ADSError, rollout, rollout_all
 from behavexplor.triage.findings import OtherDriver
 
 CONSTANT: Final = ("SLOWER", "IDLE", "FASTER", "LANE_LEFT", "LANE_RIGHT")  # in the order in which they are named
@@ -63,13 +63,13 @@ def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[Othe
 
     Returns:
         The first driver that does not crash, None if all of them do; and the number of drivers that were tried, which
-        is 0 if the environment cannot be driven by meta-actions.
+        is 0 if these drivers cannot drive in the environment.
     """
     constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
     names = ["careful", *constant, *by_chance]
     try:
         traces = _driven(scenario, _actions(rng))
-    except InputError:
+    except (InputError, ADSError):  # the latter where the environment has a wrapper of its own around what they see
         return None, 0
     avoiding = (pair for pair in zip(names, traces, strict=True) if not pair[1].signals[CRASHED].any())
     name, trace = next(avoiding, ("", None))

@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from behavexplor.envs.making import make_env
 from behavexplor.execution.simulation import Simulation
 from behavexplor.triage.blame import blame
 from behavexplor.triage.closed_loop import BY_CHANCE, CONSTANT, ScriptedDriver, drive_again, find_driver
 from behavexplor.triage.findings import witness_from, witness_values
+from tests.envs.drawn import strange
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,12 @@ def test_the_same_generator_gives_the_same_verdict(merging):
 def test_an_environment_without_meta_actions_has_no_witness():
     simulation = Simulation("racetrack-v0", f"{__name__}:Straight", env_config={"duration": 2})
     scenario = simulation.logical.sample(np.random.default_rng(0))
+    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0)
+
+
+def test_an_environment_that_shows_something_else_has_no_witness():
+    env = make_env(strange.registered(strange.flattened), {})
+    scenario = env.logical.sample(np.random.default_rng(0))
     assert find_driver(scenario, np.random.default_rng(0)) == (None, 0)
 
 

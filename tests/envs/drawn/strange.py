@@ -26,6 +26,10 @@ def mirrored(**keywords):
     return Mirrored(Brief(**keywords))
 
 
+def flattened(**keywords):
+    return gymnasium.wrappers.FlattenObservation(Brief(**keywords))
+
+
 def limited(**keywords):
     return gymnasium.wrappers.TimeLimit(Brief(**keywords), 3)
 
