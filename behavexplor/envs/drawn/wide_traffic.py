@@ -36,12 +36,21 @@ _MAKERS: Final = ("_create_vehicles", "_make_vehicles")  # methods of highway-en
 def widen(env: AbstractEnv) -> None:
     """Give an environment wide traffic from its next reset on.
 
+    Args:
+        env: the environment, which has been reset.
+
     Raises:
-        InputError: if the environment places its vehicles in an unknown way, or without other vehicles.
+        InputError: if the environment places its vehicles in an unknown way, or begins without other vehicles that
+            could be placed elsewhere.
     """
     name = next((name for name in _MAKERS if hasattr(env, name)), None)
     if name is None:
         raise InputError(f"{type(env).__name__} has no wide traffic, since it places its vehicles in its own way")
+    if not any(isinstance(vehicle, IDMVehicle) for vehicle in env.road.vehicles):
+        raise InputError(
+            f"{type(env).__name__} has no wide traffic in this configuration, since it begins without other vehicles "
+            f"that drive by highway-env's car-following model"
+        )
     own: Callable[..., None] = getattr(env, name)
 
     def make_widely(*arguments: Any, **keywords: Any) -> None:

@@ -209,3 +209,9 @@ def test_wide_traffic_is_played_again():
     first, again = (run(env, 1, options={"scenario": scenario}) for _ in range(2))
     assert first.to_bytes() == again.to_bytes()
     assert len(env.logical.blocks) > 3
+
+
+@pytest.mark.parametrize(("name", "config"), [("parking-v0", {}), ("highway-fast-v0", {"vehicles_count": 0})])
+def test_without_other_vehicles_there_is_no_wide_traffic(name, config):
+    with pytest.raises(InputError, match="it begins without other vehicles"):
+        make_env(name, config, "wide")
