@@ -174,8 +174,9 @@ class WorkerPool(Executor):
 
     def _hand_out(self) -> None:
         """Give waiting calls to workers in order. A call that needs a worker to itself holds up the calls behind it."""
-        while self._waiting:
-            place = self._free_place(alone=self._waiting[0].alone)
+        while True:
+            with self._lock:  # another thread may cancel the calls
+                place = self._free_place(alone=self._waiting[0].alone) if self._waiting else None
             if place is None:
                 return
             worker = self._workers[place] = self._workers[place] or _Worker(*self._serving)

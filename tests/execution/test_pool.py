@@ -4,8 +4,11 @@ import math
 import os
 import signal
 import time
+from collections import deque
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
+from threading import Lock, Thread
+from types import SimpleNamespace
 
 import pytest
 
@@ -348,3 +351,21 @@ def test_everything_an_ads_raises_is_its_own_failure(error, kind):
     with pytest.raises(ADSError) as caught:
         _ask(Failing(), None, None, [True], None)
     assert caught.value.kind == kind
+
+
+def test_calls_that_another_thread_cancels_meanwhile_do_not_end_the_pool():
+    class Interrupted(deque):
+        def __bool__(self):
+            stopping = Thread(target=cancel, daemon=True)
+            stopping.start()
+            stopping.join(0.2)
+            return len(self) > 0
+
+    def cancel():
+        with pool._lock:
+            pool._waiting = deque()
+
+    pool = object.__new__(WorkerPool)
+    pool._lock, pool._waiting = Lock(), Interrupted([SimpleNamespace(alone=True)])
+    pool._workers = [SimpleNamespace(tasks={0: None}, is_alone=True, capacity=1)]
+    pool._hand_out()
