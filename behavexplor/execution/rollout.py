@@ -141,6 +141,8 @@ class LockStep:
         """
         if self._start.any() or self._observation is None:
             self._observation = self._reset()
+            if self._start[self._running].all():  # no other episode goes on: some drivers look at the state alone
+                self._state = None
         observation, counts = mapped(np.asarray, self._observation), None
         if not self._running.all():
             counts = self._running
