@@ -18,6 +18,7 @@ from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.specs import DIFFERS
+from tests.envs.drawn import strange
 
 FAILING = "constant:IDLE"  # in merge-v0, it drives into the vehicle ahead
 
@@ -164,3 +165,16 @@ def test_a_scenario_goes_alike_beside_one_in_which_the_driver_fails(monkeypatch)
                     futures[0].result()
     assert beside[True] == beside[False]
     assert in_highway_env == [refused]
+
+
+def test_an_episode_that_the_engine_cannot_begin_is_driven_in_highway_env():
+    target = Target(strange.registered(strange.SeldomOnAnotherRoad), "constant:SLOWER")
+    simulation = Simulation(target.env, target.ads)
+    usual = simulation.logical.sample(np.random.default_rng(0))
+    draws = {**dict(usual.draws), "_create_road/lanes": (1 - 1e-9,)}
+    seldom = replace(usual, draws=tuple(sorted(draws.items())))
+    with start_executor(target, 0) as executor:
+        futures = [executor.submit(EXECUTE, one.to_json().encode()) for one in (usual, seldom)]
+        results = [future.result() for future in futures]
+    assert results[1] == simulation.run(seldom).to_bytes()
+    assert results[0] != results[1]

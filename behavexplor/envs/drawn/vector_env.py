@@ -60,9 +60,10 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._records: list[Any] = [None] * num_envs
         self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
         self._ended = np.ones(num_envs, dtype=bool)
-        self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
         self._later = decision_order(env)
         self._order = self._start_order()
+        self._networks = [env.inner.road.network] * num_envs  # that of the engine, now that it has copied an episode
+        self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
 
     def _start_order(self) -> tuple[Place, ...] | None:
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""

@@ -44,10 +44,19 @@ class WithoutConfig(HighwayEnvFast):
 class OnManyRoads(Brief):
     """Has another road in every episode."""
 
+    def lanes(self):
+        return int(self.np_random.integers(2, 5))
+
     def _create_road(self):
-        lanes = int(self.np_random.integers(2, 5))
-        network = RoadNetwork.straight_road_network(lanes, speed_limit=30)
+        network = RoadNetwork.straight_road_network(self.lanes(), speed_limit=30)
         self.road = Road(network=network, np_random=self.np_random)
+
+
+class SeldomOnAnotherRoad(OnManyRoads):
+    """Has another road once in a million episodes."""
+
+    def lanes(self):
+        return 3 if self.np_random.uniform() > 1 - 1e-6 else 4
 
 
 class DrawsItsConfig(Brief):
