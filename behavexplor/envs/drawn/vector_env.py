@@ -25,7 +25,7 @@ from behavexplor.errors import InputError
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit, RewardWrapper)  # here
+_HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit)  # wrappers
 _COMPARED: Final = 3  # starts of the engine that are compared with highway-env's
 
 
@@ -47,7 +47,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     """
 
     def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
-        check_compiled(env)
+        check_compiled(env, rewards=rewards)
         self._env = env
         self._engine = _engine(env, num_envs, rewards=rewards)
         self.num_envs = num_envs
@@ -180,8 +180,8 @@ def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> StockVectorEnv:
         raise InputError(f"The compiled engine cannot make {kind.__name__} by its configuration: {reason}") from error
 
 
-def check_compiled(env: DrawnEnv) -> None:
-    """Check that the compiled engine draws and observes as the environment does.
+def check_compiled(env: DrawnEnv, *, rewards: bool) -> None:
+    """Check that the compiled engine draws, observes and, if that is needed, rewards as the environment does.
 
     Raises:
         InputError: if it does not.
@@ -189,8 +189,9 @@ def check_compiled(env: DrawnEnv) -> None:
     changed = changed_sources()
     if changed:
         raise InputError(f"This release of highway-env has another {', '.join(changed[:3])} than the compiled engine")
+    harmless = _HARMLESS if rewards else (*_HARMLESS, RewardWrapper)
     for wrapper in env.wrappers:
-        if not isinstance(wrapper, _HARMLESS):
+        if not isinstance(wrapper, harmless):
             raise InputError(f"The compiled engine does not know the wrapper {type(wrapper).__name__}")
     for draw in env.logical.draws:
         call, _, function = draw.name.partition("/")

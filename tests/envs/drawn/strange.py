@@ -26,6 +26,10 @@ def mirrored(**keywords):
     return Mirrored(Brief(**keywords))
 
 
+def rewarded(**keywords):
+    return gymnasium.wrappers.TransformReward(Brief(**keywords), lambda reward: -reward)
+
+
 def flattened(**keywords):
     return gymnasium.wrappers.FlattenObservation(Brief(**keywords))
 

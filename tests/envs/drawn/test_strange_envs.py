@@ -62,6 +62,13 @@ def test_a_wrapper_that_changes_what_a_driver_does_is_not_left_out():
         make_vector_env(env, 2, {})
 
 
+def test_a_wrapper_of_rewards_matters_only_where_rewards_do():
+    env = make_env(strange.registered(strange.rewarded), {})
+    make_vector_env(env, 2, {}).close()
+    with pytest.raises(InputError, match="does not know the wrapper TransformReward"):
+        make_vector_env(env, 2, {}, rewards=True)
+
+
 @pytest.mark.parametrize(
     ("name", "config", "limit"),
     [
