@@ -8,9 +8,9 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.bench.archive import ARCHIVE, Archive, read_archive, write_archive
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
+from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive, write_archive
 from behavexplor.bench.forecast import forecast
 from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize

@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from behavexplor.bench.archive import ARCHIVE, read_archive
 from behavexplor.bench.experiment import read_experiment
+from behavexplor.bench.experiment_archive import ARCHIVE, read_archive
 from behavexplor.bench.summaries import summarize
 from behavexplor.commands import main
 from behavexplor.errors import InputError
