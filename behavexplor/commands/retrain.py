@@ -17,7 +17,7 @@ from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
 from behavexplor.errors import InputError, missing_library, sentence
-from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, Round, Sources, best
+from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, Sources, best
 
 
 def retrain(  # noqa: PLR0913 - one argument for each flag
@@ -103,7 +103,9 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
         if not quiet:
             print(f"round {one.number} of {config.rounds}: {_words(one)}", file=sys.stderr)
 
-    trains_critic = retraining.policy_in(folder, config).suffix == ".npz"
+    made = retraining.policy_in(folder, config)
+    name = shlex.quote(str(made))
+    trains_critic = made.suffix == ".npz"
     total = config.steps * (config.rounds + trains_critic)
     try:
         with Meter(sys.stderr, total, "steps", quiet=quiet) as meter:
@@ -116,9 +118,10 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
     except ExecutionError as error:
         print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
+    except DivergedError as error:
+        print(f"{program()}: {sentence(str(error))}\nThe best policy until then is in {name}.", file=sys.stderr)
+        return EXECUTION_FAILED
     print(_table(rounds))
-    made = retraining.policy_in(folder, config)
-    name = shlex.quote(str(made))
     chosen = best(rounds).number
     if chosen == 0:
         print(f"\nNo round was better than the policy as it was given, of which {name} is a copy.")

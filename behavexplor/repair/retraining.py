@@ -54,6 +54,7 @@ def retrain(
 
     Raises:
         InputError: if the policy or the environment cannot be used, or a file of the folder cannot be read.
+        DivergedError: if the training diverges. The best policy until then is in its place.
     """
     torch.set_num_threads(1)  # more threads change the last bits of results
     trainee = open_trainee(config.target, config.seed, config.envs)
@@ -68,8 +69,10 @@ def retrain(
         else:
             rounds = [work.finish(0, None)]
             report(rounds[-1])
-        work.run(rounds, PoolWatch(observe, pool, own=config.pool in ("own", "both")), report)
-    copy_policy(work.file(best(rounds).number, trainee.suffix), policy_in(folder, config))
+        try:
+            work.run(rounds, PoolWatch(observe, pool, own=config.pool in ("own", "both")), report)
+        finally:
+            copy_policy(work.file(best(rounds).number, trainee.suffix), policy_in(folder, config))
     return rounds
 
 

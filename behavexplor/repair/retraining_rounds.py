@@ -19,6 +19,20 @@ CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
 Sources = Literal["none", "own", "found", "both"]
 
 
+class DivergedError(Exception):
+    """A training has diverged: the network has weights that are not finite numbers.
+
+    Args:
+        number: number of the round.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(
+            f"the training diverged in round {number}, that is, the network has weights that are not finite numbers: "
+            "retrain it with a smaller --rate in another folder"
+        )
+
+
 @dataclass(frozen=True)
 class RetrainingConfig:
     """The configuration of a retraining.

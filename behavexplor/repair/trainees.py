@@ -28,6 +28,7 @@ from behavexplor.envs.making import make_vector_env
 from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
+from behavexplor.repair.retraining_rounds import DivergedError
 from behavexplor.training import TrainingConfig, begin_stage, load_layers, new_model, trained_network
 
 _ENVS: Final = 64  # sub-environments for a network of `train`
@@ -68,7 +69,23 @@ class Trainee:
             steps: number of decisions.
             rate: learning rate.
             watch: callback for the training.
+
+        Raises:
+            DivergedError: if the network has weights that are not finite numbers afterwards.
         """
+        try:
+            self._learn(seed, number, steps, rate, watch)
+        except ValueError as error:  # torch refuses to draw from a distribution that is not finite
+            if self._is_finite():
+                raise
+            raise DivergedError(number) from error
+        if not self._is_finite():
+            raise DivergedError(number)
+
+    def _is_finite(self) -> bool:
+        return all(bool(torch.isfinite(weights).all()) for weights in self.model.policy.parameters())
+
+    def _learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
         model: Any = self.model
         if self.new_critic and number == 1:
             _freeze(model, frozen=True)

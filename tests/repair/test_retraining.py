@@ -20,14 +20,14 @@ from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import trained_in
-from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.commands.retrain import comparison
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
-from behavexplor.repair import finding, retraining
+from behavexplor.repair import finding, retraining, trainees
 from behavexplor.repair.retraining import retrain
 from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
 from behavexplor.repair.trainees import copy_policy, open_trainee
@@ -51,6 +51,28 @@ def retrained(tmp_path_factory):
 
 def layers(path):
     return [array for layer in read_network(path).layers for array in layer]
+
+
+def ruin(model, *_, **__):
+    with torch.no_grad():
+        next(model.policy.parameters()).fill_(float("nan"))
+
+
+@pytest.mark.parametrize("at", ["begin", "end"])
+def test_a_training_that_diverges_ends_in_a_sentence_and_keeps_the_best_policy(at, tmp_path, capsys, monkeypatch):
+    """At the beginning, torch itself refuses to go on; after the last step, the weights are looked at."""
+    if at == "begin":
+        monkeypatch.setattr(trainees, "begin_stage", ruin)
+    else:
+        monkeypatch.setattr(PPO, "learn", ruin)
+    words = [f"--{name}={value}" for name, value in {**SMALL, "pool": "none"}.items()]
+    assert main(["retrain", POLICY, *words, "--out", str(tmp_path / "out"), "--quiet"]) == EXECUTION_FAILED
+    told = capsys.readouterr().err
+    assert "the training diverged in round 1" in told
+    assert f"The best policy until then is in {tmp_path / 'out' / 'policy.npz'}" in told
+    given, kept = layers(policy_file(POLICY)), layers(tmp_path / "out" / "policy.npz")
+    assert all(np.array_equal(one, other) for one, other in zip(given, kept, strict=True))
+    assert len(finished_rounds(tmp_path / "out")) == 1
 
 
 def test_a_retraining_that_was_cut_off_ends_as_if_it_had_not_been(retrained, tmp_path):
