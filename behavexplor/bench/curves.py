@@ -1,19 +1,19 @@
-"""Discovery curves: number of failures, and of their classes, over the number of executions."""
+"""Discovery curves: numbers of failures, of their classes and of weaknesses, over the number of executions."""
 
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from behavexplor.bench.comparisons import compared_figures
 from behavexplor.bench.experiment import Experiment
-from behavexplor.bench.statistics import Estimate, estimate
-from behavexplor.bench.summaries import Summary, all_classified, all_signed
+from behavexplor.bench.statistics import Estimate
+from behavexplor.bench.summaries import Summary
+from behavexplor.bench.table import mean, of_group
 
 POINTS: Final = 50  # approximate number of points of a curve
-AT_FAULT, FAILURES = "classes of failures at fault", "failures"
-UNIQUE, WEAKNESSES = "unique violations", "weaknesses of the planner"
 
 _COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", "low", "high")
 
@@ -23,8 +23,7 @@ class Curve:
     """The mean over campaigns of a count of findings, by number of executions.
 
     Attributes:
-        figure: counted findings: "failures", "classes of failures at fault", "unique violations" or "weaknesses of the
-            planner".
+        figure: counted findings, such as "failures at fault"; see `behavexplor.bench.comparisons.compared_figures`.
         env: environment.
         ads: driving system under test.
         method: name of the search method in the experiment.
@@ -41,30 +40,19 @@ class Curve:
 
 
 def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:
-    """Return all curves of an experiment.
-
-    Curves of unique violations are left out unless every failure has a class, and curves of weaknesses unless every
-    failure has a signature.
-    """
-    figures: list[tuple[str, Callable[[Summary, int], int]]] = [(FAILURES, _failed_by)]
-    if all_classified(summaries):
-        figures.append((AT_FAULT, lambda summary, count: len(summary.kinds_at_fault(before=count))))
-        figures.append((UNIQUE, lambda summary, count: len(summary.kinds(before=count))))
-    if all_signed(summaries):
-        figures.append((WEAKNESSES, lambda summary, count: len(summary.weaknesses(before=count))))
+    """Return all curves of an experiment, for the figures in which its methods are compared."""
     step = max(1, math.ceil(experiment.budget / POINTS))
     at = tuple(sorted({*range(step, experiment.budget, step), experiment.budget}))
-    made = []
-    for name, figure in figures:
-        for group in dict.fromkeys((summary.env, summary.ads, summary.method) for summary in summaries):
-            found = [summary for summary in summaries if (summary.env, summary.ads, summary.method) == group]
-            estimates = tuple(estimate([figure(summary, count) for summary in found]) for count in at)
-            made.append(Curve(name, *group, at, estimates))
-    return made
-
-
-def _failed_by(summary: Summary, count: int) -> int:
-    return sum(failure.number < count for failure in summary.failures)
+    groups = dict.fromkeys((summary.env, summary.ads, summary.method) for summary in summaries)
+    early = {  # what each campaign had found after each number of executions
+        group: [[one.first(min(count, one.executions)) for one in of_group(summaries, group)] for count in at]
+        for group in groups
+    }
+    return [
+        Curve(name, *group, at, tuple(mean(found, figure) for found in early[group]))
+        for _, name, figure in compared_figures(summaries)
+        for group in groups
+    ]
 
 
 def curves_csv(found: Sequence[Curve]) -> str:

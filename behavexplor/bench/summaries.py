@@ -125,23 +125,21 @@ class Summary:
             label: label of the failures; None for all.
             before: number of the execution before which failures count; None for no limit.
         """
-        return frozenset(failure.kind for failure in self._failed(label, before) if failure.kind is not None)
+        return frozenset(
+            failure.kind
+            for failure in self.failures
+            if failure.kind is not None
+            and label in (None, failure.label)
+            and (before is None or failure.number < before)
+        )
 
-    def at_fault(self, before: int | None = None) -> int:
-        """Return the number of failures for which the ADS was at fault.
+    def at_fault(self) -> int:
+        """Return the number of failures for which the ADS was at fault."""
+        return sum(failure.at_fault for failure in self.failures)
 
-        Args:
-            before: number of the execution before which failures count; None for no limit.
-        """
-        return sum(failure.at_fault for failure in self._failed(None, before))
-
-    def kinds_at_fault(self, before: int | None = None) -> frozenset[str]:
-        """Return the classes of the failures for which the ADS was at fault.
-
-        Args:
-            before: number of the execution before which failures count; None for no limit.
-        """
-        at_fault = (failure.kind for failure in self._failed(None, before) if failure.at_fault)
+    def kinds_at_fault(self) -> frozenset[str]:
+        """Return the classes of the failures for which the ADS was at fault."""
+        at_fault = (failure.kind for failure in self.failures if failure.at_fault)
         return frozenset(kind for kind in at_fault if kind is not None)
 
     @property
@@ -149,20 +147,10 @@ class Summary:
         """What the campaign has not found yet."""
         return Discovery.of((failure.kind for failure in self.failures if failure.kind is not None), self.executions)
 
-    def weaknesses(self, label: str | None = None, before: int | None = None) -> frozenset[str]:
-        """Return the weaknesses of the rule planner in the signatures of the failures.
-
-        Args:
-            label: label of the failures; None for all.
-            before: number of the execution before which failures count; None for no limit.
-        """
-        signatures = {failure.signature for failure in self._failed(label, before)} - {ENVIRONMENT, UNEXPLAINED}
+    def weaknesses(self) -> frozenset[str]:
+        """Return the weaknesses of the rule planner in the signatures of the failures."""
+        signatures = {failure.signature for failure in self.failures} - {ENVIRONMENT, UNEXPLAINED}
         return frozenset(name for name in signatures if name is not None)
-
-    def _failed(self, label: str | None, before: int | None) -> Iterator[Failure]:
-        for failure in self.failures:
-            if label in (None, failure.label) and (before is None or failure.number < before):
-                yield failure
 
     @property
     def classified(self) -> bool:

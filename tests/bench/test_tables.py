@@ -193,7 +193,7 @@ def test_weaknesses_are_counted_by_campaign_and_what_is_none_is_left_out():
     assert table.rows == (("Search", 2, 1, 2, 1, 3), ("w/o it", 1, 0, 0, 1, 1), ("Uniform_1", 1, 0, 0, 0, 0))
     assert [mean.mean for mean in column(made("violations", SIGNED), "Weaknesses")] == [2, 1, 0]
     assert column(made("weaknesses-search", SIGNED), "Mean against") == [1, 0]
-    assert SIGNED[0].weaknesses("R1") == {"R1-8"}
+    assert SIGNED[0].weaknesses() == {"R1-8", "R2-2"}
 
 
 def test_weaknesses_are_told_only_where_every_failure_has_a_signature():
@@ -428,9 +428,10 @@ def test_a_summary_is_a_row():
 
 
 def test_curves_rise_with_the_failures():
-    (curve, *_) = curves(EXPERIMENT, SUMMARIES)
+    drawn = curves(EXPERIMENT, SUMMARIES)
+    assert drawn[0].figure == "failures at fault"
+    curve = next(one for one in drawn if (one.method, one.figure) == ("Search", "failures"))
     found = dict(zip(curve.executions, (point.mean for point in curve.found), strict=True))
-    assert (curve.method, curve.figure) == ("Search", "failures")
     assert found[2] == 1.0  # every campaign fails first in execution 0
     assert found[6] == 2.0
     assert found[100] == 4.0
@@ -443,6 +444,8 @@ def test_curves_of_unique_violations_count_a_class_once():
     by_figure = {curve.figure: curve for curve in curves(EXPERIMENT, CLASSIFIED[:1])}
     assert by_figure["failures"].found[-1].mean == 3
     assert by_figure["unique violations"].found[-1].mean == 2
+    assert by_figure["failures at fault"].found[-1].mean == CLASSIFIED[0].at_fault()
+    assert by_figure["classes of failures at fault"].found[-1].mean == len(CLASSIFIED[0].kinds_at_fault())
 
 
 def test_the_figure_is_the_same_file_again_and_has_every_curve():
