@@ -3,6 +3,7 @@
 import inspect
 import re
 import runpy
+import shutil
 from collections import Counter
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pytest
 import behavexplor
 from behavexplor.behavior.miner import MinerOptions
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
+from behavexplor.bench.experiment_archive import ARCHIVE
+from behavexplor.commands import OK, main
 from behavexplor.envs.reward import WEIGHTS
 from behavexplor.execution.simulation import Simulation
 
@@ -161,6 +164,20 @@ def test_tables_are_put_into_their_places(tmp_path):
     expected = page.replace("old", "\n**Times**\n\n| new |\n", 1)
     assert filled(page, folder) == expected
     assert filled(expected, folder) == expected
+
+
+def test_the_figures_of_the_paper_experiment_are_those_of_its_archive(tmp_path):
+    """If this fails, run the experiment's tables, and then python docs/results.py FOLDER."""
+    kept = ROOT / "docs" / "data" / "paper"
+    folder = tmp_path / "paper"
+    folder.mkdir()
+    for name in ("experiment.yaml", ARCHIVE):
+        shutil.copy(kept / name, folder / name)
+    assert main(["bench", "paper", "--out", str(folder), "--tables-only", "--quiet"]) == OK
+    for name in ("summaries.csv", "tables.txt", "report.html"):
+        assert (folder / name).read_bytes() == (kept / name).read_bytes(), name
+    page = (ROOT / "docs" / "results.md").read_text()
+    assert runpy.run_path(str(ROOT / "docs" / "results.py"))["filled"](page, folder) == page
 
 
 def test_the_results_have_places_for_the_tables_of_the_second_question():
