@@ -1,0 +1,42 @@
+"""Runs and campaigns from Python, as far as nothing is driven."""
+
+import pytest
+
+import behavexplor
+from behavexplor.api.observers import observed
+from behavexplor.campaign.config import Budget, CampaignConfig
+from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.store import Store
+from tests.campaign.test_store import execution
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run with failures of two classes."""
+    store = Store.create(tmp_path / "run", CampaignConfig(budget="9").to_yaml())
+    for number, kind in enumerate(["R2/a", "R1/b", None, "R1/b"]):
+        store.add(execution(number, ("lines",) if kind else (), kind))
+    store.commit()
+    store.close()
+    return behavexplor.open_run(tmp_path / "run")
+
+
+def test_a_larger_budget_counts_after_an_interruption_too(run, monkeypatch):
+    def interrupted(config, folder, *_, **__):
+        (folder / "config.yaml").write_text(config.to_yaml())
+        raise behavexplor.Interrupted(folder)
+
+    monkeypatch.setattr("behavexplor.api.run.conduct", interrupted)
+    with pytest.raises(behavexplor.Interrupted):
+        run.resume(budget=12)
+    assert run.config.budget == "12"
+
+
+def test_classes_need_no_summary_of_the_same_moment(run, monkeypatch):
+    monkeypatch.setattr("behavexplor.api.run.summarize", None)  # a campaign may write between two readings
+    assert run.classes == {"R1/b": [1, 3], "R2/a": [0]}
+
+
+def test_no_failures_are_minimized_if_none_are_given(run, monkeypatch):
+    monkeypatch.setattr("behavexplor.api.run.minimize_failures", None)
+    assert run.minimize([]) == []
