@@ -40,3 +40,10 @@ def test_classes_need_no_summary_of_the_same_moment(run, monkeypatch):
 def test_no_failures_are_minimized_if_none_are_given(run, monkeypatch):
     monkeypatch.setattr("behavexplor.api.run.minimize_failures", None)
     assert run.minimize([]) == []
+
+
+def test_progress_is_said_once(capfd):
+    with observed(True, Budget(executions=10)) as show:
+        show(Progress(executions=4, failed=1, classes={"R1/b": 1}))
+    assert "4 executions, 1 failed in 1 class" in (said := capfd.readouterr().err)
+    assert "4 executions, 4 executions" not in said
