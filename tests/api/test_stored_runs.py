@@ -47,3 +47,9 @@ def test_progress_is_said_once(capfd):
         show(Progress(executions=4, failed=1, classes={"R1/b": 1}))
     assert "4 executions, 1 failed in 1 class" in (said := capfd.readouterr().err)
     assert "4 executions, 4 executions" not in said
+
+
+@pytest.mark.parametrize("name", ["budget", "method", "specs"])
+def test_an_evaluation_refuses_what_it_would_ignore(name):
+    with pytest.raises(behavexplor.InputError, match=f"has no use for {name}"):
+        behavexplor.evaluate(len, **{name: "x"})
