@@ -53,3 +53,8 @@ def test_progress_is_said_once(capfd):
 def test_an_evaluation_refuses_what_it_would_ignore(name):
     with pytest.raises(behavexplor.InputError, match=f"has no use for {name}"):
         behavexplor.evaluate(len, **{name: "x"})
+
+
+def test_a_campaign_cannot_stop_after_no_failure(tmp_path):
+    with pytest.raises(behavexplor.InputError, match="stop_after=0 must be at least 1"):
+        behavexplor.find_failures(len, stop_after=0, out=tmp_path / "a")
