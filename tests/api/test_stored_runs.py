@@ -58,3 +58,9 @@ def test_an_evaluation_refuses_what_it_would_ignore(name):
 def test_a_campaign_cannot_stop_after_no_failure(tmp_path):
     with pytest.raises(behavexplor.InputError, match="stop_after=0 must be at least 1"):
         behavexplor.find_failures(len, stop_after=0, out=tmp_path / "a")
+
+
+def test_a_comparison_checks_both_drivers_before_the_first_one_drives(tmp_path, monkeypatch):
+    monkeypatch.setattr("behavexplor.api.comparing.conduct", None)
+    with pytest.raises(behavexplor.InputError, match="workers=2 needs a driver"):
+        behavexplor.compare("rule", len, workers=2, out=tmp_path / "a")
