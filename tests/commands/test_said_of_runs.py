@@ -1,0 +1,53 @@
+"""What commands say of stored runs, without driving anything."""
+
+import io
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from behavexplor.campaign.config import Budget, CampaignConfig
+from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.store import Store
+from behavexplor.commands import BAD_INPUT, INTERRUPTED, OK, fuzz, main, replay
+from behavexplor.commands.checks import Checks
+from behavexplor.commands.display import Display
+from behavexplor.data.durable import write_durably
+from behavexplor.data.road_shape import RoadShape
+from tests.campaign.test_store import execution, filled, store  # noqa: F401 - a fixture
+
+
+def ended(store, reason=None, **campaign):  # noqa: F811 - the fixture
+    """What fuzzing says at the end of a campaign: its exit code and its notes."""
+    stream = io.StringIO()
+    campaign = SimpleNamespace(**{"run": lambda _: reason, "stopping": False, **campaign})
+    return fuzz._run(campaign, store, Display(stream, Budget(executions=9), quiet=False)), stream.getvalue()
+
+
+def test_only_a_used_budget_completes_a_run(store):  # noqa: F811
+    progress = Progress(executions=3, resumed=3)
+    assert "already complete" in ended(filled(store), progress=progress)[1]
+    code, said = ended(store, "Stopped after 2 failures, as asked for", progress=progress)
+    assert code == OK
+    assert "already complete" not in said
+
+
+def test_an_interruption_of_the_resumption_does_not_hide_stored_failures(store, capsys):  # noqa: F811
+    store.add(execution(0))
+    store.add(execution(1, ("lines",), "R2/a"))
+    store.commit()
+    assert ended(store, progress=Progress(executions=1, resumed=1), stopping=True)[0] == INTERRUPTED
+    assert "None failed" not in capsys.readouterr().out
+
+
+def test_a_failure_that_highway_env_does_not_confirm_is_not_the_drivers(tmp_path, capsys):
+    run = Store.create(tmp_path / "run", CampaignConfig().to_yaml())
+    run.add(execution(0, ("error",), "error/differs"))
+    run.commit()
+    assert fuzz._checked(OK, run.folder, Checks(), None) == OK
+    run.add(execution(0, ("error",), "error/raised"))
+    run.commit()
+    run.close()
+    assert capsys.readouterr().err == ""
+    assert fuzz._checked(OK, run.folder, Checks(), None) != OK
