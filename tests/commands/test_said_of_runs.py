@@ -51,3 +51,10 @@ def test_a_failure_that_highway_env_does_not_confirm_is_not_the_drivers(tmp_path
     run.close()
     assert capsys.readouterr().err == ""
     assert fuzz._checked(OK, run.folder, Checks(), None) != OK
+
+
+def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):
+    drawn = []
+    monkeypatch.setattr(replay, "_draw", lambda *given: drawn.append(given))
+    replay._show(execution(0), RoadShape(()), tmp_path)  # as of an environment of another package
+    assert len(drawn) == 1
