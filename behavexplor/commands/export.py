@@ -56,6 +56,8 @@ def export(
     """
     if format == "openscenario":
         check_libraries()
+    elif (ego, npcs) != ("recorded", "trajectories"):
+        raise InputError("--ego and --npcs cannot be given with --format csv: a table has what was recorded")
     store = Store.read(run)
     try:
         chosen = numbers or tuple(record.id for record in store.records() if record.failed)

@@ -58,3 +58,9 @@ def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):
     monkeypatch.setattr(replay, "_draw", lambda *given: drawn.append(given))
     replay._show(execution(0), RoadShape(()), tmp_path)  # as of an environment of another package
     assert len(drawn) == 1
+
+
+def test_a_table_has_no_choices(tmp_path, capsys):
+    for flags in (["--ego", "free"], ["--npcs", "routes"]):
+        assert main(["export", str(tmp_path), "--out", str(tmp_path), "--format", "csv", *flags]) == BAD_INPUT
+        assert "cannot be given with --format csv" in capsys.readouterr().err
