@@ -64,3 +64,12 @@ def test_a_table_has_no_choices(tmp_path, capsys):
     for flags in (["--ego", "free"], ["--npcs", "routes"]):
         assert main(["export", str(tmp_path), "--out", str(tmp_path), "--format", "csv", *flags]) == BAD_INPUT
         assert "cannot be given with --format csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("folder", [".", "reports"])
+def test_a_folder_is_no_file(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "reports").mkdir()
+    with pytest.raises(IsADirectoryError):
+        write_durably(Path(folder), "")
+    assert [path.name for path in tmp_path.iterdir()] == ["reports"]
