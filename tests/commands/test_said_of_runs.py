@@ -73,3 +73,10 @@ def test_a_folder_is_no_file(folder, tmp_path, monkeypatch):
     with pytest.raises(IsADirectoryError):
         write_durably(Path(folder), "")
     assert [path.name for path in tmp_path.iterdir()] == ["reports"]
+
+
+def test_the_command_for_a_written_model_can_be_copied(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "behavexplor.training", SimpleNamespace(write_model=lambda *_: None))
+    path = tmp_path / "my models" / "a.zip"
+    assert main(["zip", "learned:lane-change", "--out", str(path)]) == OK
+    assert f"--ads '{path}'" in capsys.readouterr().out
