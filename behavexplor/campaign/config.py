@@ -1,5 +1,6 @@
 """Configuration of a campaign: read from a file and flags, validated, and written to the run folder."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -44,7 +45,7 @@ class Budget:
         parts = re.fullmatch(r"(?:(\d+(?:\.\d+)?)h)?(?:(\d+(?:\.\d+)?)m)?(?:(\d+(?:\.\d+)?)s)?", text)
         amounts = parts.groups(default="0") if parts else ()
         seconds = sum(float(amount) * unit for amount, unit in zip(amounts, (3600, 60, 1), strict=False))
-        if not seconds:
+        if not 0 < seconds < math.inf:
             raise InputError(
                 f"The budget {text!r} is neither a number of executions (750) nor a time (90s, 30m, 1h30m)"
             )

@@ -28,7 +28,7 @@ def test_budgets(text, budget):
     assert Budget.parse(text) == budget
 
 
-@pytest.mark.parametrize("text", ["", "0", "-3", "0m", "ten", "30x", "m", "1.5", "9" * 20, "30m1h"])
+@pytest.mark.parametrize("text", ["", "0", "-3", "0m", "ten", "30x", "m", "1.5", "9" * 20, "30m1h", "9" * 400 + "h"])
 def test_budgets_that_are_none(text):
     with pytest.raises(InputError, match="neither a number of executions"):
         Budget.parse(text)
