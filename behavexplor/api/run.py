@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from behavexplor.ads.in_memory import GivenDriver, given_driver
-from behavexplor.api.conducting import conduct
+from behavexplor.api.conducting import conduct, worker_count
 from behavexplor.api.dataframes import frame_of
 from behavexplor.api.observers import Observer
 from behavexplor.api.replays import Replay
@@ -152,7 +152,7 @@ class Run:
         Raises:
             InputError: if the driver cannot be loaded.
         """
-        count = fewest_workers(self.config.target) if workers is None else workers
+        count = worker_count(self._given, self.config.target, workers)
         return RunTriage(self.folder, count, afresh=afresh, driver=self._given.driver).examine(lambda _: None)
 
     def minimize(self, numbers: Iterable[int] | None = None, *, workers: int | None = None) -> list[Minimized]:
@@ -171,7 +171,7 @@ class Run:
         given = None if numbers is None else [int(number) for number in numbers]
         if given == []:  # such as the index of a table without rows
             return []
-        count = fewest_workers(self.config.target) if workers is None else workers
+        count = worker_count(self._given, self.config.target, workers)
         with closing(Store.read(self.folder)) as store:
             chosen = chosen_failures(store, given or [])
             findings = known_findings(self.folder)

@@ -3,6 +3,7 @@
 import pytest
 
 import behavexplor
+from behavexplor.ads.in_memory import GivenDriver
 from behavexplor.api.observers import observed
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.progress import Progress
@@ -64,3 +65,11 @@ def test_a_comparison_checks_both_drivers_before_the_first_one_drives(tmp_path, 
     monkeypatch.setattr("behavexplor.api.comparing.conduct", None)
     with pytest.raises(behavexplor.InputError, match="workers=2 needs a driver"):
         behavexplor.compare("rule", len, workers=2, out=tmp_path / "a")
+
+
+def test_workers_that_a_driver_in_memory_cannot_have_are_refused(tmp_path):
+    Store.create(tmp_path / "run", CampaignConfig(ads="in-memory:len").to_yaml()).close()
+    run = behavexplor.open_run(tmp_path / "run", GivenDriver("in-memory:len", len))
+    for examine in (run.triage, run.minimize):
+        with pytest.raises(behavexplor.InputError, match="workers=4 needs a driver"):
+            examine(workers=4)
