@@ -14,7 +14,7 @@ from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.data.validation import checked
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, brief, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
 REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
@@ -136,8 +136,17 @@ class CampaignConfig:
         )
 
     def to_yaml(self) -> str:
-        """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file."""
-        return yaml.safe_dump({**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}, sort_keys=False)
+        """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file.
+
+        Raises:
+            InputError: if a value cannot be stored, such as a number of numpy in the options of the method.
+        """
+        values = {**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}
+        try:
+            return yaml.safe_dump(values, sort_keys=False)
+        except yaml.representer.RepresenterError as error:
+            what = brief(error.args[-1])
+            raise InputError(f"The configuration cannot be stored: {what} is not plain data") from None
 
 
 def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
