@@ -1,6 +1,7 @@
 """Comparison of two drivers in the same scenarios, from Python."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ import gymnasium
 
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.campaigns import Requirement, config_of
-from behavexplor.api.conducting import Interrupted, conduct
+from behavexplor.api.conducting import Interrupted, conduct, worker_count
 from behavexplor.api.dataframes import frame_of_pairs
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run, written
@@ -154,6 +155,8 @@ def compare(  # noqa: PLR0913 - one argument for each choice
     one, other = given_driver(first), given_driver(second)
     values = {**SETTINGS, "budget": str(scenarios), "seed": seed, **settings}
     config = config_of(one, env, env_config, specs, **values)
+    for given in (one, other):  # before the first one drives, which may take hours
+        worker_count(given, replace(config, ads=given.name).target, workers)
     folder = Path(out) if out is not None else stamped_folder("compare")
     try:
         conduct(config, folder / FIRST, one, workers=workers, progress=progress)

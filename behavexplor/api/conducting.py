@@ -58,6 +58,8 @@ def conduct(
         InputError: see `behavexplor.campaign.opening.opened`.
         Interrupted: after Ctrl-C.
     """
+    if stop_after is not None and stop_after < 1:
+        raise InputError(f"stop_after={stop_after} must be at least 1")
     count = worker_count(given, config.target, workers)
     with ExitStack() as stack:
         stack.enter_context(in_this_process(count))

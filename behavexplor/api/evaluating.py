@@ -1,7 +1,7 @@
 """Rates of arrival and violations of a driver, from Python."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 
@@ -9,8 +9,11 @@ from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.conducting import in_this_process, worker_count
 from behavexplor.api.environments import environment_of, given_config
 from behavexplor.campaign.config import CampaignConfig, campaign_config
+from behavexplor.errors import InputError
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
+
+_UNUSED: Final = frozenset({"method", "options", "budget", "batch", "specs", "revision"})  # keys of searches only
 
 
 def evaluate(
@@ -34,12 +37,17 @@ def evaluate(
         env_config: see `behavexplor.find_failures`.
         workers: see `behavexplor.find_failures`.
         observe: function that gets the number of finished scenarios.
-        settings: further keys of the configuration, see `behavexplor.campaign.config.CampaignConfig`.
+        settings: further keys of the configuration that tell how to drive, see
+            `behavexplor.campaign.config.CampaignConfig`.
 
     Raises:
         InputError: if an argument cannot be used.
         behavexplor.execution.rollout.ADSError: if the driver fails in a scenario.
     """
+    if unused := sorted(_UNUSED & settings.keys()):
+        raise InputError(
+            f"An evaluation draws scenarios uniformly and has no use for {unused[0]}: give scenarios and seed"
+        )
     given = given_driver(driver)
     name, changes = environment_of(env or given.env or CampaignConfig.env)
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}

@@ -76,9 +76,7 @@ def _bar(budget: Budget) -> Iterator[Observer]:
 
         def show(progress: Progress) -> None:
             done, _ = _share(progress, budget)
-            bar.update(
-                task, completed=done, description=f"{progress.executions} executions, {progress_words(progress)}"
-            )
+            bar.update(task, completed=done, description=progress_words(progress))
 
         yield show
 

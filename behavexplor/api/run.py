@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from behavexplor.ads.in_memory import GivenDriver, given_driver
-from behavexplor.api.conducting import conduct
+from behavexplor.api.conducting import conduct, worker_count
 from behavexplor.api.dataframes import frame_of
 from behavexplor.api.observers import Observer
 from behavexplor.api.replays import Replay
@@ -93,11 +93,11 @@ class Run:
     @property
     def classes(self) -> dict[str, list[int]]:
         """Numbers of the failures of each class, the most frequent class first."""
-        groups: dict[str, list[int]] = {one.id: [] for one in self.summary.classes}
-        for record in self.records:
+        groups: dict[str, list[int]] = {}
+        for record in self.records:  # read once, since a campaign may be writing them
             if record.violation_class is not None:
-                groups[record.violation_class].append(record.id)
-        return groups
+                groups.setdefault(record.violation_class, []).append(record.id)
+        return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0])))
 
     def trace(self, number: int) -> Trace:
         """Return the trace of an execution.
@@ -152,7 +152,7 @@ class Run:
         Raises:
             InputError: if the driver cannot be loaded.
         """
-        count = fewest_workers(self.config.target) if workers is None else workers
+        count = worker_count(self._given, self.config.target, workers)
         return RunTriage(self.folder, count, afresh=afresh, driver=self._given.driver).examine(lambda _: None)
 
     def minimize(self, numbers: Iterable[int] | None = None, *, workers: int | None = None) -> list[Minimized]:
@@ -168,9 +168,12 @@ class Run:
         Raises:
             InputError: if an execution did not fail, or the run folder cannot be written.
         """
-        count = fewest_workers(self.config.target) if workers is None else workers
+        given = None if numbers is None else [int(number) for number in numbers]
+        if given == []:  # such as the index of a table without rows
+            return []
+        count = worker_count(self._given, self.config.target, workers)
         with closing(Store.read(self.folder)) as store:
-            chosen = chosen_failures(store, [] if numbers is None else [int(number) for number in numbers])
+            chosen = chosen_failures(store, given or [])
             findings = known_findings(self.folder)
             known = known_minimized(self.folder, findings)
             waiting = [number for number in chosen if number not in known]
@@ -219,11 +222,13 @@ class Run:
             InputError: if the driver cannot be loaded, or is not that of the run.
             behavexplor.Interrupted: after Ctrl-C.
         """
-        given = self._given if driver is None else self._checked(driver)
+        self._given = self._given if driver is None else self._checked(driver)
         config = self.config if budget is None else replace(self.config, budget=str(budget))
-        conduct(config, self.folder, given, resume=True, workers=workers, stop_after=stop_after, progress=progress)
-        self._given = given
-        self.__dict__.pop("config")  # it may have another budget now
+        choices: dict[str, Any] = {"workers": workers, "stop_after": stop_after, "progress": progress}
+        try:
+            conduct(config, self.folder, self._given, resume=True, **choices)
+        finally:
+            self.__dict__.pop("config")  # it may have another budget now, also after Ctrl-C
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:

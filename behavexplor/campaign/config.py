@@ -1,5 +1,6 @@
 """Configuration of a campaign: read from a file and flags, validated, and written to the run folder."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -13,7 +14,7 @@ from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.data.validation import checked
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, brief, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
 REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
@@ -44,7 +45,7 @@ class Budget:
         parts = re.fullmatch(r"(?:(\d+(?:\.\d+)?)h)?(?:(\d+(?:\.\d+)?)m)?(?:(\d+(?:\.\d+)?)s)?", text)
         amounts = parts.groups(default="0") if parts else ()
         seconds = sum(float(amount) * unit for amount, unit in zip(amounts, (3600, 60, 1), strict=False))
-        if not seconds:
+        if not 0 < seconds < math.inf:
             raise InputError(
                 f"The budget {text!r} is neither a number of executions (750) nor a time (90s, 30m, 1h30m)"
             )
@@ -135,8 +136,17 @@ class CampaignConfig:
         )
 
     def to_yaml(self) -> str:
-        """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file."""
-        return yaml.safe_dump({**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}, sort_keys=False)
+        """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file.
+
+        Raises:
+            InputError: if a value cannot be stored, such as a number of numpy in the options of the method.
+        """
+        values = {**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}
+        try:
+            return yaml.safe_dump(values, sort_keys=False)
+        except yaml.representer.RepresenterError as error:
+            what = brief(error.args[-1])
+            raise InputError(f"The configuration cannot be stored: {what} is not plain data") from None
 
 
 def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, count, islice
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -294,17 +294,17 @@ def rebuild(path: Path) -> tuple[int, Path]:
         leftover.unlink(missing_ok=True)
     with closing(connect(new, "rwc")) as connection:
         begin(connection)
-        count, rows = 0, _readable(path)
+        saved, rows = 0, _readable(path)
         while some := list(islice(rows, _ROWS_AT_ONCE)):
             insert(connection, some)
-            count += len(some)
+            saved += len(some)
         connection.execute("PRAGMA journal_mode = DELETE")
     os.link(path, kept)
     if _wal(path).exists():
         _wal(path).replace(_wal(kept))
     path.with_name(path.name + "-shm").unlink(missing_ok=True)
     new.replace(path)
-    return count, kept
+    return saved, kept
 
 
 def _readable(path: Path) -> Iterator[Row]:
@@ -329,8 +329,8 @@ def _readable(path: Path) -> Iterator[Row]:
 
 def _free_name(path: Path) -> Path:
     """Return an unused path for a damaged file, beside damaged files of earlier times."""
-    taken = len(list(path.parent.glob(f"{path.name}.damaged*")))
-    return path.with_name(f"{path.name}.damaged{taken + 1 if taken else ''}")
+    names = (path.with_name(f"{path.name}.damaged{number}") for number in chain([""], count(2)))
+    return next(name for name in names if not name.exists() and not _wal(name).exists())
 
 
 def _wal(path: Path) -> Path:

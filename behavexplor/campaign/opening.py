@@ -13,6 +13,7 @@ from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, 
 from behavexplor.campaign.stage_clock import STARTING, StageClock
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.durable import write_durably
 from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
@@ -92,8 +93,8 @@ def opened(
         search = search or search_method(config, logical)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
-        if isinstance(logical, DrawnLogicalScenario) and not resume:
-            (folder / ROAD_FILE).write_bytes(executor.submit(ROAD, b"").result())
+        if isinstance(logical, DrawnLogicalScenario) and not (folder / ROAD_FILE).is_file():
+            write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
         clock = StageClock(store.stages)
         clock.seconds[STARTING] = time.monotonic() - begun
         campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)

@@ -285,12 +285,19 @@ class Store:
         """Yield the number, the most severe violated spec, and the class of each failed execution, in order.
 
         The class is None in runs of early versions.
+
+        Raises:
+            InputError: if a record is damaged.
         """
         first = "json_extract(record, '$.violated[0]')"  # readers do not trust generated columns of the file
         columns = f"id, {first}, json_extract(record, '$.class')"
         query = f"SELECT {columns} FROM executions WHERE {first} IS NOT NULL ORDER BY id"  # noqa: S608 - all our own
-        for number, name, kind in self._connection.execute(query):
-            yield number, name.decode(), kind and kind.decode()
+        try:
+            for number, name, kind in self._connection.execute(query):
+                yield number, name.decode(), kind and kind.decode()
+        except sqlite3.DatabaseError as error:  # such as a record that is not JSON
+            damage = f"{self.folder / DATABASE} is damaged: {error}"
+            raise InputError(f"{damage}; fuzz --resume executes what is lost again") from None
 
     def execution(self, number: int) -> Execution:
         """Return an execution.

@@ -56,6 +56,8 @@ def export(
     """
     if format == "openscenario":
         check_libraries()
+    elif (ego, npcs) != ("recorded", "trajectories"):
+        raise InputError("--ego and --npcs cannot be given with --format csv: a table has what was recorded")
     store = Store.read(run)
     try:
         chosen = numbers or tuple(record.id for record in store.records() if record.failed)
@@ -151,10 +153,14 @@ class _Scenes:
     def _road_file(self, plan: RoadPlan, number: int) -> str:
         """Return the name of the file of a road, which is written if it is new."""
         from behavexplor.exchange.opendrive import write_road  # noqa: PLC0415 - needs the extra `scenes`
+        from behavexplor.exchange.xml_files import same_road  # noqa: PLC0415
 
         if plan not in self._roads:
             name = re.sub(r"[^\w.-]", "-", self._config.env.rpartition("/")[2])
-            file = f"{name}.xodr" if not self._roads else f"{name}-{number:06d}.xodr"
+            file, shared = f"{name}-{number:06d}.xodr", f"{name}.xodr"
             write_road(plan, name, self._out / file)
+            if not (self._out / shared).exists() or same_road(self._out / shared, self._out / file):
+                (self._out / file).replace(self._out / shared)  # scenes of earlier exports may have another road
+                file = shared
             self._roads[plan] = file
         return self._roads[plan]

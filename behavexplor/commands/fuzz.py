@@ -31,7 +31,7 @@ from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
 from behavexplor.fuzz.methods import METHODS, describe_method
-from behavexplor.judge.specs import ERROR
+from behavexplor.judge.specs import DIFFERS, ERROR
 
 _DEFAULTS = CampaignConfig()
 _ENVS = (
@@ -149,8 +149,6 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         code = _run(ready.campaign, ready.store, display)
         if ready.campaign.progress.executions:
             code = _checked(code, folder, checks, summary)
-        if code == OK and 0 < ready.campaign.progress.executions == ready.campaign.progress.resumed:
-            display.say("The run was already complete: a larger --budget extends it.")
         return code
 
 
@@ -159,7 +157,8 @@ def _checked(code: int, folder: Path, checks: Checks, file: Path | None) -> int:
     found = summarize(folder)
     if file is not None:
         write_json(file, summary_values(found, folder, checks))
-    if code == OK and found.violations.get(ERROR) == found.executions:
+    unconfirmed = sum(one.count for one in found.classes if one.id == f"{ERROR}/{DIFFERS}")
+    if code == OK and found.violations.get(ERROR, 0) - unconfirmed == found.executions:
         print(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
     reason = checks.failed(found) if code == OK else None
@@ -180,13 +179,16 @@ def _run(campaign: Campaign, store: Store, display: Display) -> int:
             code, failure = EXECUTION_FAILED, f"The run folder can no longer be written: {error}"
         else:
             failure = ended
-    if campaign.progress.executions:
-        print(campaign_summary(campaign.progress, store, program()))
+    progress = campaign.progress
+    if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
+        print(campaign_summary(progress, store, program()))
     if failure:
         print(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
         print(f"Interrupted; resume with: {program()} fuzz --resume {shlex.quote(str(store.folder))}", file=sys.stderr)
         return INTERRUPTED
+    if code == OK and not failure and 0 < progress.executions == progress.resumed:
+        display.say("The run was already complete: a larger --budget extends it.")
     return code
 
 

@@ -1,5 +1,6 @@
 """`behavexplor zip`: write a trained network as a model of Stable-Baselines3."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +42,8 @@ def zip(  # noqa: A001 - the command's name
     except ModuleNotFoundError as error:
         raise missing_library("A model of Stable-Baselines3", error.name, "rl") from None
     write_model(network, trained_in, out)
-    print(f"The model is in {out}. It drives as {policy}: {program()} fuzz --env {trained_in} --ads {out}")
+    command = f"{program()} fuzz --env {shlex.quote(trained_in)} --ads {shlex.quote(str(out))}"
+    print(f"The model is in {out}. It drives as {policy}: {command}")
     return OK
 
 

@@ -4,6 +4,7 @@ Every element of a file must be one that is known here, so that nothing is left 
 """
 
 import math
+import re
 from pathlib import Path
 from typing import Any, Final
 
@@ -54,7 +55,7 @@ def read_scene(path: Path) -> Scene:
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
         scenario=_scenario(facts),
-        n_vehicles=int(facts[VEHICLES]) if facts.get(VEHICLES, "").isdecimal() else 0,
+        n_vehicles=int(facts[VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(VEHICLES, "")) else 0,
     )
 
 
@@ -193,9 +194,9 @@ class _Motion:
             self.route.append([_number(place, "x"), _number(place, "y")])
         for entry in event.iterfind("Action/PrivateAction/LongitudinalAction/SpeedProfileAction/SpeedProfileEntry"):
             self.profile.append([_number(entry, "speed"), _number(entry, "time")])
-        known = ("RoutingAction", "LongitudinalAction/SpeedProfileAction")
+        known, moved = ("RoutingAction", "LongitudinalAction/SpeedProfileAction"), "RoutingAction/AcquirePositionAction"
         for action in event.iterfind("Action/PrivateAction"):
-            if all(action.find(name) is None for name in known) or action.find("RoutingAction/AcquirePositionAction"):
+            if all(action.find(name) is None for name in known) or action.find(moved) is not None:
                 raise _refused(action, f"this action of {self.name} during the scene")
 
     @property
@@ -226,10 +227,11 @@ def _rows(follow: Element, start: float) -> Floats:
     if timing is None or not vertices:
         raise _refused(follow, "a trajectory that is not a polyline with times")
     rows = np.array([[_number(vertex, "time"), *_pose(_one(vertex, "Position/WorldPosition"))] for vertex in vertices])
-    rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
+    with np.errstate(over="ignore", invalid="ignore"):  # such times are refused below
+        rows[:, 0] = rows[:, 0] * _number(timing, "scale") + _number(timing, "offset")
     if timing.get("domainAbsoluteRelative") == "relative":
         rows[:, 0] += start
-    if (np.diff(rows[:, 0]) <= 0).any() or start > rows[0, 0] + _SAME_TIME:
+    if not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any() or start > rows[0, 0] + _SAME_TIME:
         raise _refused(follow, "a trajectory whose times do not increase from its start on")
     return rows
 

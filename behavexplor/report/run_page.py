@@ -1,8 +1,9 @@
 """The report on one or several runs, as one self-contained HTML file."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
+from behavexplor.judge.specs import SPECS
 from behavexplor.report.gallery import PASSED
 from behavexplor.report.reading import Run
 from behavexplor.report.rendering import rendered
@@ -12,6 +13,13 @@ Paired = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 _NOT_EXAMINED: Final = "not examined"
 
+
+def _by_requirement(counts: Mapping[str, int]) -> str:
+    """Return the numbers of failures of R1, R2 and R3, then those of others by name."""
+    own = {spec.name for spec in SPECS}
+    return ", ".join(str(count) if name in own else f"{name} {count}" for name, count in counts.items())
+
+
 _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
     "environment": lambda run: run.config.env,
     "driving system": lambda run: run.config.ads,
@@ -19,7 +27,7 @@ _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
     "seed": lambda run: str(run.config.seed),
     "executions": lambda run: str(len(run.entries)),
     "failed": lambda run: f"{len(run.findings)} ({len(run.findings) / len(run.entries):.1%})",
-    "collision (R1), lines (R2), destination (R3)": lambda run: ", ".join(map(str, run.specs().values())),
+    "collision (R1), lines (R2), destination (R3)": lambda run: _by_requirement(run.specs()),
     "classes": lambda run: str(len(run.classes)),
     "first failure": lambda run: str(run.findings[0].id) if run.findings else "none",
     "failures at fault": lambda run: str(len(run.at_fault())),

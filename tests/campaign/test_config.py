@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
@@ -28,10 +29,16 @@ def test_budgets(text, budget):
     assert Budget.parse(text) == budget
 
 
-@pytest.mark.parametrize("text", ["", "0", "-3", "0m", "ten", "30x", "m", "1.5", "9" * 20, "30m1h"])
+@pytest.mark.parametrize("text", ["", "0", "-3", "0m", "ten", "30x", "m", "1.5", "9" * 20, "30m1h", "9" * 400 + "h"])
 def test_budgets_that_are_none(text):
     with pytest.raises(InputError, match="neither a number of executions"):
         Budget.parse(text)
+
+
+@pytest.mark.parametrize("name", ["options", "env_config"])
+def test_a_value_that_cannot_be_stored_is_named(name):
+    with pytest.raises(InputError, match=r"cannot be stored: .*3.* is not plain data"):
+        CampaignConfig(**{name: {"patience": np.int64(3)}}).to_yaml()
 
 
 @given(st.builds(CampaignConfig, seed=st.integers(0, 2**63 - 1), batch=st.integers(1, 100), budget=st.just("30m")))

@@ -6,6 +6,7 @@ import sqlite3
 import pytest
 
 from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.database import rebuild
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scripted import ScriptedScenario
@@ -127,6 +128,25 @@ def test_damage_is_named(store, change):
     assert [next(executions).id, next(executions).id] == [0, 1]
     with pytest.raises(InputError, match=r"Execution 2 in .* is damaged or missing"):
         next(executions)
+
+
+def test_a_damaged_record_is_named_among_the_failures(store):
+    filled(store).close()
+    path = store.folder / DATABASE
+    path.write_bytes(path.read_bytes().replace(b'{"id": 1', b'["id": 1'))
+    damaged = Store.read(store.folder)
+    with pytest.raises(InputError, match="is damaged"):
+        list(damaged.failures())
+    damaged.close()
+
+
+def test_damaged_databases_are_kept_beside_each_other(tmp_path):
+    for name in ("campaign.db", "campaign.db.damaged2"):  # the first one of two was deleted
+        (tmp_path / name).write_text(name)
+    assert [rebuild(tmp_path / "campaign.db")[1].name for _ in range(2)] == [
+        "campaign.db.damaged",
+        "campaign.db.damaged3",
+    ]
 
 
 def test_a_missing_execution_is_named(store):
