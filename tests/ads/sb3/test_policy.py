@@ -577,6 +577,7 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
     ("settings", "message"),
     [
         ({"env_wrapper": "os.system"}, "trained in the wrapper 'os.system', which is not supported"),
+        ({"vec_env_wrapper": [{"mine.Scaled": {"by": 2}}]}, "trained in the wrapper .*mine.Scaled.*not supported"),
         ({"normalize": True}, r"observations were normalized, but vecnormalize\.pkl is missing"),
         ({"frame_stack": "many"}, "frame_stack in .*valid integer"),
         ({"frame_stack": -2}, "must be at least 1"),
@@ -585,6 +586,11 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
 def test_a_run_of_rl_zoo_that_cannot_be_repeated_is_refused(settings, message, tmp_path, ppo):
     with pytest.raises(InputError, match=message):
         load_policy(zoo(tmp_path / "run", ppo, settings=settings))
+
+
+def test_a_run_of_rl_zoo_may_have_a_monitor_of_vector_environments(tmp_path, ppo):
+    settings = {"vec_env_wrapper": "stable_baselines3.common.vec_env.VecMonitor"}
+    assert describe(zoo(tmp_path / "run", ppo, settings=settings) / "best_model.zip").env == "intersection-v1"
 
 
 @pytest.mark.parametrize(
