@@ -264,6 +264,28 @@ def test_observations_are_prepared_as_in_training(stack, tmp_path):
         start = np.zeros(1, dtype=bool)
 
 
+def test_stacked_frames_are_scaled_as_in_training(tmp_path):
+    stacks = VecFrameStack(DummyVecEnv([lambda: Still(gymnasium.spaces.Box(-3.0, 9.0, (7, 5), np.float32))]), 3)
+    env = VecNormalize(stacks, clip_obs=1.5)
+    env.reset()
+    for _ in range(20):
+        env.step(np.zeros((1, 2)))
+    env.training = False
+    model = make_model("PPO", env.observation_space)
+    model.save(tmp_path / "model")
+    env.save(str(tmp_path / "vecnormalize.pkl"))
+    (tmp_path / "model.yaml").write_text("frame_stack: 3\n")
+    policy = load_policy(tmp_path / "model.zip")
+    prepared = env.reset()
+    state, start = None, np.ones(1, dtype=bool)
+    for _ in range(6):
+        newest = env.get_original_obs()[..., -5:]
+        action, state = policy.predict(newest, state, start)
+        np.testing.assert_allclose(action, model.predict(prepared, deterministic=True)[0], atol=1e-6)
+        prepared, *_ = env.step(action)
+        start = np.zeros(1, dtype=bool)
+
+
 def test_statistics_are_those_of_vecnormalize(tmp_path):
     env, _ = normalized(1)
     env.save(str(tmp_path / "saved.pkl"))
