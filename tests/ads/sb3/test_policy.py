@@ -530,10 +530,20 @@ def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path,
         ({"net_arch": [30_000, 30_000]}, None),
         ({"net_arch": {"pi": [8], "vf": [10**12]}}, None),
         ({"net_arch": [8] * 50_000}, None),
+        ({"lstm_hidden_size": 30_000}, None),
+        ({"n_quantiles": 10**9}, None),
         ({}, gymnasium.spaces.Discrete(10**9)),
         ({}, gymnasium.spaces.MultiDiscrete([2, 10**8])),
     ],
-    ids=["two wide layers", "one wide layer", "many layers", "many actions", "many actions of an axis"],
+    ids=[
+        "two wide layers",
+        "one wide layer",
+        "many layers",
+        "wide memory",
+        "many quantiles",
+        "many actions",
+        "many actions of an axis",
+    ],
 )
 def test_a_network_larger_than_its_weights_is_never_made(settings, space, tmp_path, ppo, monkeypatch):
     monkeypatch.setattr(torch.nn.Linear, "__init__", None)
