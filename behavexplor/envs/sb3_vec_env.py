@@ -165,7 +165,13 @@ class HighwayVecEnv(LockStepVecEnv):
         )
 
     def reset(self) -> NDArray[Any]:
-        """Begin an episode in every sub-environment and return the observations, shape (num_envs, ...)."""
+        """Begin an episode in every sub-environment and return the observations, shape (num_envs, ...).
+
+        Raises:
+            InputError: if `set_options` has set options, which the compiled environments do not have.
+        """
+        if any(self._options):
+            raise InputError("The compiled environments have no reset options: make them with another config")
         self._returns[:] = self._lengths[:] = 0
         return super().reset()
 

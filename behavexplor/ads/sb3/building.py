@@ -112,7 +112,7 @@ def assemble(
     Raises:
         InputError: if the weights are damaged or belong to another policy.
     """
-    _check_size(archive, (observation_space, action_space), keywords.get("net_arch"))
+    _check_size(archive, (observation_space, action_space), keywords)
     try:
         use_sde = bool(archive.settings.get("use_sde", False))
         policy = new_policy(policy_class, observation_space, action_space, keywords, use_sde=use_sde)
@@ -151,19 +151,23 @@ def new_policy(
     return policy_class(observation_space, action_space, **given)
 
 
-def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], net_arch: Any) -> None:
+def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], keywords: Mapping[str, Any]) -> None:
     """Refuse a network with more weights than its file has bytes, before the network is built.
 
     Raises:
         InputError: if the network is too large, or its layers are not given by their widths.
     """
+    net_arch = keywords.get("net_arch")
     if isinstance(net_arch, list) and net_arch and isinstance(net_arch[0], Mapping):  # format of earlier versions
         net_arch = net_arch[0]
     layers = list(net_arch.values()) if isinstance(net_arch, Mapping) else [net_arch or []]
     if not all(isinstance(widths, list | tuple) and all(type(width) is int for width in widths) for widths in layers):
         raise InputError(f"{archive.path}: its net_arch must be a list of layer widths, or a dictionary of such lists")
     count = sum(sum(widths) + sum(before * after for before, after in pairwise(widths)) for widths in layers)
-    if max(count, *(gymnasium.spaces.flatdim(space) for space in spaces)) > len(archive.weights):
+    given = {key: value for key, value in keywords.items() if type(value) is int}
+    memory = given.get("lstm_hidden_size", 0) ** 2 * given.get("n_lstm_layers", 1)
+    outputs = given.get("n_quantiles", 0) * given.get("n_critics", 1)
+    if max(count, memory, outputs, *(gymnasium.spaces.flatdim(space) for space in spaces)) > len(archive.weights):
         raise InputError(f"{archive.path}: its weights are too few for the network that its settings describe")
 
 

@@ -18,6 +18,9 @@ from behavexplor.errors import InputError, brief, unknown_name
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
+_HARMLESS: Final = tuple(  # around vector environments, as rl-zoo3 names them
+    f"stable_baselines3.common.vec_env.{name}" for name in ("VecMonitor", "VecCheckNan")
+)
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
 ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_frequency", "simulation_frequency")
 
@@ -158,11 +161,12 @@ def _of_zoo(folder: Path, model: Path) -> Description:
     """Read the files that rl-zoo3 writes into a run's folder; it normalizes observations first, then stacks them."""
     arguments = _read(folder / "args.yml")
     settings = _read(folder / "config.yml") if (folder / "config.yml").is_file() else {}
-    if settings.get("env_wrapper"):
-        raise InputError(
-            f"{folder / 'config.yml'}: the policy was trained in the wrapper {settings['env_wrapper']!r:.80}, which is "
-            "not supported: write a driver that applies it, and name it as module:attribute"
-        )
+    for wrapper in (settings.get("env_wrapper"), settings.get("vec_env_wrapper")):
+        if wrapper and wrapper not in _HARMLESS:
+            raise InputError(
+                f"{folder / 'config.yml'}: the policy was trained in the wrapper {wrapper!r:.80}, which is "
+                "not supported: write a driver that applies it, and name it as module:attribute"
+            )
     statistics = _statistics_in(folder, model) or _statistics_in(model.parent, model)
     if settings.get("normalize") and statistics is None:
         raise InputError(

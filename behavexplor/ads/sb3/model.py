@@ -2,19 +2,24 @@
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from typing import Any
+from typing import Any, Final
 
+import gymnasium
 import torch
+from gymnasium.wrappers import NormalizeObservation
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
 from behavexplor.ads.sb3.building import new_policy
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description
 from behavexplor.ads.sb3.normalization import Moments, Statistics
 from behavexplor.ads.sb3.policy import SB3Policy
 from behavexplor.data.observations import Observation
+from behavexplor.errors import InputError
+
+_CHANGING: Final = (gymnasium.ObservationWrapper, gymnasium.ActionWrapper, NormalizeObservation)
 
 
 def policy_of(model: BaseAlgorithm) -> SB3Policy:
@@ -22,7 +27,11 @@ def policy_of(model: BaseAlgorithm) -> SB3Policy:
 
     Statistics of `VecNormalize`, stacked frames and the configuration of highway-env are those of the model's
     environment.
+
+    Raises:
+        InputError: if the environment has another wrapper that changes what the policy observes or does.
     """
+    _check_wrappers(model.get_env())
     network = _copied(model)
     wrappers = list(_wrappers(model.get_env()))
     stacks = [wrapper.stacked_obs.n_stack for wrapper in wrappers if isinstance(wrapper, VecFrameStack)]
@@ -78,6 +87,26 @@ def _wrappers(env: VecEnv | None) -> Iterator[VecEnvWrapper]:
     while isinstance(env, VecEnvWrapper):
         yield env
         env = env.venv
+
+
+def _check_wrappers(env: VecEnv | None) -> None:
+    """Refuse an environment of highway-env or this package in a wrapper that its registration does not have.
+
+    Only wrappers of gymnasium's kinds in this process are found.
+    """
+    *_, inner = [env, *(wrapper.venv for wrapper in _wrappers(env))]
+    single = inner.envs[0] if isinstance(inner, DummyVecEnv) else None
+    spec = None if single is None else single.spec
+    if spec is None or not str(spec.entry_point).startswith(("highway_env.", "behavexplor.")):
+        return
+    registered = {wrapper.name for wrapper in gymnasium.spec(spec.id).additional_wrappers}
+    while isinstance(single, gymnasium.Wrapper):
+        if isinstance(single, _CHANGING) and single.class_name() not in registered:
+            raise InputError(
+                f"The model was trained in the wrapper {type(single).__name__}, which is not applied in a campaign: "
+                f"give a driver whose predict method does what the wrapper did"
+            )
+        single = single.env
 
 
 def _statistics(scaling: VecNormalize) -> Statistics:

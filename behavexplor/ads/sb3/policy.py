@@ -61,11 +61,18 @@ class SB3Policy:
         if description.config is not None:
             self.env_config = dict(description.config)
         self.was_masked = type(network).__module__.startswith(_MASKED)
+        self._scales_stack = False  # whether `VecNormalize` was around `VecFrameStack`, instead of inside of it
         if statistics is not None:
-            _check_statistics(str(description.statistics), statistics, self.observation_space)
+            shapes = _shapes(statistics, network.observation_space)
+            self._scales_stack = self._stack > 1 and shapes[0] == shapes[1]
+        if statistics is not None and not self._scales_stack:
+            _check_statistics(str(description.statistics or "VecNormalize"), statistics, self.observation_space)
 
     def prepare(self, observation: Observation) -> Observation:
-        """Return observations scaled as in training, arrays of shape (B, ...)."""
+        """Return observations scaled as in training, arrays of shape (B, ...).
+
+        They are stacked before, if `VecNormalize` was around `VecFrameStack` in training, or else afterwards.
+        """
         return observation if self._statistics is None else self._statistics.scale(observation)
 
     def predict(
@@ -91,9 +98,13 @@ class SB3Policy:
         self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats | None
     ) -> tuple[NDArray[Any], Any]:
         frames, memory = (None, None) if state is None else state
-        prepared = self.prepare(mapped(np.asarray, observation))
+        prepared = mapped(np.asarray, observation)
+        if not self._scales_stack:
+            prepared = self.prepare(prepared)
         if self._stack > 1:
             prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
+        if self._scales_stack:
+            prepared = self.prepare(prepared)
         actions, memory = ask_in_blocks(self._network, self._rows, prepared, memory, episode_start, noise)
         return actions, (frames, memory)
 
@@ -154,13 +165,19 @@ def _check_statistics(name: str, statistics: Statistics, space: gymnasium.Space[
     Raises:
         InputError: if they do not.
     """
+    shapes, expected = _shapes(statistics, space)
+    if shapes != expected:
+        raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}")
+
+
+def _shapes(statistics: Statistics, space: gymnasium.Space[Any]) -> tuple[Any, Any]:
+    """Return the shapes of the observations of statistics and of a space; by key where these are dictionaries."""
     moments = statistics.moments
     shapes = moments.mean.shape if isinstance(moments, Moments) else {key: of.mean.shape for key, of in moments.items()}
     expected: Any = space.shape
     if isinstance(space, gymnasium.spaces.Dict) and isinstance(shapes, dict):
         expected = {key: part.shape for key, part in space.spaces.items() if key in shapes}
-    if shapes != expected:
-        raise InputError(f"{name} has statistics for observations of shape {shapes}, the policy's have {expected}")
+    return shapes, expected
 
 
 def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:

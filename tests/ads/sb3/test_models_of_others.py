@@ -6,6 +6,7 @@ import zipfile
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.wrappers import NormalizeObservation
 from sb3_contrib import ARS
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
@@ -135,3 +136,10 @@ def test_what_spaces_do_not_show_is_not_said_to_fit(seen, commands, hint):
     sentence = how_to_fit(gymnasium.spaces.Box(-1, 1, seen), commands)
     assert hint in sentence
     assert sentence.startswith("A configuration that fits") == ("Give" not in hint and "other one" not in hint)
+
+
+def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused():
+    env = NormalizeObservation(gymnasium.make("highway-fast-v0"))
+    model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
+    with pytest.raises(InputError, match="trained in the wrapper NormalizeObservation, which is not applied"):
+        policy_of(model)

@@ -264,6 +264,28 @@ def test_observations_are_prepared_as_in_training(stack, tmp_path):
         start = np.zeros(1, dtype=bool)
 
 
+def test_stacked_frames_are_scaled_as_in_training(tmp_path):
+    stacks = VecFrameStack(DummyVecEnv([lambda: Still(gymnasium.spaces.Box(-3.0, 9.0, (7, 5), np.float32))]), 3)
+    env = VecNormalize(stacks, clip_obs=1.5)
+    env.reset()
+    for _ in range(20):
+        env.step(np.zeros((1, 2)))
+    env.training = False
+    model = make_model("PPO", env.observation_space)
+    model.save(tmp_path / "model")
+    env.save(str(tmp_path / "vecnormalize.pkl"))
+    (tmp_path / "model.yaml").write_text("frame_stack: 3\n")
+    policy = load_policy(tmp_path / "model.zip")
+    prepared = env.reset()
+    state, start = None, np.ones(1, dtype=bool)
+    for _ in range(6):
+        newest = env.get_original_obs()[..., -5:]
+        action, state = policy.predict(newest, state, start)
+        np.testing.assert_allclose(action, model.predict(prepared, deterministic=True)[0], atol=1e-6)
+        prepared, *_ = env.step(action)
+        start = np.zeros(1, dtype=bool)
+
+
 def test_statistics_are_those_of_vecnormalize(tmp_path):
     env, _ = normalized(1)
     env.save(str(tmp_path / "saved.pkl"))
@@ -508,10 +530,20 @@ def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path,
         ({"net_arch": [30_000, 30_000]}, None),
         ({"net_arch": {"pi": [8], "vf": [10**12]}}, None),
         ({"net_arch": [8] * 50_000}, None),
+        ({"lstm_hidden_size": 30_000}, None),
+        ({"n_quantiles": 10**9}, None),
         ({}, gymnasium.spaces.Discrete(10**9)),
         ({}, gymnasium.spaces.MultiDiscrete([2, 10**8])),
     ],
-    ids=["two wide layers", "one wide layer", "many layers", "many actions", "many actions of an axis"],
+    ids=[
+        "two wide layers",
+        "one wide layer",
+        "many layers",
+        "wide memory",
+        "many quantiles",
+        "many actions",
+        "many actions of an axis",
+    ],
 )
 def test_a_network_larger_than_its_weights_is_never_made(settings, space, tmp_path, ppo, monkeypatch):
     monkeypatch.setattr(torch.nn.Linear, "__init__", None)
@@ -577,6 +609,7 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
     ("settings", "message"),
     [
         ({"env_wrapper": "os.system"}, "trained in the wrapper 'os.system', which is not supported"),
+        ({"vec_env_wrapper": [{"mine.Scaled": {"by": 2}}]}, "trained in the wrapper .*mine.Scaled.*not supported"),
         ({"normalize": True}, r"observations were normalized, but vecnormalize\.pkl is missing"),
         ({"frame_stack": "many"}, "frame_stack in .*valid integer"),
         ({"frame_stack": -2}, "must be at least 1"),
@@ -585,6 +618,11 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
 def test_a_run_of_rl_zoo_that_cannot_be_repeated_is_refused(settings, message, tmp_path, ppo):
     with pytest.raises(InputError, match=message):
         load_policy(zoo(tmp_path / "run", ppo, settings=settings))
+
+
+def test_a_run_of_rl_zoo_may_have_a_monitor_of_vector_environments(tmp_path, ppo):
+    settings = {"vec_env_wrapper": "stable_baselines3.common.vec_env.VecMonitor"}
+    assert describe(zoo(tmp_path / "run", ppo, settings=settings) / "best_model.zip").env == "intersection-v1"
 
 
 @pytest.mark.parametrize(

@@ -92,3 +92,10 @@ def test_a_time_limit_truncates():
 def test_other_wrappers_are_refused():
     with pytest.raises(InputError, match="no counterpart of the wrapper FlattenObservation; use DummyVecEnv"):
         HighwayVecEnv([lambda: gymnasium.wrappers.FlattenObservation(gymnasium.make("highway-fast-v0"))])
+
+
+def test_reset_options_are_refused():
+    env = HighwayVecEnv([lambda: gymnasium.make("highway-fast-v0")])
+    env.set_options({"config": {"lanes_count": 2}})
+    with pytest.raises(InputError, match="no reset options"):
+        env.reset()
