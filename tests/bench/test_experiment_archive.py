@@ -100,7 +100,11 @@ def test_an_archive_of_another_experiment_is_refused(whole, tmp_path, change, me
         read_archive(read_experiment(str(file)).runs(), moved(whole, tmp_path / "out"))
 
 
-@pytest.mark.parametrize("damage", [b"", b"no archive", gzip.compress(b"{}\n"), gzip.compress(b"[]")])
+@pytest.mark.parametrize(
+    "damage",
+    [b"", b"no archive", gzip.compress(b"{}\n"), gzip.compress(b"[]")],
+    ids=["empty", "text", "without a run", "no campaign"],
+)
 def test_a_damaged_archive_is_named(whole, tmp_path, capsys, damage):
     folder = moved(whole, tmp_path / "out")
     (folder / ARCHIVE).write_bytes(damage)
