@@ -182,6 +182,5 @@ def test_the_figures_of_the_paper_experiment_are_those_of_its_archive(tmp_path):
 
 def test_the_results_have_places_for_the_tables_of_the_second_question():
     places = re.findall(r"<!-- table: (\S+) -->", (ROOT / "docs" / "results.md").read_text())
-    contrasts = [f"{figure}-contrast-ablation" for figure in ("failures", "unique", "weaknesses")]
-    wanted = {"mutations", "correlations", "overview-at-fault-classes-equal-time", *contrasts}
+    wanted = {"mutations", "together-contrast-ablation", "at-fault-contrast-ablation", "correlations"}
     assert {f"paper/{name}" for name in wanted} <= set(places)
