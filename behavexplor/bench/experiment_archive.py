@@ -1,6 +1,6 @@
 """The archive of an experiment: what its tables need of each finished campaign, in one small file.
 
-With the archive, tables are made without the run folders, which are a thousand times as large, and an experiment
+With the archive, tables are made without the run folders, which are thousands of times as large, and an experiment
 continues on another machine.
 """
 
