@@ -166,16 +166,19 @@ def test_tables_are_put_into_their_places(tmp_path):
     assert filled(expected, folder) == expected
 
 
-def test_the_figures_of_the_paper_experiment_are_those_of_its_archive(tmp_path):
+@pytest.mark.parametrize("experiment", ["paper", "windows"])
+def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, experiment):
     """If this fails, run the experiment's tables, and then python docs/results.py FOLDER."""
-    kept = ROOT / "docs" / "data" / "paper"
-    folder = tmp_path / "paper"
+    kept = ROOT / "docs" / "data" / experiment
+    folder = tmp_path / experiment
     folder.mkdir()
     for name in ("experiment.yaml", ARCHIVE):
         shutil.copy(kept / name, folder / name)
-    assert main(["bench", "paper", "--out", str(folder), "--tables-only", "--quiet"]) == OK
-    for name in ("summaries.csv", "tables.txt", "report.html"):
-        assert (folder / name).read_bytes() == (kept / name).read_bytes(), name
+    assert main(["bench", experiment, "--out", str(folder), "--tables-only", "--quiet"]) == OK
+    for path in kept.iterdir():
+        if path.name == ARCHIVE:  # its bytes depend on the version of zlib
+            continue
+        assert (folder / path.name).read_bytes() == path.read_bytes(), path.name
     page = (ROOT / "docs" / "results.md").read_text()
     assert runpy.run_path(str(ROOT / "docs" / "results.py"))["filled"](page, folder) == page
 
