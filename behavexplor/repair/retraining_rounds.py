@@ -97,7 +97,7 @@ class RetrainingConfig:
 
     @property
     def searches(self) -> bool:
-        """Whether each round begins with a campaign."""
+        """True if each round begins with a campaign."""
         return self.pool in ("found", "both")
 
     @property

@@ -132,7 +132,7 @@ def test_van_elterens_test_of_one_stratum_is_mann_whitneys(first, second):
 
 
 def test_van_elterens_test_agrees_with_all_arrangements_of_two_strata():
-    """Of 20 x 35 arrangements, those whose sum of weighted rank sums lies as far from its mean."""
+    """The exact p-value counts those of 20 x 35 arrangements whose weighted rank sums lie as far from their mean."""
     strata = [([4, 5, 6], [1, 2, 3]), ([3, 5, 6, 7], [1, 2, 4])]
     weighted = []
     for first, second in strata:
