@@ -258,7 +258,7 @@ def fuzz(*arguments, file_size=None, prefix=()):
 @pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_full_disk_ends_the_campaign_and_keeps_what_was_recorded(tmp_path, workers):
     run = tmp_path / "run"
-    result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", workers, "--out", run, file_size=150_000)
+    result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", workers, "--out", run, file_size=250_000)
     assert result.returncode == EXECUTION_FAILED
     assert "Traceback" not in result.stderr
     assert "The run folder can no longer be written: " in result.stderr.splitlines()[-1]
