@@ -25,6 +25,7 @@ OLD = ROOT / "tests" / "stored" / "format-1"
 CAMPAIGN = ["fuzz", "--ads", "constant:1", "--env", "lane-follow", "--method", "uniform", "--seed", "7", "--quiet"]
 CAMPAIGN_CONFIG = f"ads: constant\nenv: lane-follow\nrevision: {REVISION}\n"
 COUNT = 120
+ON_DISK = 200  # executions, of 8 kB each, of which a megabyte holds at least the first commit of 50
 
 
 @pytest.fixture(scope="module")
@@ -258,15 +259,15 @@ def fuzz(*arguments, file_size=None, prefix=()):
 @pytest.mark.parametrize("workers", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_full_disk_ends_the_campaign_and_keeps_what_was_recorded(tmp_path, workers):
     run = tmp_path / "run"
-    result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", workers, "--out", run, file_size=250_000)
+    result = fuzz(*CAMPAIGN, "--budget", ON_DISK, "--workers", workers, "--out", run, file_size=1_000_000)
     assert result.returncode == EXECUTION_FAILED
     assert "Traceback" not in result.stderr
     assert "The run folder can no longer be written: " in result.stderr.splitlines()[-1]
     kept = read_records(run)
-    assert 0 < len(kept) < 40
+    assert 0 < len(kept) < ON_DISK
     assert f"{len(kept)} executions in " in result.stdout
     assert main(["fuzz", "--resume", str(run), "--workers", "0", "--quiet"]) == OK
-    assert main([*CAMPAIGN, "--budget", "40", "--workers", "0", "--out", str(tmp_path / "whole")]) == OK
+    assert main([*CAMPAIGN, "--budget", str(ON_DISK), "--workers", "0", "--out", str(tmp_path / "whole")]) == OK
     assert read_records(run) == read_records(tmp_path / "whole")
 
 
@@ -286,13 +287,14 @@ CAN_MOUNT = (
 @pytest.mark.skipif(not CAN_MOUNT, reason="needs namespaces of its own to mount in")
 def test_a_real_disk_that_runs_full(tmp_path):
     (tmp_path / "disk").mkdir()
-    prefix = [*MOUNT, "sh", "-c", f'mount -t tmpfs -o size=300k none {tmp_path}/disk && "$@"; code=$?; '
+    prefix = [*MOUNT, "sh", "-c", f'mount -t tmpfs -o size=1000k none {tmp_path}/disk && "$@"; code=$?; '
               f"cp -r {tmp_path}/disk/run {tmp_path}/kept; exit $code", "sh"]  # fmt: skip
-    result = fuzz(*CAMPAIGN, "--budget", 40, "--workers", 0, "--out", tmp_path / "disk" / "run", prefix=prefix)
+    result = fuzz(*CAMPAIGN, "--budget", ON_DISK, "--workers", 0, "--out", tmp_path / "disk" / "run", prefix=prefix)
     assert result.returncode == EXECUTION_FAILED, result.stderr
     assert "Traceback" not in result.stderr
     assert "database or disk is full" in result.stderr or "No space left" in result.stderr
     kept = read_records(tmp_path / "kept")
+    assert 0 < len(kept) < ON_DISK
     assert f"{len(kept)} executions in " in result.stdout
 
 
