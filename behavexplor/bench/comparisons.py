@@ -17,7 +17,6 @@ from behavexplor.bench.table import (
     p_text,
     place_cells,
     place_columns,
-    places,
     total,
     unique,
 )
@@ -76,7 +75,7 @@ def samples(
 
     found = [
         (env, ads, one, other, values(env, ads, one), values(env, ads, other))
-        for env, ads in places(experiment)
+        for env, ads in experiment.places
         for one, other in pairs
     ]
     return [sample for sample in found if sample[4] and sample[5]]
@@ -87,7 +86,7 @@ def joint_comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> l
 
     A pair of methods is compared over the scenarios in which both have finished campaigns.
     """
-    if len(places(experiment)) == 1:
+    if len(experiment.places) == 1:
         return []
     made = [_together(name, title, pairs, experiment, summaries) for name, title, pairs in families(experiment)]
     return [table for table in made if table.rows]

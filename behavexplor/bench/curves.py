@@ -78,7 +78,7 @@ def curves_svg(found: Sequence[Curve]) -> str | None:
         return None
     places = list(dict.fromkeys((curve.env, curve.ads) for curve in found))
     figures = list(dict.fromkeys(curve.figure for curve in found))
-    several_ads = len({ads for _, ads in places}) > 1
+    several_ads = len(places) > len({env for env, _ in places})
     text = io.StringIO()
     settings: Any = {"svg.hashsalt": "behavexplor", "svg.fonttype": "none", "axes.spines.top": False}
     with mpl.rc_context({**settings, "axes.spines.right": False}):

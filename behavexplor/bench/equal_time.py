@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.summaries import Summary
-from behavexplor.bench.table import place_cells, places
+from behavexplor.bench.table import place_cells
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> Equal
     if any(math.isnan(summary.time) for summary in summaries):
         return None
     cut, limits = [], []
-    for env, ads in places(experiment):
+    for env, ads in experiment.places:
         here = [summary for summary in summaries if (summary.env, summary.ads) == (env, ads)]
         if here:
             limit = min(summary.time for summary in here)

@@ -1,7 +1,7 @@
 """Experiments: read from a file, validated, and laid out as runs, one campaign each."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal
@@ -12,10 +12,11 @@ from pydantic import ConfigDict
 from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_folder, read_config, read_yaml
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.validation import checked
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, brief, unknown_name
 
 EXPERIMENT: Final = "experiment.yaml"  # file in an experiment's folder
 MOST_RUNS: Final = 100_000
+PAPER_ENVS: Final = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")
 _FROM_CONFIG: Final = ("method", "options")  # keys that an experiment accepts in a campaign's configuration
 
 
@@ -52,8 +53,7 @@ class Experiment:
     Attributes:
         name: name of the experiment and of its folder.
         methods: search methods by their names in the tables.
-        envs: environments, as in a campaign's `env`.
-        ads: driving systems under test, as in a campaign's `ads`.
+        ads: driving systems under test, as in a campaign's `ads`, in each environment, as in a campaign's `env`.
         seeds: number of repetitions. Their seeds are `first_seed`, `first_seed` + 1, ..., the same for all campaigns.
         first_seed: seed of the first repetition.
         budget: number of executions of each campaign. A running time is not allowed, because results would depend on
@@ -81,8 +81,7 @@ class Experiment:
 
     name: str
     methods: dict[str, MethodChoice]
-    envs: tuple[str, ...] = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")
-    ads: tuple[str, ...] = ("rule",)
+    ads: dict[str, tuple[str, ...]]
     seeds: int = 5
     first_seed: int = 1
     budget: int = 750
@@ -101,8 +100,7 @@ class Experiment:
 
     def __post_init__(self) -> None:
         _check_name("name of the experiment", self.name)
-        for key, values in (("envs", self.envs), ("ads", self.ads), ("methods", tuple(self.methods))):
-            _check_distinct(key, values)
+        _check_names("methods", tuple(self.methods))
         for key, value, least, most in (
             ("seeds", self.seeds, 1, 1000),
             ("budget", self.budget, 1, 999_999_999),
@@ -119,7 +117,7 @@ class Experiment:
         for name in named:
             if name not in self.methods:
                 raise unknown_name("method of the experiment", name, self.methods)
-        count = len(self.envs) * len(self.ads) * len(self.methods) * self.seeds
+        count = len(self.places) * len(self.methods) * self.seeds
         if count > MOST_RUNS:
             raise InputError(f"The experiment has {count} campaigns: at most {MOST_RUNS} are allowed")
         self.runs()
@@ -129,12 +127,31 @@ class Experiment:
         """Name of the reference method."""
         return self.reference or next(iter(self.methods))
 
+    @property
+    def envs(self) -> tuple[str, ...]:
+        """Names of the environments."""
+        return tuple(self.ads)
+
+    @property
+    def systems(self) -> tuple[str, ...]:
+        """Names of the driving systems, each once."""
+        return tuple(dict.fromkeys(system for systems in self.ads.values() for system in systems))
+
+    @property
+    def has_several_ads(self) -> bool:
+        """Whether an environment has several driving systems, so that its name alone does not denote a place."""
+        return any(len(systems) > 1 for systems in self.ads.values())
+
+    @property
+    def places(self) -> list[tuple[str, str]]:
+        """Pairs of environment and driving system."""
+        return [(env, system) for env, systems in self.ads.items() for system in systems]
+
     def runs(self) -> list["PlannedRun"]:
         """Return all campaigns seed by seed, so that an unfinished experiment is balanced."""
         campaigns = [
             (env, ads, method, self._campaign(env, ads, choice))
-            for env in self.envs
-            for ads in self.ads
+            for env, ads in self.places
             for method, choice in self.methods.items()
         ]
         return [
@@ -152,7 +169,8 @@ class Experiment:
     def to_yaml(self) -> str:
         """Return the whole experiment as YAML, with the options of its methods."""
         values = asdict(self)
-        values |= {key: list(values[key]) for key in ("envs", "ads", "trust", "specs")}
+        values |= {key: list(values[key]) for key in ("trust", "specs")}
+        values["ads"] = {env: list(systems) for env, systems in self.ads.items()}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}
         values["contrasts"] = {name: [list(pair) for pair in pairs] for name, pairs in self.contrasts.items()}
         return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
@@ -218,7 +236,28 @@ def experiment_config(values: Mapping[str, Any]) -> Experiment:
     if not isinstance(methods, Mapping) or not methods:
         raise InputError("methods of the experiment must name the methods, such as `Uniform: {method: uniform}`")
     choices = {str(name): _choice(str(name), entry) for name, entry in methods.items()}
-    return checked(Experiment, {**values, "methods": choices}, "experiment")
+    others = {key: value for key, value in values.items() if key != "envs"}
+    return checked(Experiment, {**others, "ads": _systems(values), "methods": choices}, "experiment")
+
+
+def _systems(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the driving systems in each environment; an experiment's file may give two lists in place of them.
+
+    Raises:
+        InputError: if they are not lists of names, or if the environments are given twice.
+    """
+    ads = values.get("ads", ("rule",))
+    if isinstance(ads, Mapping):
+        if "envs" in values:
+            raise InputError("envs of the experiment must be left out, because ads names the environments")
+        _check_names("envs", list(ads))
+        for systems in ads.values():
+            _check_names("ads", systems)
+        return dict(ads)
+    envs = values.get("envs", PAPER_ENVS)
+    _check_names("envs", envs)
+    _check_names("ads", ads)
+    return dict.fromkeys(envs, ads)
 
 
 def _choice(name: str, entry: Any) -> MethodChoice:
@@ -238,7 +277,10 @@ def _choice(name: str, entry: Any) -> MethodChoice:
     return checked(MethodChoice, values, f"config {read.config!r} of the {what}")
 
 
-def _check_distinct(key: str, values: Sequence[str]) -> None:
+def _check_names(key: str, values: Any) -> None:
+    """Refuse anything but a list of names, of which no two share a folder."""
+    if not isinstance(values, list | tuple) or not all(isinstance(value, str) for value in values):
+        raise InputError(f"{key} of the experiment must be a list of names, not {brief(values)}")
     if not values:
         raise InputError(f"{key} of the experiment must not be empty")
     slugs = [slug(value) for value in values]

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import estimate
 from behavexplor.bench.summaries import Summary
-from behavexplor.bench.table import Column, Table, Value, of_group, place_cells, place_columns, places
+from behavexplor.bench.table import Column, Table, Value, of_group, place_cells, place_columns
 from behavexplor.judge.discovery import Discovery
 
 EARLY: Final = 0.1  # share of a campaign before its forecast
@@ -99,7 +99,7 @@ def _filled(
     """Return the table with a row for each method in each environment; None if it would be empty."""
     rows: list[tuple[Value, ...]] = []
     blocks = []
-    for env, ads in places(experiment):
+    for env, ads in experiment.places:
         block: list[tuple[Value, ...]] = []
         for method in experiment.methods:
             found = [one for one in foretell(of_group(summaries, (env, ads, method))) if one.early.executions >= LEAST]

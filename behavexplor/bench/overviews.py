@@ -8,7 +8,7 @@ from behavexplor.bench.equal_time import EqualTime
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, Comparison, compare
 from behavexplor.bench.summaries import Summary
-from behavexplor.bench.table import Column, Figure, Table, Value, mean, of_group, place_cells, places
+from behavexplor.bench.table import Column, Figure, Table, Value, mean, of_group, place_cells
 
 Pair = tuple[str, str, str, str]  # environment, ADS, and two methods
 
@@ -21,7 +21,7 @@ def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTi
         summaries: summaries of its finished campaigns.
         cut: these campaigns in equal time, whose means get tables, too; None if a time was not measured.
     """
-    if len(places(experiment)) == 1:
+    if len(experiment.places) == 1:
         return []
     compared = [(key, f"Number of {words}", figure) for key, words, figure in compared_figures(summaries)]
     others: list[tuple[str, str, Figure]] = [
@@ -45,7 +45,7 @@ def _novelty(summary: Summary) -> float:
 
 
 def _columns(experiment: Experiment, *, best: bool) -> tuple[Column, ...]:
-    names = [" ".join(place_cells(experiment, *place)) for place in places(experiment)]
+    names = [" ".join(place_cells(experiment, *place)) for place in experiment.places]
     return (Column("Method"), *(Column(name, interval=True, best=best) for name in names))
 
 
@@ -54,7 +54,7 @@ def _means(key: str, title: str, figure: Figure, experiment: Experiment, summari
     rows: list[tuple[Value, ...]] = []
     counts = set()
     for method in experiment.methods:
-        found = [of_group(summaries, (*place, method)) for place in places(experiment)]
+        found = [of_group(summaries, (*place, method)) for place in experiment.places]
         if any(found):
             rows.append((method, *(mean(group, figure) if group else None for group in found)))
             counts |= set(map(len, found))
@@ -91,7 +91,7 @@ def _effects(
     found = [_compared(experiment, summaries, pairs, figure) for _, _, figure in figures]
     rows: list[tuple[Value, ...]] = []
     for one, other in pairs:
-        cells = [_cell(found, (*place, one, other)) for place in places(experiment)]
+        cells = [_cell(found, (*place, one, other)) for place in experiment.places]
         if any(cells):
             rows.append((other if one == name else one, *cells))
     finds = (

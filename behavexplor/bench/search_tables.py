@@ -6,14 +6,14 @@ from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.mutants import correlation
 from behavexplor.bench.statistics import estimate
 from behavexplor.bench.summaries import Summary
-from behavexplor.bench.table import Column, Table, Value, of_group, p_text, place_cells, place_columns, places
+from behavexplor.bench.table import Column, Table, Value, of_group, p_text, place_cells, place_columns
 
 
 def mutations(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
     """Return the table of the mixture of mutations, for methods with the paper's mutations; None without any."""
     rows: list[tuple[Value, ...]] = []
     blocks = []
-    for env, ads in places(experiment):
+    for env, ads in experiment.places:
         block: list[tuple[Value, ...]] = []
         for method in experiment.methods:
             found = [summary for summary in of_group(summaries, (env, ads, method)) if sum(summary.mutations)]
@@ -44,7 +44,7 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table 
     """
     rows: list[tuple[Value, ...]] = []
     blocks = []
-    for env, ads in places(experiment):
+    for env, ads in experiment.places:
         block = [
             (*place_cells(experiment, env, ads), method, *cells)
             for method in experiment.methods

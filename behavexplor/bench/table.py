@@ -57,19 +57,14 @@ def of_group(summaries: Sequence[Summary], group: Group) -> list[Summary]:
     return [summary for summary in summaries if (summary.env, summary.ads, summary.method) == group]
 
 
-def places(experiment: Experiment) -> list[tuple[str, str]]:
-    """Return the pairs of environment and ADS of an experiment."""
-    return [(env, ads) for env in experiment.envs for ads in experiment.ads]
-
-
 def place_cells(experiment: Experiment, env: str, ads: str) -> tuple[str, ...]:
-    """Return the first cells of a row: the environment, and the ADS if the experiment has several."""
-    return (env, ads) if len(experiment.ads) > 1 else (env,)
+    """Return the first cells of a row: the environment, and the ADS if an environment has several."""
+    return (env, ads) if experiment.has_several_ads else (env,)
 
 
 def place_columns(experiment: Experiment) -> tuple[Column, ...]:
     """Return the columns of `place_cells`."""
-    return (Column("Scenario"), Column("ADS")) if len(experiment.ads) > 1 else (Column("Scenario"),)
+    return (Column("Scenario"), Column("ADS")) if experiment.has_several_ads else (Column("Scenario"),)
 
 
 def mean(found: Sequence[Summary], figure: Figure) -> Estimate:

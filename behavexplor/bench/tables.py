@@ -25,7 +25,6 @@ from behavexplor.bench.table import (
     of_group,
     place_cells,
     place_columns,
-    places,
     total,
     unique,
 )
@@ -134,7 +133,7 @@ def _means(
     """Return a table with a row for each method in each environment, and the means of the figures in its columns."""
     rows: list[tuple[Value, ...]] = []
     blocks = []
-    for env, ads in places(experiment):
+    for env, ads in experiment.places:
         of_methods = [(method, of_group(summaries, (env, ads, method))) for method in methods]
         block: list[tuple[Value, ...]] = [
             (*place_cells(experiment, env, ads), method, len(found), *(mean(found, figure) for _, figure in columns))

@@ -51,7 +51,8 @@ def bench(
     Finished campaigns are not repeated. After an interruption, the same command continues the experiment.
 
     Args:
-        experiment: YAML file of the experiment, or name of a shipped one: "quick", "methods", "windows" or "paper".
+        experiment: YAML file of the experiment, or name of a shipped one: "quick", "paper", "windows",
+            "default-planner" or "policies".
         out: Folder of the experiment.
         jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
         cluster: Run the campaigns on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
@@ -101,7 +102,7 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     parts = ", ".join(
         [
             _counted(len(experiment.envs), "environment"),
-            _counted(len(experiment.ads), "driving system"),
+            _counted(len(experiment.systems), "driving system"),
             _counted(len(experiment.methods), "method"),
             _counted(experiment.seeds, "seed"),
         ]

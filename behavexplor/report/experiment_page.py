@@ -87,7 +87,7 @@ def _figures(experiment: Experiment, curves: Sequence[Curve]) -> list[dict[str, 
     styles = {name: i for i, name in enumerate(experiment.methods)}
     panels: dict[str, dict[str, list[Curve]]] = {}
     for curve in curves:
-        place = curve.env if len(experiment.ads) == 1 else f"{curve.env}, {curve.ads}"
+        place = f"{curve.env}, {curve.ads}" if experiment.has_several_ads else curve.env
         panels.setdefault(curve.figure, {}).setdefault(place, []).append(curve)
     return [
         {

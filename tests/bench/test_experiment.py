@@ -26,10 +26,10 @@ def test_the_shipped_experiments_can_be_run(path):
 
 
 def test_what_the_shipped_experiments_are():
-    assert {path.stem for path in SHIPPED} == {"methods", "paper", "quick", "windows"}
+    assert {path.stem for path in SHIPPED} == {"default-planner", "paper", "policies", "quick", "windows"}
     paper = read_experiment("paper")
-    assert (paper.seeds, paper.budget, len(paper.envs), paper.ads) == (10, 750, 4, ("rule:apollo-like",))
-    assert read_experiment("methods").ads == ("rule",)
+    assert (paper.seeds, paper.budget, len(paper.places), paper.systems) == (10, 750, 4, ("rule:apollo-like",))
+    assert read_experiment("policies").places == [(env, f"learned:{env}") for env in paper.envs]
     assert [run.config.options["miner"]["window"] for run in read_experiment("windows").runs()[:4]] == [10, 1, 5, 15]
 
 
@@ -60,6 +60,19 @@ def test_a_written_experiment_is_the_same_experiment():
     assert experiment_config(yaml.safe_load(experiment.to_yaml())) == experiment
 
 
+def test_each_environment_may_have_driving_systems_of_its_own():
+    ads = {"lane-follow": ["learned:lane-follow", "rule"], "lane-change": ["rule"]}
+    experiment = experiment_config({**SMALL, "ads": ads, "seeds": 1})
+    assert experiment.places == [
+        ("lane-follow", "learned:lane-follow"),
+        ("lane-follow", "rule"),
+        ("lane-change", "rule"),
+    ]
+    assert experiment.systems == ("learned:lane-follow", "rule")
+    assert [(run.env, run.ads) for run in experiment.runs() if run.method == "A"] == experiment.places
+    assert experiment_config(yaml.safe_load(experiment.to_yaml())) == experiment
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -79,6 +92,12 @@ def test_a_written_experiment_is_the_same_experiment():
         ({"first_seed": -1}, "The seed -1"),
         ({"envs": []}, "envs of the experiment must not be empty"),
         ({"ads": ["rule", "rule"]}, "'rule' and another entry share a folder"),
+        ({"ads": {"lane-follow": ["rule", "rule"]}}, "'rule' and another entry share a folder"),
+        ({"ads": {"lane-follow": []}}, "ads of the experiment must not be empty"),
+        ({"ads": "rule"}, "ads of the experiment must be a list of names, not 'rule'"),
+        ({"ads": {"lane-follow": "rule"}}, "ads of the experiment must be a list of names, not 'rule'"),
+        ({"ads": {}}, "envs of the experiment must not be empty"),
+        ({"ads": {"lane-follow": ["rule"]}, "envs": ["lane-change"]}, "envs of the experiment must be left out"),
         ({"baseline": "C"}, "Unknown method of the experiment 'C'"),
         ({"groups": {"some": ["A", "D"]}}, "Unknown method of the experiment 'D'"),
         ({"groups": {"a/b": ["A"]}}, "name of a group, 'a/b'"),

@@ -29,8 +29,8 @@ BLOCKS = {page.relative_to(ROOT).as_posix(): blocks_of(page) for page in PAGES}
 LANGUAGES = {"python", "sh", "yaml", "toml", ""}
 NOT_RUN = {  # shell lines that do not run, or their beginnings up to a space, and why
     "./run test": "it would run this test",
-    "./run bench methods": "it takes hours",
-    "./run bench methods --tables-only": "it needs the campaigns of the line before",
+    "./run bench paper": "it takes hours",
+    "./run bench paper --tables-only": "it needs the campaigns of the line before",
     "pip install ": "it would change the environment of the tests",
     "esmini ": "another program, and the page says that this was not tried",
     "python scenario_runner.py ": "another program, and the page says that this was not tried",
@@ -230,8 +230,8 @@ def test_a_line_that_does_not_run_fails(line, folder):
 
 def test_an_exception_does_not_cover_a_longer_line():
     assert is_excepted("ray start --head", "ray ")
-    assert is_excepted("./run bench methods", "./run bench methods")
-    assert not is_excepted("./run bench methods --dry-run", "./run bench methods")
+    assert is_excepted("./run bench paper", "./run bench paper")
+    assert not is_excepted("./run bench paper --dry-run", "./run bench paper")
 
 
 def test_counts_are_lowered():
