@@ -85,7 +85,7 @@ class Comparison:
             The path of the page.
 
         Raises:
-            InputError: if the page cannot be written.
+            InputError: if the number of replays is out of range, or the page cannot be written.
         """
         runs = [read_run(run.folder) for run in (self.first, self.second)]
         text = page(runs, replays, (COLUMNS, rows(self.pairs)))

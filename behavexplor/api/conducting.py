@@ -18,6 +18,7 @@ from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.opening import opened
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
+from behavexplor.execution.executor import MOST_WORKERS
 from behavexplor.execution.start import fewest_workers
 
 
@@ -85,8 +86,10 @@ def worker_count(given: GivenDriver, target: Target, workers: int | None) -> int
         workers: number of worker processes that was asked for; None for as few as possible.
 
     Raises:
-        InputError: if the driver cannot drive in that many.
+        InputError: if there cannot be that many, or the driver cannot drive in them.
     """
+    if workers is not None and not 0 <= workers <= MOST_WORKERS:
+        raise InputError(f"workers={workers} must lie between 0 and {MOST_WORKERS}")
     if given.driver is None:
         return fewest_workers(target) if workers is None else workers
     if workers not in (None, 0, 1):

@@ -192,7 +192,8 @@ class Run:
             The path of the page.
 
         Raises:
-            InputError: if the run has no executions yet, or the page cannot be written.
+            InputError: if the run has no executions yet, the number of replays is out of range, or the page cannot be
+                written.
         """
         text = page([read_run(self.folder)], replays)
         return written(self.folder / PAGE if path is None else Path(path), text)

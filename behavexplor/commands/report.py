@@ -13,7 +13,6 @@ from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
 PAGE = "report.html"
-MOST_REPLAYS = 2000
 
 
 def report(
@@ -38,8 +37,6 @@ def report(
     """
     if not runs:
         raise InputError("report needs at least one run folder: behavexplor report RUN")
-    if not 0 <= replays <= MOST_REPLAYS:
-        raise InputError(f"--replays {replays} must lie between 0 and {MOST_REPLAYS}")
     for run in runs:
         if (run / EXPERIMENT).is_file():
             raise InputError(f"{run} is the folder of an experiment: its page is {run / PAGE}, which `bench` writes")

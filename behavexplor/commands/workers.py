@@ -6,9 +6,8 @@ from threading import Timer
 from typing import Final
 
 from behavexplor.errors import InputError
-from behavexplor.execution.executor import available_cores
+from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
-MOST_WORKERS: Final = 64
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
 

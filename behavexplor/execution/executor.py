@@ -4,7 +4,7 @@ import os
 from abc import ABC, abstractmethod
 from concurrent.futures import Future
 from types import TracebackType
-from typing import ClassVar, Self
+from typing import ClassVar, Final, Self
 
 
 class Executor(ABC):
@@ -46,6 +46,9 @@ class Executor(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.shutdown()
+
+
+MOST_WORKERS: Final = 64  # processes on one machine
 
 
 def available_cores() -> int:

@@ -3,12 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
+from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
 from behavexplor.report.gallery import PASSED
 from behavexplor.report.reading import Run
 from behavexplor.report.rendering import rendered
 from behavexplor.report.sections import curves, section
 
+MOST_REPLAYS: Final = 2000  # of each run
 Paired = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 _NOT_EXAMINED: Final = "not examined"
@@ -47,8 +49,10 @@ def page(runs: Sequence[Run], replays: int, paired: Paired = ((), ())) -> str:
         paired: headings and rows of a table on the same scenarios in both runs, see `behavexplor.repair.pairs`.
 
     Raises:
-        InputError: if a run is damaged.
+        InputError: if a run is damaged, or the number of replays is out of range.
     """
+    if not 0 <= replays <= MOST_REPLAYS:
+        raise InputError(f"The number of replays must lie between 0 and {MOST_REPLAYS}, not be {replays}")
     sections = [section(number, run, replays) for number, run in enumerate(runs, 1)]
     several = len(runs) > 1
     return rendered(

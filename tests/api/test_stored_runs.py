@@ -61,6 +61,12 @@ def test_a_campaign_cannot_stop_after_no_failure(tmp_path):
         behavexplor.find_failures(len, stop_after=0, out=tmp_path / "a")
 
 
+@pytest.mark.parametrize("workers", [-1, 65])
+def test_a_number_of_workers_that_there_cannot_be_is_refused(tmp_path, workers):
+    with pytest.raises(behavexplor.InputError, match=f"workers={workers} must lie between 0 and 64"):
+        behavexplor.find_failures("rule", workers=workers, out=tmp_path / "a")
+
+
 def test_a_comparison_checks_both_drivers_before_the_first_one_drives(tmp_path, monkeypatch):
     monkeypatch.setattr("behavexplor.api.comparing.conduct", None)
     with pytest.raises(behavexplor.InputError, match="workers=2 needs a driver"):

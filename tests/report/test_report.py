@@ -322,7 +322,7 @@ def test_an_empty_run_is_one_sentence(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--replays", "-1"], "--replays -1 must lie between 0 and"),
+        (["--replays", "-1"], "The number of replays must lie between 0 and 2000, not be -1"),
         (["--out", "/nowhere/at/all.html"], "cannot be written"),
     ],
 )
