@@ -167,7 +167,10 @@ def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], keywor
     given = {key: value for key, value in keywords.items() if type(value) is int}
     memory = given.get("lstm_hidden_size", 0) ** 2 * given.get("n_lstm_layers", 1)
     outputs = given.get("n_quantiles", 0) * given.get("n_critics", 1)
-    if max(count, memory, outputs, *(gymnasium.spaces.flatdim(space) for space in spaces)) > len(archive.weights):
+    extractor = keywords.get("features_extractor_kwargs")
+    features = [n for n in extractor.values() if type(n) is int] if isinstance(extractor, Mapping) else []
+    widths = [gymnasium.spaces.flatdim(space) for space in spaces]
+    if max(count, memory, outputs, *features, *widths) > len(archive.weights):
         raise InputError(f"{archive.path}: its weights are too few for the network that its settings describe")
 
 
