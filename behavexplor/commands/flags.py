@@ -1,18 +1,20 @@
 """Flags that override a configuration."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
 from behavexplor.errors import InputError
 
+Switch = Annotated[bool | None, tyro.conf.DisallowNone]  # --name or --no-name; None without either
 
-def flag(metavar: str, default: object, text: str | None = None) -> Any:
+
+def flag(metavar: str | None, default: object, text: str | None = None) -> Any:
     """Return the argument settings of a flag that overrides the configuration.
 
     Args:
-        metavar: name of the value in the help text.
+        metavar: name of the value in the help text; None for a `Switch`, which has no value.
         default: value without the flag, for the help text; None for none.
         text: help text; by default, that of the command's docstring.
     """

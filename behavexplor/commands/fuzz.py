@@ -26,7 +26,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.flags import check_unchanged, flag
+from behavexplor.commands.flags import Switch, check_unchanged, flag
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
@@ -68,9 +68,9 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, flag("MODULE:NAME", None)] = (),
     out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, flag("RUN", None)] = None,
-    unconfined: bool = False,
-    stochastic: bool = False,
-    confirm: bool = True,
+    unconfined: Annotated[Switch, flag(None, _DEFAULTS.unconfined)] = None,
+    stochastic: Annotated[Switch, flag(None, _DEFAULTS.stochastic)] = None,
+    confirm: Annotated[Switch, flag(None, _DEFAULTS.confirm)] = None,
     stop_after: Annotated[int | None, flag("N", None)] = None,
     summary: Annotated[Path | None, flag("FILE", None)] = None,
     quiet: bool = False,
@@ -113,11 +113,11 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     flags |= {
         "trust": (trust,) if trust else None,
-        "unconfined": unconfined or None,
-        "stochastic": stochastic or None,
+        "unconfined": unconfined,
+        "stochastic": stochastic,
+        "confirm": confirm,
         "traffic": traffic,
     }
-    flags["confirm"] = None if confirm else False
     flags["env_config"] = read_yaml(env_config) if env_config else None
     given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers, cluster)

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from behavexplor import commands
-from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.run_names import run_folder
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, INTERNAL_ERROR, main
@@ -90,6 +90,17 @@ def test_the_stored_configuration_makes_the_same_run(finished, tmp_path):
     result = run("fuzz", "--config", folder / "config.yaml", "--workers", 1, "--out", tmp_path / "again")
     assert result.returncode == 0
     assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
+
+
+@pytest.mark.parametrize("name", ["unconfined", "stochastic", "confirm"])
+@pytest.mark.parametrize("value", [True, False])
+def test_a_switch_overrides_the_configuration_in_both_directions(tmp_path, name, value):
+    (tmp_path / "config.yaml").write_text(f"ads: learned:intersection-straight\nbudget: 1\n{name}: {not value}\n")
+    flags = ["--config", tmp_path / "config.yaml", "--workers", 0, "--quiet"]
+    for given, expected in (([], not value), ([f"--{'' if value else 'no-'}{name}"], value)):
+        folder = tmp_path / f"run{len(given)}"
+        assert run("fuzz", *flags, *given, "--out", folder).returncode == 0
+        assert getattr(stored_config(folder), name) is expected
 
 
 def test_the_fuzz_package_is_the_fuzz_command(tmp_path):
