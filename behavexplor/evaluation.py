@@ -137,11 +137,11 @@ def uniform_outcomes(
 ) -> Iterator[Outcomes]:
     """Yield the outcomes of uniformly drawn scenarios in their order; see `estimate_rates`."""
     generator = np.random.default_rng([STREAM, seed])
-    return _judged(judge, (logical.sample(generator) for _ in range(n)), observe)
+    return outcomes_in(judge, (logical.sample(generator) for _ in range(n)), observe)
 
 
-def _judged(
-    judge: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None
+def outcomes_in(
+    judge: Executor, scenarios: Iterable[Scenario], observe: Callable[[int], None] | None = None
 ) -> Iterator[Outcomes]:
     """Execute scenarios and yield their outcomes in order. At most `AHEAD` of them are under way."""
     requests = (scenario.to_json().encode() for scenario in scenarios)

@@ -1,0 +1,236 @@
+"""Trains policies further, with and without their failures: python docs/retraining.py [FOLDER [PROCESSES]].
+
+Each policy is trained further in three ways: on ordinary scenarios, on these and the failures of its own training, and
+on all these and the failures that campaigns find. Every way has the same number of decisions, those of the campaigns
+included. Each retraining adds a line to docs/data/retraining.jsonl when it is finished, and a line that is there is not
+made again. At the end, the tables in docs/repair.md are made from these lines.
+
+FOLDER is for the files of the retrainings, by default runs/retraining.
+"""
+
+import json
+import re
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+from behavexplor.bench.statistics import a12, mann_whitney
+from behavexplor.campaign.config import CONFIG as CAMPAIGN
+from behavexplor.campaign.opening import opened
+from behavexplor.campaign.run_summary import summarize
+from behavexplor.campaign.store import Store
+from behavexplor.data.target import Target
+from behavexplor.evaluation import outcomes_in, start_judge, uniform_outcomes
+from behavexplor.execution.start import logical_of_target
+from behavexplor.repair.finding import search_config
+from behavexplor.repair.retraining import policy_in, retrain
+from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
+
+DOCS = Path(__file__).parent
+LINES, PAGE = DOCS / "data" / "retraining.jsonl", DOCS / "repair.md"
+PLACE = re.compile(r"(?<=<!-- table: retraining/)(\w+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
+
+GIVEN = "given"  # stands for the policy before it is trained further
+POOLS = ("none", "own", "both")
+SEEDS, ROUNDS = 5, 4
+FRESH, FRESH_SEED = 2000, 77  # uniformly drawn scenarios in which each policy is measured
+BUDGET, SEARCH_SEED, HELD_OUT_SEED = 750, 9, 2  # the campaigns that look for failures of the retrained policies
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A policy that is trained further.
+
+    Attributes:
+        env: its environment.
+        policy: the policy.
+        steps: number of decisions in each of the rounds.
+        method: search method of the campaigns, the best one in this environment as far as docs/results.md shows.
+    """
+
+    env: str
+    policy: str
+    steps: int
+    method: str
+
+
+SUBJECTS = {
+    "S1": Subject("intersection-straight", "learned:intersection-straight", 250_000, "encounters"),
+    "S2": Subject("intersection-left", "learned:intersection-left", 250_000, "encounters"),
+    "S4": Subject("lane-change", "learned:lane-change", 250_000, "encounters"),
+    "highway-fast": Subject("highway-fast-v0", "docs/data/policies/highway-fast.zip", 50_000, "nsga2"),
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """What one retraining came to.
+
+    Attributes:
+        subject: name of the policy.
+        pool: see `RetrainingConfig.pool`; `GIVEN` for the policy as it was given.
+        seed: seed of the retraining.
+        chosen: the round that the validation chose.
+        validation: share of the validation scenarios with a failure at fault, after each round.
+        failures: numbers of the `FRESH` scenarios in which the policy fails by its own fault.
+        found: number of failures at fault that a campaign finds in it.
+        classes: number of their classes.
+        held_out: number of the failures at fault of another campaign, on the policy as it was given, that are left.
+        seconds: time of the retraining [s].
+    """
+
+    subject: str
+    pool: str
+    seed: int
+    chosen: int
+    validation: Sequence[float]
+    failures: Sequence[int]
+    found: int
+    classes: int
+    held_out: int
+    seconds: float = 0.0
+
+
+def retrained(folder: Path, name: str, pool: str, seed: int) -> Line:
+    """Train a policy further, and measure the one that the validation chooses."""
+    subject, place = SUBJECTS[name], folder / name / f"{pool}-{seed}"
+    line = Line(name, pool, seed, 0, (), (), 0, 0, 0)
+    if pool == GIVEN:
+        return measured(line, subject.policy, folder)
+    values: Any = {"pool": pool, "rounds": ROUNDS, "steps": subject.steps, "seed": seed, "method": subject.method}
+    config = RetrainingConfig(subject.env, subject.policy, **values)
+    place.mkdir(parents=True, exist_ok=True)
+    (place / CONFIG).write_text(config.to_yaml())
+    start = time.monotonic()
+    rounds = retrain(config, place, lambda _: None, lambda _: None)
+    seconds = round(time.monotonic() - start, 1)
+    shares = [one.at_fault for one in rounds]
+    line = replace(line, chosen=best(rounds).number, validation=shares, seconds=seconds)
+    return measured(line, str(policy_in(place, config)), folder)
+
+
+def measured(line: Line, policy: str, folder: Path) -> Line:
+    """Return a line with the measurements of its policy."""
+    subject, place = SUBJECTS[line.subject], folder / line.subject
+    target = Target(subject.env, policy, unconfined=True)
+    known, fresh = place / "held-out", place / f"{line.pool}-{line.seed}" / "campaign"
+    search(replace(target, ads=subject.policy), subject.method, HELD_OUT_SEED, known)
+    search(target, subject.method, SEARCH_SEED, fresh)
+    with closing(Store.read(known)) as store:
+        held_out = [one.scenario for one in store.executions() if one.record.at_fault]
+    with start_judge(target, 0) as judge:
+        drawn = list(uniform_outcomes(judge, logical_of_target(judge, target.env), FRESH, FRESH_SEED))
+        left = sum(one.at_fault for one in outcomes_in(judge, held_out))
+    found = summarize(fresh)
+    return replace(
+        line,
+        failures=[i for i, one in enumerate(drawn) if one.at_fault],
+        found=found.at_fault,
+        classes=sum(one.at_fault > 0 for one in found.classes),
+        held_out=left,
+    )
+
+
+def search(target: Target, method: str, seed: int, folder: Path) -> None:
+    """Run a campaign in a folder, or finish it."""
+    config = search_config(target, method, BUDGET, seed)
+    with opened(config, folder, 0, resume=(folder / CAMPAIGN).is_file()) as ready:
+        ready.campaign.run(lambda _: None)
+
+
+def read_lines() -> list[Line]:
+    """Return the lines that have been made."""
+    return [Line(**json.loads(text)) for text in LINES.read_text().splitlines()] if LINES.is_file() else []
+
+
+def make_lines(folder: Path, processes: int) -> None:
+    """Make the lines that are missing: first those of the policies as they were given, then seed by seed."""
+    made = {(line.subject, line.pool, line.seed) for line in read_lines()}
+    given = [(name, GIVEN, 0) for name in SUBJECTS]
+    others = [(name, pool, seed) for seed in range(SEEDS) for name in SUBJECTS for pool in POOLS]
+    with ProcessPoolExecutor(processes, get_context("spawn")) as executor:
+        for stage in (given, others):
+            futures = [executor.submit(retrained, folder, *job) for job in stage if job not in made]
+            for future in as_completed(futures):
+                with LINES.open("a") as file:
+                    file.write(json.dumps(asdict(future.result())) + "\n")
+
+
+def rates(lines: Sequence[Line]) -> str:
+    """A table of the policies: means over the seeds, with the least and the greatest value."""
+    head = ("policy", "pool", "failures at fault", "fixed", "broken", "found", "classes", "held-out failures left")
+    rows = []
+    for name in SUBJECTS:
+        before = next(line for line in lines if (line.subject, line.pool) == (name, GIVEN))
+        for pool in (GIVEN, *POOLS):
+            group = [line for line in lines if (line.subject, line.pool) == (name, pool)]
+            if group:
+                rows.append((name, f"`{pool}`" if pool in POOLS else pool, *_cells(group, before)))
+    return _markdown(head, rows)
+
+
+def _cells(group: Sequence[Line], before: Line) -> tuple[str, ...]:
+    old = set(before.failures)
+    values: list[list[float]] = [
+        [len(old - set(line.failures)) for line in group],
+        [len(set(line.failures) - old) for line in group],
+        [line.found for line in group],
+        [line.classes for line in group],
+        [line.held_out for line in group],
+    ]
+    return _spread([100 * len(line.failures) / FRESH for line in group], " %"), *map(_spread, values)
+
+
+def _spread(values: Sequence[float], unit: str = "") -> str:
+    if len(values) == 1:
+        return f"{values[0]:.3g}{unit}"
+    return f"{mean(values):.3g}{unit} ({min(values):.3g} to {max(values):.3g})"
+
+
+def contrasts(lines: Sequence[Line]) -> str:
+    """A table of comparisons: ratio of the rates, A12 and p of rates, broken scenarios and classes."""
+    rows = []
+    for name in SUBJECTS:
+        before = next(line for line in lines if (line.subject, line.pool) == (name, GIVEN))
+        for first, second in (("own", "none"), ("both", "none"), ("both", "own")):
+            groups = [[line for line in lines if (line.subject, line.pool) == (name, pool)] for pool in (first, second)]
+            if min(map(len, groups)) > 1:
+                rows.append((name, f"`{first}` and `{second}`", *_contrast(groups[0], groups[1], set(before.failures))))
+    return _markdown(("policy", "pools", "ratio of rates", "failures at fault", "broken", "classes"), rows)
+
+
+def _contrast(first: Sequence[Line], second: Sequence[Line], old: set[int]) -> tuple[str, ...]:
+    made = []
+    for value in (
+        lambda line: len(line.failures),
+        lambda line: len(set(line.failures) - old),
+        lambda line: line.classes,
+    ):
+        samples = [[value(line) for line in group] for group in (first, second)]
+        made.append(f"{a12(*samples):.2f}, p {mann_whitney(*samples):.2g}")
+    totals = [mean(len(line.failures) for line in group) for group in (first, second)]
+    return f"{totals[0] / totals[1]:.2f}" if totals[1] else "", *made
+
+
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
+
+
+def filled(page: str, lines: Sequence[Line]) -> str:
+    """The page with the tables in their places."""
+    tables = {"rates": rates, "contrasts": contrasts}
+    return PLACE.sub(lambda found: f"{found[1]} -->\n\n{tables[found[1]](lines)}\n", page)
+
+
+if __name__ == "__main__":
+    given_folder, given_processes = (*sys.argv[1:], *("runs/retraining", "2")[len(sys.argv) - 1 :])
+    make_lines(Path(given_folder), int(given_processes))
+    PAGE.write_text(filled(PAGE.read_text(), read_lines()))
