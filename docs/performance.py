@@ -1,0 +1,72 @@
+"""Puts the measured figures of speed into the pages and the figure: python docs/performance.py.
+
+The figures are those of `python -m benchmarks --json docs/data/performance.json`. A table stands between the lines
+`<!-- figures: PART -->` and `<!-- end -->`, where PART is a part of the benchmarks.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks.__main__ import table
+
+DOCS = Path(__file__).parent
+FIGURES = DOCS / "data" / "performance.json"
+PAGES = (DOCS / "performance.md", DOCS / "highway-env.md")
+PLACE = re.compile(r"(?<=<!-- figures: )(\w+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
+# The heading of each column, and the key of its figures.
+COLUMNS: Mapping[str, Mapping[str, str]] = {
+    "execution": {
+        "scenario": "env",
+        "driver": "ads",
+        "batch": "batch",
+        "ms per execution": "ms per execution",
+        "ms per simulated second": "ms per simulated second",
+        "times objects": "x objects",
+        "times gymnasium": "x gymnasium",
+    },
+    "workers": {"driver": "ads", "workers": "workers", "executions per second": "executions per second, wall"},
+    "analysis": {
+        "executions": "executions",
+        "ms per execution since the row before": "ms per execution since the last row",
+        "memory of the process [MiB]": "memory [MiB]",
+    },
+    "startup": {"command": "command", "seconds": "seconds"},
+    "stages": {
+        "driver": "driver",
+        "workers": "workers",
+        **{name: name for name in ("starting", "asking", "executing", "waiting", "judging", "mining", "storing")},
+        "CPU of its own process": "CPU of its own process",
+    },
+    "highway": {
+        "environment": "environment",
+        "highway-env [ms]": "highway-env ms",
+        "times as fast: batch 1": "x batch 1",
+        "batch 16": "x batch 16",
+        "batch 256": "x batch 256",
+        "EnvPool, batch 256": "x EnvPool 256",
+    },
+}
+NAMES = {"benchmarks.execution:Cruiser": "ten lines of Python", "untrained.zip": "a PPO zip of SB3 (64 x 64, by torch)"}
+
+
+def filled(page: str, measured: Mapping[str, list[dict[str, Any]]]) -> str:
+    """The page with the tables of the measured parts in their places."""
+    return PLACE.sub(lambda found: f"{found[1]} -->\n\n{table(_rows(found[1], measured))}\n\n", page)
+
+
+def _rows(part: str, measured: Mapping[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
+    """The rows of a table, with a dash where nothing was measured."""
+    columns = COLUMNS[part]
+    return [
+        {heading: NAMES.get(value := row.get(key, "-"), value) for heading, key in columns.items()}
+        for row in measured[part]
+    ]
+
+
+if __name__ == "__main__":
+    figures = json.loads(FIGURES.read_text())
+    for path in PAGES:
+        path.write_text(filled(path.read_text(), figures))
