@@ -1,6 +1,7 @@
 """The documentation says what the code says."""
 
 import inspect
+import json
 import re
 import runpy
 import shutil
@@ -166,14 +167,17 @@ def test_tables_are_put_into_their_places(tmp_path):
     assert filled(expected, folder) == expected
 
 
-@pytest.mark.parametrize("experiment", ["paper", "windows"])
-def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, experiment):
+@pytest.mark.parametrize(
+    ("name", "experiment"),
+    [("paper", "paper"), ("windows", "windows"), ("stock-default", "docs/data/policies/stock-default.yaml")],
+)
+def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, name, experiment):
     """If this fails, run the experiment's tables, and then python docs/results.py FOLDER."""
-    kept = ROOT / "docs" / "data" / experiment
-    folder = tmp_path / experiment
+    kept = ROOT / "docs" / "data" / name
+    folder = tmp_path / name
     folder.mkdir()
-    for name in ("experiment.yaml", ARCHIVE):
-        shutil.copy(kept / name, folder / name)
+    for file in ("experiment.yaml", ARCHIVE):
+        shutil.copy(kept / file, folder / file)
     assert main(["bench", experiment, "--out", str(folder), "--tables-only", "--quiet"]) == OK
     for path in kept.iterdir():
         if path.name == ARCHIVE:  # its bytes depend on the version of zlib
@@ -181,6 +185,16 @@ def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, experim
         assert (folder / path.name).read_bytes() == path.read_bytes(), path.name
     page = (ROOT / "docs" / "results.md").read_text()
     assert runpy.run_path(str(ROOT / "docs" / "results.py"))["filled"](page, folder) == page
+
+
+def test_the_tables_of_speed_are_those_that_were_measured():
+    """If this fails, run python docs/performance.py."""
+    made = runpy.run_path(str(ROOT / "docs" / "performance.py"))
+    measured = json.loads(made["FIGURES"].read_text())
+    assert measured.keys() == made["COLUMNS"].keys()
+    for path in made["PAGES"]:
+        page = path.read_text()
+        assert made["filled"](page, measured) == page
 
 
 def test_the_results_have_places_for_the_tables_of_the_second_question():
