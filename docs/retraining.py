@@ -11,7 +11,6 @@ FOLDER is for the files of the retrainings, by default runs/retraining.
 import json
 import re
 import sys
-import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
@@ -83,7 +82,6 @@ class Line:
         found: number of failures at fault that a campaign finds in it.
         classes: number of their classes.
         held_out: number of the failures at fault of another campaign, on the policy as it was given, that are left.
-        seconds: time of the retraining [s].
     """
 
     subject: str
@@ -95,7 +93,6 @@ class Line:
     found: int
     classes: int
     held_out: int
-    seconds: float = 0.0
 
 
 def retrained(folder: Path, name: str, pool: str, seed: int) -> Line:
@@ -108,11 +105,8 @@ def retrained(folder: Path, name: str, pool: str, seed: int) -> Line:
     config = RetrainingConfig(subject.env, subject.policy, **values)
     place.mkdir(parents=True, exist_ok=True)
     (place / CONFIG).write_text(config.to_yaml())
-    start = time.monotonic()
     rounds = retrain(config, place, lambda _: None, lambda _: None)
-    seconds = round(time.monotonic() - start, 1)
-    shares = [one.at_fault for one in rounds]
-    line = replace(line, chosen=best(rounds).number, validation=shares, seconds=seconds)
+    line = replace(line, chosen=best(rounds).number, validation=[one.at_fault for one in rounds])
     return measured(line, str(policy_in(place, config)), folder)
 
 
@@ -121,7 +115,8 @@ def measured(line: Line, policy: str, folder: Path) -> Line:
     subject, place = SUBJECTS[line.subject], folder / line.subject
     target = Target(subject.env, policy, unconfined=True)
     known, fresh = place / "held-out", place / f"{line.pool}-{line.seed}" / "campaign"
-    search(replace(target, ads=subject.policy), subject.method, HELD_OUT_SEED, known)
+    if line.pool == GIVEN:  # before all others, which only read it
+        search(target, subject.method, HELD_OUT_SEED, known)
     search(target, subject.method, SEARCH_SEED, fresh)
     with closing(Store.read(known)) as store:
         held_out = [one.scenario for one in store.executions() if one.record.at_fault]
@@ -158,9 +153,13 @@ def make_lines(folder: Path, processes: int) -> None:
     with ProcessPoolExecutor(processes, get_context("spawn")) as executor:
         for stage in (given, others):
             futures = [executor.submit(retrained, folder, *job) for job in stage if job not in made]
-            for future in as_completed(futures):
-                with LINES.open("a") as file:
-                    file.write(json.dumps(asdict(future.result())) + "\n")
+            try:
+                for future in as_completed(futures):
+                    with LINES.open("a") as file:
+                        file.write(json.dumps(asdict(future.result())) + "\n")
+            finally:
+                for future in futures:
+                    future.cancel()
 
 
 def rates(lines: Sequence[Line]) -> str:
