@@ -2,14 +2,13 @@
 
 Each policy is trained further in three ways: on ordinary scenarios, on these and the failures of its own training, and
 on all these and the failures that campaigns find. Every way has the same number of decisions, those of the campaigns
-included. Each retraining adds a line to docs/data/retraining.jsonl when it is finished, and a line that is there is not
-made again. At the end, the tables in docs/repair.md are made from these lines.
+included. Each retraining adds a line to lines.jsonl in FOLDER when it is finished, and a line that is there is not made
+again. At the end, tables of all lines are printed.
 
-FOLDER is for the files of the retrainings, by default runs/retraining.
+FOLDER is by default runs/retraining.
 """
 
 import json
-import re
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -31,11 +30,9 @@ from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import search_config
 from behavexplor.repair.retraining import policy_in, retrain
 from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
+from benchmarks.__main__ import table
 
-DOCS = Path(__file__).parent
-LINES, PAGE = DOCS / "data" / "retraining.jsonl", DOCS / "repair.md"
-PLACE = re.compile(r"(?<=<!-- table: retraining/)(\w+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
-
+LINES = "lines.jsonl"
 GIVEN = "given"  # stands for the policy before it is trained further
 POOLS = ("none", "own", "both")
 SEEDS, ROUNDS = 5, 4
@@ -140,14 +137,16 @@ def search(target: Target, method: str, seed: int, folder: Path) -> None:
         ready.campaign.run(lambda _: None)
 
 
-def read_lines() -> list[Line]:
+def read_lines(folder: Path) -> list[Line]:
     """Return the lines that have been made."""
-    return [Line(**json.loads(text)) for text in LINES.read_text().splitlines()] if LINES.is_file() else []
+    path = folder / LINES
+    return [Line(**json.loads(text)) for text in path.read_text().splitlines()] if path.is_file() else []
 
 
 def make_lines(folder: Path, processes: int) -> None:
     """Make the lines that are missing: first those of the policies as they were given, then seed by seed."""
-    made = {(line.subject, line.pool, line.seed) for line in read_lines()}
+    folder.mkdir(parents=True, exist_ok=True)
+    made = {(line.subject, line.pool, line.seed) for line in read_lines(folder)}
     given = [(name, GIVEN, 0) for name in SUBJECTS]
     others = [(name, pool, seed) for seed in range(SEEDS) for name in SUBJECTS for pool in POOLS]
     with ProcessPoolExecutor(processes, get_context("spawn")) as executor:
@@ -155,81 +154,65 @@ def make_lines(folder: Path, processes: int) -> None:
             futures = [executor.submit(retrained, folder, *job) for job in stage if job not in made]
             try:
                 for future in as_completed(futures):
-                    with LINES.open("a") as file:
+                    with (folder / LINES).open("a") as file:
                         file.write(json.dumps(asdict(future.result())) + "\n")
             finally:
                 for future in futures:
                     future.cancel()
 
 
-def rates(lines: Sequence[Line]) -> str:
-    """A table of the policies: means over the seeds, with the least and the greatest value."""
-    head = ("policy", "pool", "failures at fault", "fixed", "broken", "found", "classes", "held-out failures left")
+def rates(lines: Sequence[Line]) -> list[dict[str, Any]]:
+    """The policies: means over the seeds, with the least and the greatest value."""
     rows = []
     for name in SUBJECTS:
-        before = next(line for line in lines if (line.subject, line.pool) == (name, GIVEN))
+        old = failures_before(lines, name)
         for pool in (GIVEN, *POOLS):
             group = [line for line in lines if (line.subject, line.pool) == (name, pool)]
-            if group:
-                rows.append((name, f"`{pool}`" if pool in POOLS else pool, *_cells(group, before)))
-    return _markdown(head, rows)
+            values: dict[str, Sequence[float]] = {
+                "failures at fault [%]": [100 * len(line.failures) / FRESH for line in group],
+                "fixed": [len(old - set(line.failures)) for line in group],
+                "broken": [len(set(line.failures) - old) for line in group],
+                "found": [line.found for line in group],
+                "classes": [line.classes for line in group],
+                "held-out failures left": [line.held_out for line in group],
+            }
+            rows.append({"policy": name, "pool": pool} | {key: _spread(found) for key, found in values.items()})
+    return rows
 
 
-def _cells(group: Sequence[Line], before: Line) -> tuple[str, ...]:
-    old = set(before.failures)
-    values: list[list[float]] = [
-        [len(old - set(line.failures)) for line in group],
-        [len(set(line.failures) - old) for line in group],
-        [line.found for line in group],
-        [line.classes for line in group],
-        [line.held_out for line in group],
-    ]
-    return _spread([100 * len(line.failures) / FRESH for line in group], " %"), *map(_spread, values)
-
-
-def _spread(values: Sequence[float], unit: str = "") -> str:
-    if len(values) == 1:
-        return f"{values[0]:.3g}{unit}"
-    return f"{mean(values):.3g}{unit} ({min(values):.3g} to {max(values):.3g})"
-
-
-def contrasts(lines: Sequence[Line]) -> str:
-    """A table of comparisons: ratio of the rates, A12 and p of rates, broken scenarios and classes."""
+def contrasts(lines: Sequence[Line]) -> list[dict[str, Any]]:
+    """Comparisons of two pools: ratio of the rates, and A12 and p of each figure."""
     rows = []
     for name in SUBJECTS:
-        before = next(line for line in lines if (line.subject, line.pool) == (name, GIVEN))
-        for first, second in (("own", "none"), ("both", "none"), ("both", "own")):
-            groups = [[line for line in lines if (line.subject, line.pool) == (name, pool)] for pool in (first, second)]
-            if min(map(len, groups)) > 1:
-                rows.append((name, f"`{first}` and `{second}`", *_contrast(groups[0], groups[1], set(before.failures))))
-    return _markdown(("policy", "pools", "ratio of rates", "failures at fault", "broken", "classes"), rows)
+        old = failures_before(lines, name)
+        for pools in (("own", "none"), ("both", "none"), ("both", "own")):
+            groups = [[line for line in lines if (line.subject, line.pool) == (name, pool)] for pool in pools]
+            rates, broken, classes = (
+                [[len(line.failures) for line in group] for group in groups],
+                [[len(set(line.failures) - old) for line in group] for group in groups],
+                [[line.classes for line in group] for group in groups],
+            )
+            row = {"policy": name, "pools": " and ".join(pools), "ratio of rates": mean(rates[0]) / mean(rates[1])}
+            row |= {"failures at fault": _effect(*rates), "broken": _effect(*broken), "classes": _effect(*classes)}
+            rows.append(row)
+    return rows
 
 
-def _contrast(first: Sequence[Line], second: Sequence[Line], old: set[int]) -> tuple[str, ...]:
-    made = []
-    for value in (
-        lambda line: len(line.failures),
-        lambda line: len(set(line.failures) - old),
-        lambda line: line.classes,
-    ):
-        samples = [[value(line) for line in group] for group in (first, second)]
-        made.append(f"{a12(*samples):.2f}, p {mann_whitney(*samples):.2g}")
-    totals = [mean(len(line.failures) for line in group) for group in (first, second)]
-    return f"{totals[0] / totals[1]:.2f}" if totals[1] else "", *made
+def failures_before(lines: Sequence[Line], name: str) -> set[int]:
+    """The fresh scenarios in which a policy fails as it was given."""
+    return set(next(line.failures for line in lines if (line.subject, line.pool) == (name, GIVEN)))
 
 
-def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines) + "\n"
+def _spread(values: Sequence[float]) -> str:
+    return f"{mean(values):.3g} ({min(values):.3g} to {max(values):.3g})"
 
 
-def filled(page: str, lines: Sequence[Line]) -> str:
-    """The page with the tables in their places."""
-    tables = {"rates": rates, "contrasts": contrasts}
-    return PLACE.sub(lambda found: f"{found[1]} -->\n\n{tables[found[1]](lines)}\n", page)
+def _effect(first: Sequence[float], second: Sequence[float]) -> str:
+    return f"{a12(first, second):.2f}, p {mann_whitney(first, second):.2g}"
 
 
 if __name__ == "__main__":
     given_folder, given_processes = (*sys.argv[1:], *("runs/retraining", "2")[len(sys.argv) - 1 :])
     make_lines(Path(given_folder), int(given_processes))
-    PAGE.write_text(filled(PAGE.read_text(), read_lines()))
+    finished = read_lines(Path(given_folder))
+    print(f"{table(rates(finished))}\n\n{table(contrasts(finished))}")

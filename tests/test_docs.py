@@ -191,9 +191,11 @@ def test_the_tables_of_speed_are_those_that_were_measured():
     """If this fails, run python docs/performance.py."""
     made = runpy.run_path(str(ROOT / "docs" / "performance.py"))
     measured = json.loads(made["FIGURES"].read_text())
+    pages = [path.read_text() for path in made["PAGES"]]
     assert measured.keys() == made["COLUMNS"].keys()
-    for path in made["PAGES"]:
-        page = path.read_text()
+    places = {found[1] for page in pages for found in made["PLACE"].finditer(page)}
+    assert places == {*measured, made["GOALS"]}
+    for page in pages:
         assert made["filled"](page, measured) == page
 
 
