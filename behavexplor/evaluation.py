@@ -18,7 +18,7 @@ from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.judge.fault import contact_fault, own_violations
+from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
 from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
@@ -34,7 +34,7 @@ class Outcomes(NamedTuple):
     Attributes:
         found: the outcomes, see `Evaluation`.
         asked: the outcomes, beside the verdicts on a collision, that mean something in the environment.
-        at_fault: whether the driver failed by its own fault.
+        at_fault: whether the driver failed by its own fault; see `behavexplor.campaign.record.Record.at_fault`.
     """
 
     found: list[str]
@@ -165,4 +165,5 @@ def outcomes_of(trace: Trace) -> Outcomes:
         found.append(f"{SPECS[0].name}: {fault}")
     names = (ARRIVED, *(spec.name for spec in SPECS))
     asked = [name for name in names if not trace.signals or _SIGNALS.get(name, CRASHED) in trace.signals]
-    return Outcomes(found, asked, bool(own_violations(trace, verdict.violated)))
+    at_fault = bool(verdict.violated) and is_at_fault(collision_fault(trace, verdict.violated))
+    return Outcomes(found, asked, at_fault)

@@ -1,9 +1,10 @@
 """Trains policies further, with and without their failures: python docs/retraining.py [FOLDER [PROCESSES]].
 
-Each policy is trained further in three ways: on ordinary scenarios, on these and the failures of its own training, and
-on all these and the failures that campaigns find. Every way has the same number of decisions, those of the campaigns
-included. Each retraining adds a line to lines.jsonl in FOLDER when it is finished, and a line that is there is not made
-again. At the end, tables of all lines are printed.
+Three policies are those that `behavexplor train --env NAME --steps 4000000` makes with seed 0, and one is a policy of
+Stable-Baselines3 for highway-env's highway-fast-v0. Each is trained further in three ways: on ordinary scenarios, on
+these and the failures of its own training, and on all these and the failures that campaigns find. Every way has the
+same number of decisions, those of the campaigns included. Each retraining adds a line to lines.jsonl in FOLDER when it
+is finished, and a line that is there is not made again. At the end, tables of all lines are printed.
 
 FOLDER is by default runs/retraining.
 """
@@ -57,11 +58,12 @@ class Subject:
     method: str
 
 
+POLICIES = "docs/data/policies"
 SUBJECTS = {
-    "S1": Subject("intersection-straight", "learned:intersection-straight", 250_000, "encounters"),
-    "S2": Subject("intersection-left", "learned:intersection-left", 250_000, "encounters"),
-    "S4": Subject("lane-change", "learned:lane-change", 250_000, "encounters"),
-    "highway-fast": Subject("highway-fast-v0", "docs/data/policies/highway-fast.zip", 50_000, "nsga2"),
+    "S1": Subject("intersection-straight", f"{POLICIES}/intersection-straight.npz", 250_000, "encounters"),
+    "S2": Subject("intersection-left", f"{POLICIES}/intersection-left.npz", 250_000, "encounters"),
+    "S4": Subject("lane-change", f"{POLICIES}/lane-change.npz", 250_000, "encounters"),
+    "highway-fast": Subject("highway-fast-v0", f"{POLICIES}/highway-fast.zip", 50_000, "nsga2"),
 }
 
 
@@ -76,6 +78,7 @@ class Line:
         chosen: the round that the validation chose.
         validation: share of the validation scenarios with a failure at fault, after each round.
         failures: numbers of the `FRESH` scenarios in which the policy fails by its own fault.
+        last: numbers of those in which the policy of the last round does so.
         found: number of failures at fault that a campaign finds in it.
         classes: number of their classes.
         held_out: number of the failures at fault of another campaign, on the policy as it was given, that are left.
@@ -87,6 +90,7 @@ class Line:
     chosen: int
     validation: Sequence[float]
     failures: Sequence[int]
+    last: Sequence[int]
     found: int
     classes: int
     held_out: int
@@ -95,20 +99,21 @@ class Line:
 def retrained(folder: Path, name: str, pool: str, seed: int) -> Line:
     """Train a policy further, and measure the one that the validation chooses."""
     subject, place = SUBJECTS[name], folder / name / f"{pool}-{seed}"
-    line = Line(name, pool, seed, 0, (), (), 0, 0, 0)
+    line = Line(name, pool, seed, 0, (), (), (), 0, 0, 0)
     if pool == GIVEN:
-        return measured(line, subject.policy, folder)
+        return measured(line, subject.policy, subject.policy, folder)
     values: Any = {"pool": pool, "rounds": ROUNDS, "steps": subject.steps, "seed": seed, "method": subject.method}
     config = RetrainingConfig(subject.env, subject.policy, **values)
     place.mkdir(parents=True, exist_ok=True)
     (place / CONFIG).write_text(config.to_yaml())
     rounds = retrain(config, place, lambda _: None, lambda _: None)
     line = replace(line, chosen=best(rounds).number, validation=[one.at_fault for one in rounds])
-    return measured(line, str(policy_in(place, config)), folder)
+    policy = policy_in(place, config)
+    return measured(line, str(policy), str(place / "rounds" / f"round-{ROUNDS:04d}{policy.suffix}"), folder)
 
 
-def measured(line: Line, policy: str, folder: Path) -> Line:
-    """Return a line with the measurements of its policy."""
+def measured(line: Line, policy: str, last: str, folder: Path) -> Line:
+    """Return a line with the measurements of its policy, and of that of the last round."""
     subject, place = SUBJECTS[line.subject], folder / line.subject
     target = Target(subject.env, policy, unconfined=True)
     known, fresh = place / "held-out", place / f"{line.pool}-{line.seed}" / "campaign"
@@ -118,16 +123,23 @@ def measured(line: Line, policy: str, folder: Path) -> Line:
     with closing(Store.read(known)) as store:
         held_out = [one.scenario for one in store.executions() if one.record.at_fault]
     with start_judge(target, 0) as judge:
-        drawn = list(uniform_outcomes(judge, logical_of_target(judge, target.env), FRESH, FRESH_SEED))
         left = sum(one.at_fault for one in outcomes_in(judge, held_out))
     found = summarize(fresh)
     return replace(
         line,
-        failures=[i for i, one in enumerate(drawn) if one.at_fault],
+        failures=fresh_failures(target),
+        last=fresh_failures(replace(target, ads=last)),
         found=found.at_fault,
         classes=sum(one.at_fault > 0 for one in found.classes),
         held_out=left,
     )
+
+
+def fresh_failures(target: Target) -> list[int]:
+    """Return the numbers of the fresh scenarios in which a policy fails by its own fault."""
+    with start_judge(target, 0) as judge:
+        drawn = uniform_outcomes(judge, logical_of_target(judge, target.env), FRESH, FRESH_SEED)
+        return [i for i, one in enumerate(drawn) if one.at_fault]
 
 
 def search(target: Target, method: str, seed: int, folder: Path) -> None:
@@ -161,41 +173,46 @@ def make_lines(folder: Path, processes: int) -> None:
                     future.cancel()
 
 
+def figures(line: Line, old: set[int]) -> dict[str, float]:
+    """Return the figures of a line. `old` holds the failures of the policy as it was given, see `failures_before`."""
+    return {
+        "failures at fault [%]": 100 * len(line.failures) / FRESH,
+        "last round [%]": 100 * len(line.last) / FRESH,
+        "fixed": len(old - set(line.failures)),
+        "broken": len(set(line.failures) - old),
+        "found": line.found,
+        "classes": line.classes,
+        "held-out failures left": line.held_out,
+    }
+
+
 def rates(lines: Sequence[Line]) -> list[dict[str, Any]]:
     """The policies: means over the seeds, with the least and the greatest value."""
-    rows = []
-    for name in SUBJECTS:
-        old = failures_before(lines, name)
-        for pool in (GIVEN, *POOLS):
-            group = [line for line in lines if (line.subject, line.pool) == (name, pool)]
-            values: dict[str, Sequence[float]] = {
-                "failures at fault [%]": [100 * len(line.failures) / FRESH for line in group],
-                "fixed": [len(old - set(line.failures)) for line in group],
-                "broken": [len(set(line.failures) - old) for line in group],
-                "found": [line.found for line in group],
-                "classes": [line.classes for line in group],
-                "held-out failures left": [line.held_out for line in group],
-            }
-            rows.append({"policy": name, "pool": pool} | {key: _spread(found) for key, found in values.items()})
-    return rows
+    groups = [(name, pool, figures_of(lines, name, pool)) for name in SUBJECTS for pool in (GIVEN, *POOLS)]
+    return [
+        {"policy": name, "pool": pool} | {key: _spread(values) for key, values in group.items()}
+        for name, pool, group in groups
+    ]
 
 
 def contrasts(lines: Sequence[Line]) -> list[dict[str, Any]]:
-    """Comparisons of two pools: ratio of the rates, and A12 and p of each figure."""
+    """Comparisons of two pools: ratios of the mean rates, and A12 and p of each figure."""
     rows = []
     for name in SUBJECTS:
-        old = failures_before(lines, name)
-        for pools in (("own", "none"), ("both", "none"), ("both", "own")):
-            groups = [[line for line in lines if (line.subject, line.pool) == (name, pool)] for pool in pools]
-            rates, broken, classes = (
-                [[len(line.failures) for line in group] for group in groups],
-                [[len(set(line.failures) - old) for line in group] for group in groups],
-                [[line.classes for line in group] for group in groups],
-            )
-            row = {"policy": name, "pools": " and ".join(pools), "ratio of rates": mean(rates[0]) / mean(rates[1])}
-            row |= {"failures at fault": _effect(*rates), "broken": _effect(*broken), "classes": _effect(*classes)}
-            rows.append(row)
+        for first, second in (("own", "none"), ("both", "none"), ("both", "own")):
+            groups = [figures_of(lines, name, pool) for pool in (first, second)]
+            row = {"policy": name, "pools": f"{first} and {second}"}
+            for key in ("failures at fault [%]", "last round [%]"):
+                row[f"ratio, {key[:-4]}"] = f"{mean(groups[0][key]) / mean(groups[1][key]):.2f}"
+            rows.append(row | {key: _effect(values, groups[1][key]) for key, values in groups[0].items()})
     return rows
+
+
+def figures_of(lines: Sequence[Line], name: str, pool: str) -> dict[str, list[float]]:
+    """Return the figures of all retrainings of a policy with a pool, by name."""
+    old = failures_before(lines, name)
+    found = [figures(line, old) for line in lines if (line.subject, line.pool) == (name, pool)]
+    return {key: [one[key] for one in found] for key in found[0]}
 
 
 def failures_before(lines: Sequence[Line], name: str) -> set[int]:

@@ -70,7 +70,7 @@ def _bar(budget: Budget) -> Iterator[Observer]:
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415
     from rich.progress import Progress as Bar  # noqa: PLC0415
 
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)
     with Bar(BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task("", total=budget.executions or budget.seconds)
 

@@ -31,8 +31,8 @@ from behavexplor.execution.rollout import ADSError
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.classes import violation_class
-from behavexplor.judge.events import R1, REQUIREMENTS
-from behavexplor.judge.fault import contact_fault
+from behavexplor.judge.events import REQUIREMENTS
+from behavexplor.judge.fault import collision_fault
 from behavexplor.judge.specs import SPECS, Spec, Verdict, judge
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
@@ -210,7 +210,7 @@ class Campaign:
             verdict = self._judge(candidate, trace)
             if failure is not None:
                 verdict = replace(verdict, violated=(ERROR,))
-            kind, fault = class_id(trace, verdict, failure), collision_fault(trace, verdict)
+            kind, fault = class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
         with self._clock.during(MINING):
             novelty = self._archive.observe(trace)
             learned = self._method.tell(candidate, trace, verdict)
@@ -287,12 +287,6 @@ def class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) 
         return None
     first, kind = verdict.violated[0], violation_class(trace, verdict.violated)
     return kind.id if kind else REQUIREMENTS.get(first, first)
-
-
-def collision_fault(trace: Trace, verdict: Verdict) -> str | None:
-    """Return the fault of a collision, as stored in its record; None if the first violated spec is not R1."""
-    is_collision = bool(verdict.violated) and REQUIREMENTS.get(verdict.violated[0]) == R1
-    return contact_fault(trace) if is_collision else None
 
 
 def ads_failure(error: ADSError) -> dict[str, str]:

@@ -42,7 +42,7 @@ class Display:
     """
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
-        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False)
+        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False, emoji=False)
         self._budget = budget
         self._live = (
             Live(console=self._console, auto_refresh=False) if self._console.is_terminal and not quiet else None

@@ -223,7 +223,7 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
             cells.append(f"{found.rate(outcome):.1%} ({low:.1%} to {high:.1%})")
         kind, _, fault = outcome.partition(": ")
         grid.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
-    console = Console(width=40 + 40 * len(evaluations), highlight=False, no_color=True)
+    console = Console(width=40 + 40 * len(evaluations), highlight=False, no_color=True, emoji=False)
     with console.capture() as captured:
         console.print(grid)
     n = next(iter(evaluations.values())).n

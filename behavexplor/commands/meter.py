@@ -21,7 +21,7 @@ class Meter:
     """
 
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
-        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False)
+        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False, emoji=False)
         self._total, self._things = total, things
         self._last_line = time.monotonic()
         columns = (BarColumn(), MofNCompleteColumn(), TextColumn(things), TimeRemainingColumn())

@@ -58,6 +58,19 @@ def own_violations(trace: Trace, violated: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in violated if name not in _ENDED_BY_COLLISION)
 
 
+def collision_fault(trace: Trace, violated: Sequence[str]) -> Fault | None:
+    """Return the verdict on the collision for which a trace counts as a failure.
+
+    Args:
+        trace: the trace of an episode.
+        violated: names of the violated specs, as in `behavexplor.judge.specs.Verdict`.
+
+    Returns:
+        The verdict, or None if R1 is not the first of the violated specs.
+    """
+    return contact_fault(trace) if violated and violated[0] == Collision().name else None
+
+
 def contact_fault(trace: Trace) -> Fault | None:
     """Return the verdict on the collision at the end of a trace.
 

@@ -10,7 +10,6 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from behavexplor.campaign.campaign import collision_fault
 from behavexplor.campaign.record import ERROR
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
@@ -19,7 +18,7 @@ from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
-from behavexplor.judge.fault import is_at_fault
+from behavexplor.judge.fault import collision_fault, is_at_fault
 from behavexplor.judge.specs import DIFFERS, Spec, Verdict, judge
 
 ONLY_FIRST, ONLY_SECOND = "only-first-fails", "only-second-fails"
@@ -138,4 +137,4 @@ def verdict_at_fault(trace: Trace, error: str | None, specs: Sequence[Spec]) -> 
     verdict = judge(trace, specs)
     if error is not None:
         return replace(verdict, violated=() if error == DIFFERS else (ERROR,))
-    return verdict if is_at_fault(collision_fault(trace, verdict)) else replace(verdict, violated=())
+    return verdict if is_at_fault(collision_fault(trace, verdict.violated)) else replace(verdict, violated=())

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.judge.fault import own_violations
-from behavexplor.judge.specs import judge
+from behavexplor.evaluation import outcomes_of
 from behavexplor.repair.scenario_pool import Pool
 from behavexplor.training import Learned, Watch
 
@@ -43,8 +42,7 @@ class PoolWatch(Watch):
         super()._on_rollout_end()
 
     def _ended(self, scenario: Any, info: Mapping[str, Any]) -> None:
-        trace = info["trace"]
-        if not own_violations(trace, judge(trace).violated):
+        if not outcomes_of(info["trace"]).at_fault:
             self._pool.discard(scenario)
         elif self._own:
             self._pool.add(scenario)

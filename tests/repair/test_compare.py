@@ -10,6 +10,7 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.commands.compare import searched, values
+from behavexplor.evaluation import outcomes_of
 from behavexplor.judge.specs import SPECS, Verdict, judge
 from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
 from behavexplor.repair.pairs import AT_FAULT, Pairs, rows
@@ -134,6 +135,9 @@ def test_only_what_the_records_count_as_a_failure_at_fault_is_one():
     struck = replace(trace(5.0, BEHIND, 9.0), illegal_lines=line)  # by a vehicle from behind, after it touched a line
     assert {"collision", "lines"} <= set(judge(struck).violated)
     assert verdict_at_fault(struck, None, SPECS).violated == ()
-    assert "collision" in verdict_at_fault(trace(5.0, BEHIND, 9.0, swerve=0.5), None, SPECS).violated
+    assert not outcomes_of(struck).at_fault
+    cut_in = trace(5.0, BEHIND, 9.0, swerve=0.5)
+    assert "collision" in verdict_at_fault(cut_in, None, SPECS).violated
+    assert outcomes_of(cut_in).at_fault
     assert verdict_at_fault(struck, "raised", SPECS).violated == ("error",)
     assert verdict_at_fault(struck, "differs", SPECS).violated == ()

@@ -39,6 +39,8 @@ def read_network(path: Path) -> TrainedNetwork:
         file = dict(read_arrays(path.read_bytes()))
         rule = str(file.pop(_RULE, "most probable"))
         layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
+    except FileNotFoundError:
+        raise InputError(f"There is no file {path}") from None
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path} contains no network of this package: {error}") from None
     if any(array.dtype.kind != "f" for layer in layers for array in layer):

@@ -107,7 +107,7 @@ def test_a_file_without_all_layers_is_refused(tmp_path):
     np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2))
     with pytest.raises(InputError, match="contains no network"):
         read_network(tmp_path / "policy.npz")
-    with pytest.raises(InputError, match="contains no network"):
+    with pytest.raises(InputError, match="There is no file"):
         read_network(tmp_path / "gone.npz")
 
 
