@@ -39,7 +39,7 @@ def check_env(env: str, *, scenarios: int = SCENARIOS) -> None:
         for _ in range(scenarios):
             scenario = _sampled(logical, generator)
             actions = [made.action_space.sample() for _ in range(10)]
-            first, again = (_executed(made, scenario, actions) for _ in range(2))
+            first, again = (executed(made, scenario, actions) for _ in range(2))
             promise(
                 first.to_bytes() == again.to_bytes(),
                 "The same scenario and actions gave another trace: nothing but the scenario may decide an episode",
@@ -61,8 +61,12 @@ def _sampled(logical: LogicalScenario, generator: np.random.Generator) -> Scenar
     return scenario
 
 
-def _executed(env: gymnasium.Env[Any, Any], scenario: Scenario, actions: list[Any]) -> Trace:
-    """Run a scenario to its end, with the last action again and again after the others."""
+def executed(env: gymnasium.Env[Any, Any], scenario: Scenario, actions: list[Any]) -> Trace:
+    """Run a scenario to its end, with the last action again and again after the others, and return the trace.
+
+    Raises:
+        ContractError: if the environment breaks a promise.
+    """
     _, info = env.reset(options={"scenario": scenario})
     promise(info.get("scenario") == scenario, 'reset must return the scenario that runs as info["scenario"]')
     for step in range(MOST_STEPS):

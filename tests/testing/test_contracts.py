@@ -165,6 +165,19 @@ def counting():
 def test_a_spec_keeps_the_contract():
     check_spec(stays_below_10)
     check_spec("tests.testing.test_contracts:stays_below_10", env="lane-change")
+    check_spec(stays_below_10, env="highway-fast-v0", traces=2)
+
+
+def test_a_spec_is_called_on_what_is_special_in_environments_of_highway_env():
+    seen = []
+
+    def watches(trace):
+        seen.append((trace.present.size > 0, "crashed" in trace.signals, trace.size.shape[0]))
+        return 1.0
+
+    check_spec(watches, env="intersection-v0", traces=1)
+    assert seen[0][:2] == (True, True)  # vehicles come and go
+    assert (False, True, 1) in seen
 
 
 @pytest.mark.parametrize(
