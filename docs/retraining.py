@@ -4,7 +4,7 @@ Three policies are those that `behavexplor train --env NAME --steps 4000000` mak
 Stable-Baselines3 for highway-env's highway-fast-v0. Each is trained further in three ways: on ordinary scenarios, on
 these and the failures of its own training, and on all these and the failures that campaigns find. Every way has the
 same number of decisions, those of the campaigns included. Each retraining adds a line to lines.jsonl in FOLDER when it
-is finished, and a line that is there is not made again. At the end, tables of all lines are printed.
+is finished, and a line that is there is not made again. docs/retraining_tables.py puts the lines into tables.
 
 FOLDER is by default runs/retraining.
 """
@@ -17,10 +17,8 @@ from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
-from behavexplor.bench.statistics import a12, mann_whitney
 from behavexplor.campaign.config import CONFIG as CAMPAIGN
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
@@ -31,7 +29,6 @@ from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import search_config
 from behavexplor.repair.retraining import policy_in, retrain
 from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
-from benchmarks.__main__ import table
 
 LINES = "lines.jsonl"
 GIVEN = "given"  # stands for the policy before it is trained further
@@ -173,63 +170,6 @@ def make_lines(folder: Path, processes: int) -> None:
                     future.cancel()
 
 
-def figures(line: Line, old: set[int]) -> dict[str, float]:
-    """Return the figures of a line. `old` holds the failures of the policy as it was given, see `failures_before`."""
-    return {
-        "failures at fault [%]": 100 * len(line.failures) / FRESH,
-        "last round [%]": 100 * len(line.last) / FRESH,
-        "fixed": len(old - set(line.failures)),
-        "broken": len(set(line.failures) - old),
-        "found": line.found,
-        "classes": line.classes,
-        "held-out failures left": line.held_out,
-    }
-
-
-def rates(lines: Sequence[Line]) -> list[dict[str, Any]]:
-    """The policies: means over the seeds, with the least and the greatest value."""
-    groups = [(name, pool, figures_of(lines, name, pool)) for name in SUBJECTS for pool in (GIVEN, *POOLS)]
-    return [
-        {"policy": name, "pool": pool} | {key: _spread(values) for key, values in group.items()}
-        for name, pool, group in groups
-    ]
-
-
-def contrasts(lines: Sequence[Line]) -> list[dict[str, Any]]:
-    """Comparisons of two pools: ratios of the mean rates, and A12 and p of each figure."""
-    rows = []
-    for name in SUBJECTS:
-        for first, second in (("own", "none"), ("both", "none"), ("both", "own")):
-            groups = [figures_of(lines, name, pool) for pool in (first, second)]
-            row = {"policy": name, "pools": f"{first} and {second}"}
-            for key in ("failures at fault [%]", "last round [%]"):
-                row[f"ratio, {key[:-4]}"] = f"{mean(groups[0][key]) / mean(groups[1][key]):.2f}"
-            rows.append(row | {key: _effect(values, groups[1][key]) for key, values in groups[0].items()})
-    return rows
-
-
-def figures_of(lines: Sequence[Line], name: str, pool: str) -> dict[str, list[float]]:
-    """Return the figures of all retrainings of a policy with a pool, by name."""
-    old = failures_before(lines, name)
-    found = [figures(line, old) for line in lines if (line.subject, line.pool) == (name, pool)]
-    return {key: [one[key] for one in found] for key in found[0]}
-
-
-def failures_before(lines: Sequence[Line], name: str) -> set[int]:
-    """The fresh scenarios in which a policy fails as it was given."""
-    return set(next(line.failures for line in lines if (line.subject, line.pool) == (name, GIVEN)))
-
-
-def _spread(values: Sequence[float]) -> str:
-    return f"{mean(values):.3g} ({min(values):.3g} to {max(values):.3g})"
-
-
-def _effect(first: Sequence[float], second: Sequence[float]) -> str:
-    return f"{a12(first, second):.2f}, p {mann_whitney(first, second):.2g}"
-
-
 if __name__ == "__main__":
     given_folder, given_processes = (*sys.argv[1:], *("runs/retraining", "2")[len(sys.argv) - 1 :])
     make_lines(Path(given_folder), int(given_processes))
-    finished = read_lines(Path(given_folder))
-    print(f"{table(rates(finished))}\n\n{table(contrasts(finished))}")

@@ -141,7 +141,7 @@ class BehAVExplor:
         little, much = self._logical.mutations
         if self._options.mutation == "random":
             return little if rng.random() < self._options.waypoint_share else much
-        return little if parent.energy > self._options.waypoint_energy else much
+        return little if self._corpus.energy(parent.number) > self._options.waypoint_energy else much
 
     def _mutate(self, parent: Testcase, kind: str, rng: np.random.Generator) -> Scenario:
         options = self._options
@@ -190,13 +190,14 @@ class BehAVExplor:
         apart = distance if options.degree_distance == "parent" else novelty
         change = degree_change(parent.degree, run.degree, apart, bounded=options.bounded, gamma=options.gamma)
         failed = run.failed or (novel and options.success == "failed-or-novel")
-        self._update_energy(parent, candidate.origin, change, failed)
+        parent_energy = self._changed_energy(parent, candidate.origin, change, failed)
+        self._corpus.set_energy(parent.number, parent_energy)
         learned = {
             "novelty": novelty,
             "novel": novel,
             "distance": distance,
             "kept": kept,
-            "parent_energy": parent.energy,
+            "parent_energy": parent_energy,
         }
         if kept:
             energy = learned["energy"] = self._energy(parent.degree - run.degree, change, novelty)
@@ -223,18 +224,17 @@ class BehAVExplor:
             return 1 + gain / 2 + novelty / 2
         return 1 + self._options.degree_weight * change  # paper equation 17
 
-    def _update_energy(self, parent: Testcase, kind: str, change: float, failed: bool) -> None:
-        """Update E_s of the parent after its mutant s' (paper equation 14)."""
-        options = self._options
+    def _changed_energy(self, parent: Testcase, kind: str, change: float, failed: bool) -> float:
+        """Count the outcome of the parent's mutant s', and compute the parent's E_s after it (paper equation 14)."""
+        options, energy = self._options, self._corpus.energy(parent.number)
         if kind == self._logical.mutations.much and options.route_cost is not None:
-            parent.energy -= options.route_cost
+            energy -= options.route_cost
         else:
             parent.n_failed += failed
             parent.n_passed += not failed
-            parent.energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
-            parent.energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
-        if options.least_energy is not None:
-            parent.energy = max(parent.energy, options.least_energy)
+            energy += options.failure_weight * failure_change(failed, parent.n_failed, parent.n_passed)
+            energy += options.degree_weight * change + options.selection_weight * SELECTION_CHANGE
+        return energy if options.least_energy is None else max(energy, options.least_energy)
 
     def _keep(
         self, candidate: Candidate, behavior: Behavior | None, run: Assessment, energy: float, *, known: bool
@@ -242,14 +242,14 @@ class BehAVExplor:
         index = self._miner.add(behavior) if behavior is not None else _NOT_MINED
         if known and behavior is not None:
             self._known = np.append(self._known, index)
-        self._corpus.add(Testcase(candidate.number, candidate.scenario, candidate.parent, run.degree, index, energy))
+        self._corpus.add(Testcase(candidate.number, candidate.scenario, candidate.parent, run.degree, index), energy)
 
     def status(self) -> Mapping[str, float]:
         """Return the size of the corpus, its mean and greatest energy, and the number of novel mutants kept."""
-        energies = [testcase.energy for testcase in self._corpus]
+        energies = self._corpus.energies
         return {
-            "corpus": len(self._corpus),
-            "mean_energy": float(np.mean(energies)) if energies else 0.0,
-            "max_energy": max(energies, default=0.0),
+            "corpus": len(energies),
+            "mean_energy": float(energies.mean()) if len(energies) else 0.0,
+            "max_energy": float(energies.max()) if len(energies) else 0.0,
             "novel_kept": self._n_novel,
         }

@@ -48,7 +48,7 @@ def test_the_initial_corpus_is_sampled_and_has_energy_1():
         candidate, learned = tell_next(search, OTHER, verdict(5.0))
         assert (candidate.number, candidate.origin, candidate.parent) == (i, "initial", None)
         assert learned == {"kept": True}
-    assert [testcase.energy for testcase in search._corpus] == [1.0] * 4
+    assert search._corpus.energies.tolist() == [1.0] * 4
     assert search.ask().parent in range(4)
 
 
@@ -87,7 +87,7 @@ def test_a_mutant_nearer_to_a_violation_is_kept_and_rewarded():
 def test_a_mutant_neither_new_nor_nearer_is_forgotten():
     search = started(degree=10.0)
     for n_passed in (1, 2):
-        before = search._corpus[0].energy
+        before = search._corpus.energy(0)
         _, learned = tell_next(search, OTHER, verdict(10.2))
         assert not learned["kept"]
         assert "energy" not in learned
@@ -100,7 +100,7 @@ def test_a_mutant_neither_new_nor_nearer_is_forgotten():
 def test_failed_mutants_raise_the_parents_energy_and_are_not_kept():
     search = started(degree=10.0)
     tell_next(search, OTHER, verdict(10.0))
-    before = search._corpus[0].energy
+    before = search._corpus.energy(0)
     _, learned = tell_next(search, OTHER, verdict(8.0, failed=True))
     change = tanh(2 / (1 + 1e-5))
     assert learned["parent_energy"] == pytest.approx(before + 0.5 * (1 / (1 + 1)) + 0.5 * change - 0.05)
@@ -191,7 +191,8 @@ def test_which_distance_divides_the_change_of_degree():
     for degree_distance, distance in (("parent", 2 / 3), ("known", 0.0)):
         search = started(drive(5.0, seconds=60), degree=10.0, degree_distance=degree_distance)
         tell_next(search, drive(5.0, seconds=20), verdict(20.0))
-        search._corpus[0].energy, search._corpus[1].energy = 1.0, 0.0
+        for number, energy in enumerate((1.0, 0.0)):
+            search._corpus.set_energy(number, energy)
         candidate, learned = tell_next(search, drive(5.0, seconds=20), verdict(9.9))
         assert candidate.parent == 0
         assert learned["energy"] == pytest.approx(1 + 0.5 * tanh(0.1 / (1 - distance + 1e-5)), abs=1e-3)
@@ -291,8 +292,8 @@ def test_uniform_selection_takes_no_notice_of_energy():
     search = BehAVExplor(LOGICAL, 0, BehAVExplorOptions(selection="uniform"))
     for _ in range(4):
         tell_next(search, OTHER, verdict(5.0))
-    for testcase, energy in zip(search._corpus, (100.0, 1.0, 0.0, -5.0), strict=True):
-        testcase.energy = energy
+    for number, energy in enumerate((100.0, 1.0, 0.0, -5.0)):
+        search._corpus.set_energy(number, energy)
     parents = [search.ask().parent for _ in range(200)]
     assert [parents.count(number) for number in range(4)] == pytest.approx([50] * 4, abs=25)
 
@@ -393,7 +394,7 @@ def test_the_energy_of_a_testcase_far_from_violation_grows():
         tell_next(search, OTHER, verdict(20.0))
     far = search._corpus[0]
     assert far.selections > 3
-    assert far.energy == pytest.approx(1 + far.selections * (0.5 - 0.05 - 0.05))
+    assert search._corpus.energy(0) == pytest.approx(1 + far.selections * (0.5 - 0.05 - 0.05))
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,14 @@ from behavexplor.fuzz.corpus import Corpus, Testcase
 def corpus_of(*energies):
     corpus = Corpus()
     for i, energy in enumerate(energies):
-        corpus.add(Testcase(10 * i, ScriptedScenario("s", ()), None, 1.0, i, energy))
+        corpus.add(Testcase(10 * i, ScriptedScenario("s", ()), None, 1.0, i), energy)
     return corpus
 
 
 def test_testcases_are_found_by_the_number_of_their_candidate():
     corpus = corpus_of(1.0, 2.0)
-    assert corpus[10].energy == 2.0
+    assert corpus[10].number == 10
+    assert corpus.energy(10) == 2.0
     assert [testcase.number for testcase in corpus] == [0, 10]
     assert len(corpus) == 2
 
@@ -29,6 +30,11 @@ def test_selection_follows_the_energies():
     assert counts[10] / 4000 == pytest.approx(3 / 4, abs=0.03)
 
 
+def test_energies_keep_the_order_of_the_testcases_as_the_corpus_grows():
+    corpus = corpus_of(*range(100))
+    assert corpus.energies.tolist() == list(range(100))
+
+
 def test_selections_are_recorded():
     corpus = corpus_of(0.0, 1.0)
     for i in range(5):
@@ -38,7 +44,8 @@ def test_selections_are_recorded():
 
 def test_a_changed_energy_counts_at_once():
     corpus = corpus_of(0.0, 1.0)
-    corpus[0].energy, corpus[10].energy = 1.0, 0.0
+    corpus.set_energy(0, 1.0)
+    corpus.set_energy(10, 0.0)
     assert corpus.select(np.random.default_rng(0)).number == 0
 
 
