@@ -106,8 +106,7 @@ class Trace:
         }
         for name, expected in shapes.items():
             _check_shape(name, getattr(self, name), expected)
-        for name, values in self.decisions.items():
-            _check_shape(f"decisions[{name!r}]", values, (decisions, *values.shape[1:]))
+        self._validate_decisions()
         for name, values in self.signals.items():
             _check_shape(f"signals[{name!r}]", values, (frames,))
         if frames == 0 or vehicles == 0:
@@ -122,6 +121,10 @@ class Trace:
             raise InputError(f"end: expected one of {', '.join(ENDS)}, got {self.end!r}")
         if not (isinstance(self.partner, int) and -1 <= self.partner < vehicles and self.partner != 0):
             raise InputError(f"partner: expected a vehicle other than the ego, or -1, got {self.partner!r:.80}")
+
+    def _validate_decisions(self) -> None:
+        for name, values in self.decisions.items():
+            _check_shape(f"decisions[{name!r}]", values, (len(self.action_frame), *values.shape[1:]))
 
     def __deepcopy__(self, memo: object) -> Self:
         return self  # a trace is immutable
@@ -165,6 +168,21 @@ class Trace:
             signals={name: values[:frames] for name, values in self.signals.items()},
             present=self.present[:frames],
         )
+
+    def with_decisions(self, decisions: Mapping[str, NDArray[Any]]) -> Self:
+        """Return the same trace with another log of the ADS.
+
+        Args:
+            decisions: arrays by name, each of shape (D, ...).
+
+        Raises:
+            InputError: if the shape or a value of an array is wrong.
+        """
+        changed = object.__new__(type(self))
+        changed.__dict__.update(self.__dict__)  # what is already validated
+        object.__setattr__(changed, "decisions", _frozen_mapping("decisions", decisions))
+        changed._validate_decisions()
+        return changed
 
     def to_bytes(self) -> bytes:
         """Return the trace as compressed bytes. Equal traces give equal bytes, and `from_bytes` restores them."""

@@ -36,7 +36,8 @@ def episode_trace(
     """
     moved = np.empty((len(time), len(sizes), ego.shape[1]))  # the columns of `ego`, for every vehicle
     moved[:, 0] = ego
-    moved[:, 1:, :3] = motion[..., [X, Y, HEADING]]
+    for column, moving in enumerate((X, Y, HEADING)):
+        moved[:, 1:, column] = motion[..., moving]
     moved[:, 1:, 3] = motion[..., SPEED] * np.cos(motion[..., HEADING])
     moved[:, 1:, 4] = motion[..., SPEED] * np.sin(motion[..., HEADING])
     return Trace(

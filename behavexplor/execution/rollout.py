@@ -1,7 +1,6 @@
 """Episodes: an ADS drives concrete scenarios in an environment, one after the other or many in lock-step."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import islice
 from types import SimpleNamespace
 from typing import Any
@@ -241,9 +240,7 @@ class _Log:
         entries = self._entries[self._begins[slot] - self._dropped :]
         if not entries:
             return trace
-        return replace(
-            trace, decisions={name: np.array([entry[name][slot] for entry in entries]) for name in entries[0]}
-        )
+        return trace.with_decisions({name: np.array([entry[name][slot] for entry in entries]) for name in entries[0]})
 
 
 _asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called

@@ -96,6 +96,15 @@ def test_a_wrong_field_is_named(field, value):
 def test_a_decision_log_of_another_length_is_named():
     with pytest.raises(InputError, match="code"):
         replace(TRACE, decisions={"code": np.zeros(11)})
+    with pytest.raises(InputError, match="code"):
+        TRACE.with_decisions({"code": np.zeros(11)})
+
+
+def test_another_decision_log_leaves_the_rest_of_a_trace_as_it_is():
+    log = {"speed": np.arange(10.0), "code": np.ones((10, 2))}
+    changed = TRACE.with_decisions(log)
+    assert changed.to_bytes() == replace(TRACE, decisions=log).to_bytes() != TRACE.to_bytes()
+    assert not changed.decisions["speed"].flags.writeable
 
 
 @given(st.integers(0, 10**6), st.binary(min_size=1, max_size=3))
