@@ -101,17 +101,22 @@ def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
     return {**config, "action": {**action, **meta}}
 
 
-def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDriver | ConstantManeuver:  # noqa: ARG001
+def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDriver | ConstantManeuver:
     """Make the driver of a variant.
 
     Args:
-        roadmap: ignored.
+        roadmap: None in highway-env's own environments, the only ones in which meta-actions are possible.
         variant: acceleration [m/s2], or acceleration and steering [rad]: "2" or "0,0.1"; or one of highway-env's
             meta-actions, such as "SLOWER"; `DEFAULT` if empty.
 
     Raises:
-        InputError: if the variant is neither one or two such numbers nor a meta-action.
+        InputError: if the variant is neither one or two such numbers nor a meta-action that is possible.
     """
+    if variant in MANEUVERS and roadmap is not None:
+        raise InputError(
+            f"constant:{variant} drives in highway-env's own environments only: use an acceleration [m/s2] here, such "
+            f"as constant:2"
+        )
     if variant in MANEUVERS:
         return ConstantManeuver(variant)
     number = r"[-+]?\d*\.?\d+"
