@@ -29,7 +29,9 @@ def test_a_constant_driver_commands_what_it_is_called():
     np.testing.assert_allclose(load_ads("constant", ROADMAP).predict(scenes)[0], np.tile([2 / 3, 0.0], (3, 1)))
 
 
-@pytest.mark.parametrize("name", ["constant:fast", "constant:1,2,3", "constant:9", "constant:0,-1", "constant:IDLE", "idm:2"])
+@pytest.mark.parametrize(
+    "name", ["constant:fast", "constant:1,2,3", "constant:9", "constant:0,-1", "constant:IDLE", "idm:2"]
+)
 def test_wrong_variants_are_refused(name):
     with pytest.raises(InputError, match=r"constant|idm"):
         load_ads(name, ROADMAP)
