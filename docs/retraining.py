@@ -33,7 +33,7 @@ from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
 LINES = "lines.jsonl"
 GIVEN = "given"  # stands for the policy before it is trained further
 POOLS = ("none", "own", "both")
-SEEDS, ROUNDS = 5, 4
+ROUNDS = 4
 FRESH, FRESH_SEED = 2000, 77  # uniformly drawn scenarios in which each policy is measured
 BUDGET, SEARCH_SEED, HELD_OUT_SEED = 750, 9, 2  # the campaigns that look for failures of the retrained policies
 
@@ -47,12 +47,14 @@ class Subject:
         policy: the policy.
         steps: number of decisions in each of the rounds.
         method: search method of the campaigns, the best one in this environment as far as docs/results.md shows.
+        seeds: number of retrainings with each pool.
     """
 
     env: str
     policy: str
     steps: int
     method: str
+    seeds: int = 5
 
 
 POLICIES = "docs/data/policies"
@@ -60,6 +62,7 @@ SUBJECTS = {
     "S1": Subject("intersection-straight", f"{POLICIES}/intersection-straight.npz", 250_000, "encounters"),
     "S2": Subject("intersection-left", f"{POLICIES}/intersection-left.npz", 250_000, "encounters"),
     "S4": Subject("lane-change", f"{POLICIES}/lane-change.npz", 250_000, "encounters"),
+    "S4, longer": Subject("lane-change", f"{POLICIES}/lane-change.npz", 1_000_000, "encounters", seeds=2),
     "highway-fast": Subject("highway-fast-v0", f"{POLICIES}/highway-fast.zip", 50_000, "nsga2"),
 }
 
@@ -153,11 +156,11 @@ def read_lines(folder: Path) -> list[Line]:
 
 
 def make_lines(folder: Path, processes: int) -> None:
-    """Make the lines that are missing: first those of the policies as they were given, then seed by seed."""
+    """Make the lines that are missing: first those of the policies as they were given, then policy by policy."""
     folder.mkdir(parents=True, exist_ok=True)
     made = {(line.subject, line.pool, line.seed) for line in read_lines(folder)}
     given = [(name, GIVEN, 0) for name in SUBJECTS]
-    others = [(name, pool, seed) for seed in range(SEEDS) for name in SUBJECTS for pool in POOLS]
+    others = [(name, pool, seed) for name, one in SUBJECTS.items() for seed in range(one.seeds) for pool in POOLS]
     with ProcessPoolExecutor(processes, get_context("spawn")) as executor:
         for stage in (given, others):
             futures = [executor.submit(retrained, folder, *job) for job in stage if job not in made]

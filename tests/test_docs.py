@@ -199,6 +199,15 @@ def test_the_tables_of_speed_are_those_that_were_measured():
         assert made["filled"](page, measured) == page
 
 
+def test_the_tables_of_retrainings_are_those_of_their_lines():
+    """If this fails, run python docs/retraining_tables.py."""
+    made = runpy.run_path(str(ROOT / "docs" / "retraining_tables.py"))
+    lines = [json.loads(line) for line in made["LINES"].read_text().splitlines()]
+    page = made["PAGE"].read_text()
+    assert {found[1] for found in made["PLACE"].finditer(page)} == set(made["TABLES"])
+    assert made["filled"](page, lines) == page
+
+
 def test_the_results_have_places_for_the_tables_of_the_second_question():
     places = re.findall(r"<!-- table: (\S+) -->", (ROOT / "docs" / "results.md").read_text())
     wanted = {"mutations", "together-contrast-ablation", "at-fault-contrast-ablation", "correlations"}

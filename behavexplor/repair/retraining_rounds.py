@@ -63,7 +63,7 @@ class RetrainingConfig:
 
     env: str
     policy: str
-    pool: Sources = "both"
+    pool: Sources = "own"
     share: float = 0.5
     rounds: int = 8
     steps: int = 250_000

@@ -33,7 +33,7 @@ from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round
 from behavexplor.repair.trainees import copy_policy, open_trainee
 
 POLICY = "learned:lane-change"
-SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6}
+SMALL = {"env": "lane-change", "rounds": 2, "steps": 400, "envs": 2, "budget": 6, "validation": 6, "pool": "both"}
 
 
 class CutError(Exception):
@@ -139,7 +139,10 @@ def test_a_campaign_that_was_cut_off_before_it_began_begins_anew(tmp_path, monke
 
 def test_without_a_pool_there_are_no_campaigns(tmp_path):
     rounds = retrain(
-        RetrainingConfig(policy=POLICY, pool="none", **{**SMALL, "rounds": 1}), tmp_path, lambda _: None, lambda _: None
+        RetrainingConfig(policy=POLICY, **{**SMALL, "pool": "none", "rounds": 1}),
+        tmp_path,
+        lambda _: None,
+        lambda _: None,
     )
     assert not (tmp_path / "campaigns").exists()
     assert (rounds[-1].found, rounds[-1].pool) == (None, 0)
