@@ -19,6 +19,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from retraining_tables import FRESH, GIVEN, POOLS
+
 from behavexplor.campaign.config import CONFIG as CAMPAIGN
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.run_summary import summarize
@@ -31,10 +33,8 @@ from behavexplor.repair.retraining import policy_in, retrain
 from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
 
 LINES = "lines.jsonl"
-GIVEN = "given"  # stands for the policy before it is trained further
-POOLS = ("none", "own", "both")
 ROUNDS = 4
-FRESH, FRESH_SEED = 2000, 77  # uniformly drawn scenarios in which each policy is measured
+FRESH_SEED = 77  # of the scenarios in which each policy is measured
 BUDGET, SEARCH_SEED, HELD_OUT_SEED = 750, 9, 2  # the campaigns that look for failures of the retrained policies
 
 

@@ -18,8 +18,9 @@ DOCS = Path(__file__).parent
 LINES = DOCS / "data" / "retraining.jsonl"
 PAGE = DOCS / "repair.md"
 PLACE = re.compile(r"(?<=<!-- retraining: )([\w-]+) -->\n.*?(?=<!-- end -->)", re.DOTALL)
-FRESH = 2000  # as in docs/retraining.py
-GIVEN, POOLS = "given", ("none", "own", "both")
+FRESH = 2000  # number of uniformly drawn scenarios in which each policy is measured
+GIVEN = "given"  # stands for the policy before it is trained further
+POOLS = ("none", "own", "both")
 RATE, LAST = "failures at fault [%]", "after the last round [%]"
 
 Line = Mapping[str, Any]  # see `Line` in docs/retraining.py
