@@ -177,7 +177,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
         return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."
     return (
         f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
-        f"{', '.join(differing)}.\nSo the driven policy is not the trained one, which --stochastic tests."
+        f"{', '.join(differing)}.\nSo this is another driver than the one that was trained. Test that one with --stochastic."
     )
 
 
