@@ -177,7 +177,8 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
         return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."
     return (
         f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
-        f"{', '.join(differing)}.\nSo this is another driver than the one that was trained. Test that one with --stochastic."
+        f"{', '.join(differing)}.\n"
+        "So this driver is not the one that was trained. To test that one, use --stochastic."
     )
 
 
