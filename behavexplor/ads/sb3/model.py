@@ -1,16 +1,38 @@
 """A model of Stable-Baselines3 in memory as a driving system under test."""
 
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from typing import Any, Final
 
 import gymnasium
 import torch
-from gymnasium.wrappers import NormalizeObservation
+from gymnasium.wrappers import (
+    FrameStackObservation,
+    NormalizeObservation,
+    NormalizeReward,
+    OrderEnforcing,
+    PassiveEnvChecker,
+    RecordEpisodeStatistics,
+    RecordVideo,
+    TimeLimit,
+)
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecCheckNan,
+    VecEnv,
+    VecEnvWrapper,
+    VecExtractDictObs,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+    VecTransposeImage,
+    VecVideoRecorder,
+)
 
 from behavexplor.ads.sb3.building import new_policy
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description
@@ -19,21 +41,44 @@ from behavexplor.ads.sb3.policy import SB3Policy
 from behavexplor.data.observations import Observation
 from behavexplor.errors import InputError
 
-_CHANGING: Final = (gymnasium.ObservationWrapper, gymnasium.ActionWrapper, NormalizeObservation)
+_LOG: Final = logging.getLogger(__name__)
+_CHANGING: Final = (  # what the policy observes or does
+    gymnasium.ObservationWrapper,
+    gymnasium.ActionWrapper,
+    NormalizeObservation,
+    FrameStackObservation,
+    VecExtractDictObs,
+    VecTransposeImage,
+)
+_KNOWN: Final = (  # these change neither, or are applied in a campaign
+    gymnasium.RewardWrapper,
+    Monitor,
+    NormalizeReward,
+    OrderEnforcing,
+    PassiveEnvChecker,
+    RecordEpisodeStatistics,
+    RecordVideo,
+    TimeLimit,
+    VecCheckNan,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+    VecVideoRecorder,
+)
 
 
 def policy_of(model: BaseAlgorithm) -> SB3Policy:
     """Return a copy of a model's policy as it is now, so that the model can be trained on.
 
     Statistics of `VecNormalize`, stacked frames and the configuration of highway-env are those of the model's
-    environment.
+    environment. A warning names each other wrapper that may change what the policy observes or does.
 
     Raises:
-        InputError: if the environment has another wrapper that changes what the policy observes or does.
+        InputError: if the environment has a wrapper that is known to change them, and is not applied in a campaign.
     """
-    _check_wrappers(model.get_env())
-    network = _copied(model)
     wrappers = list(_wrappers(model.get_env()))
+    _check_wrappers([*wrappers, *_single_wrappers(model.get_env())])
+    network = _copied(model)
     stacks = [wrapper.stacked_obs.n_stack for wrapper in wrappers if isinstance(wrapper, VecFrameStack)]
     scaling = [wrapper for wrapper in wrappers if isinstance(wrapper, VecNormalize) and wrapper.norm_obs]
     config = training_env(model)[1] or {}
@@ -89,10 +134,10 @@ def _wrappers(env: VecEnv | None) -> Iterator[VecEnvWrapper]:
         env = env.venv
 
 
-def _check_wrappers(env: VecEnv | None) -> None:
-    """Refuse an environment of highway-env or this package in a wrapper that its registration does not have.
+def _single_wrappers(env: VecEnv | None) -> Iterator[gymnasium.Wrapper[Any, Any, Any, Any]]:
+    """Yield the wrappers of the first sub-environment that its registration does not have.
 
-    Only wrappers of gymnasium's kinds in this process are found.
+    Only those around environments of highway-env and this package are found, and only in this process.
     """
     *_, inner = [env, *(wrapper.venv for wrapper in _wrappers(env))]
     single = inner.envs[0] if isinstance(inner, DummyVecEnv) else None
@@ -101,12 +146,20 @@ def _check_wrappers(env: VecEnv | None) -> None:
         return
     registered = {wrapper.name for wrapper in gymnasium.spec(spec.id).additional_wrappers}
     while isinstance(single, gymnasium.Wrapper):
-        if isinstance(single, _CHANGING) and single.class_name() not in registered:
-            raise InputError(
-                f"The model was trained in the wrapper {type(single).__name__}, which is not applied in a campaign: "
-                f"give a driver whose predict method does what the wrapper did"
-            )
+        if single.class_name() not in registered:
+            yield single
         single = single.env
+
+
+def _check_wrappers(wrappers: Iterable[Any]) -> None:
+    """Refuse wrappers that change what the policy observes or does, and warn of those that may."""
+    for wrapper in wrappers:
+        if isinstance(wrapper, _KNOWN):
+            continue
+        applied = f"The model was trained in the wrapper {type(wrapper).__name__}, which is not applied in a campaign"
+        if isinstance(wrapper, _CHANGING):
+            raise InputError(f"{applied}: give a driver whose predict method does what the wrapper did")
+        _LOG.warning("%s. If it changes what the policy observes or does, the policy drives otherwise here", applied)
 
 
 def _statistics(scaling: VecNormalize) -> Statistics:

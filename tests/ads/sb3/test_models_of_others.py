@@ -9,7 +9,15 @@ import pytest
 from gymnasium.wrappers import NormalizeObservation
 from sb3_contrib import ARS
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecCheckNan,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+)
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.archive import read_archive
@@ -143,3 +151,36 @@ def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused():
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
     with pytest.raises(InputError, match="trained in the wrapper NormalizeObservation, which is not applied"):
         policy_of(model)
+
+
+class Louder(VecEnvWrapper):
+    """A wrapper of a user's own, which changes observations."""
+
+    def reset(self):
+        return 2 * self.venv.reset()
+
+    def step_wait(self):
+        observation, *others = self.venv.step_wait()
+        return 2 * observation, *others
+
+
+class Quiet(gymnasium.Wrapper):
+    """A wrapper of a user's own around a single environment."""
+
+
+def test_wrappers_of_a_users_own_around_a_model_in_memory_are_named(caplog):
+    def make():
+        return Quiet(gymnasium.make("highway-fast-v0"))
+
+    model = PPO("MlpPolicy", Louder(VecMonitor(DummyVecEnv([make]))), n_steps=8, batch_size=8, device="cpu")
+    policy_of(model)
+    assert [record.getMessage().split(",")[0] for record in caplog.records] == [
+        f"The model was trained in the wrapper {name}" for name in ("Louder", "Quiet")
+    ]
+
+
+def test_ordinary_wrappers_around_a_model_in_memory_are_not_named(caplog):
+    envs = make_vec_env("highway-fast-v0", n_envs=2)  # in a Monitor each
+    for wrapped in (VecNormalize(VecCheckNan(envs)), VecFrameStack(envs, 2)):
+        policy_of(PPO("MlpPolicy", wrapped, n_steps=8, batch_size=8, device="cpu"))
+    assert not caplog.records
