@@ -8,7 +8,7 @@ from itertools import islice
 from typing import Final, NamedTuple, Self
 
 import numpy as np
-from scipy.stats import binomtest
+import scipy
 
 from behavexplor.ads.interface import ADS
 from behavexplor.data.logical import LogicalScenario
@@ -81,7 +81,7 @@ class Evaluation:
 
     def interval(self, outcome: str) -> tuple[float, float]:
         """Return the 95 % Wilson interval of a rate."""
-        found = binomtest(self.counts.get(outcome, 0), self.n).proportion_ci(0.95, "wilson")
+        found = scipy.stats.binomtest(self.counts.get(outcome, 0), self.n).proportion_ci(0.95, "wilson")
         return float(found.low), float(found.high)
 
 

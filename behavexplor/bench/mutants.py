@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.stats import pearsonr
+import scipy
 
 _LEAST: Final = 3  # least number of mutants for a correlation
 
@@ -49,5 +49,5 @@ def correlation(mutants: Iterable[Mutant], *, passed: bool = False) -> Correlati
     values = np.asarray(chosen, dtype=float).reshape(-1, 2)
     if len(values) < _LEAST or not np.ptp(values, axis=0).all():
         return None
-    found = pearsonr(values[:, 0], values[:, 1])
+    found = scipy.stats.pearsonr(values[:, 0], values[:, 1])
     return Correlation(len(values), float(found.statistic), float(found.pvalue))

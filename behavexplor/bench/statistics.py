@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import stats
+import scipy
 
 Pair = tuple[Sequence[float], Sequence[float]]  # two samples
 
@@ -43,7 +43,7 @@ def estimate(values: Sequence[float]) -> Estimate:
     n, mean = len(values), float(np.mean(values))
     if n < 2:
         return Estimate(n, mean, math.nan, math.nan)
-    half = float(stats.t.ppf(0.975, n - 1) * np.std(values, ddof=1) / math.sqrt(n))
+    half = float(scipy.stats.t.ppf(0.975, n - 1) * np.std(values, ddof=1) / math.sqrt(n))
     return Estimate(n, mean, mean - half, mean + half)
 
 
@@ -52,7 +52,7 @@ def a12(first: Sequence[float], second: Sequence[float]) -> float:
 
     It is U / (n m) of the Mann-Whitney U test. Source: Vargha and Delaney 2000. The samples may differ in size.
     """
-    return float(stats.mannwhitneyu(first, second, method="asymptotic").statistic) / (len(first) * len(second))
+    return float(scipy.stats.mannwhitneyu(first, second, method="asymptotic").statistic) / (len(first) * len(second))
 
 
 def size(effect: float) -> str:
@@ -73,8 +73,8 @@ def mann_whitney(first: Sequence[float], second: Sequence[float]) -> float:
     method: object = "exact"
     if distinct < len(together):
         exact = math.comb(len(together), len(first)) <= MOST_ARRANGEMENTS
-        method = stats.PermutationMethod(n_resamples=MOST_ARRANGEMENTS) if exact else "asymptotic"
-    return float(stats.mannwhitneyu(first, second, alternative="two-sided", method=method).pvalue)
+        method = scipy.stats.PermutationMethod(n_resamples=MOST_ARRANGEMENTS) if exact else "asymptotic"
+    return float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided", method=method).pvalue)
 
 
 def van_elteren(strata: Sequence[Pair]) -> float:
@@ -88,10 +88,10 @@ def van_elteren(strata: Sequence[Pair]) -> float:
     excess = variance = 0.0
     for first, second in strata:
         n, total = len(first), len(first) + len(second)
-        ranks = stats.rankdata(np.concatenate([np.asarray(first, float), np.asarray(second, float)]))
+        ranks = scipy.stats.rankdata(np.concatenate([np.asarray(first, float), np.asarray(second, float)]))
         excess += float(ranks[:n].sum() - n * (total + 1) / 2) / (total + 1)
         variance += n * (total - n) / total * float(ranks.var(ddof=1)) / (total + 1) ** 2
-    return float(2 * stats.norm.sf(abs(excess) / math.sqrt(variance))) if variance > 0 else 1.0
+    return float(2 * scipy.stats.norm.sf(abs(excess) / math.sqrt(variance))) if variance > 0 else 1.0
 
 
 def least_p(n: int, m: int) -> float:

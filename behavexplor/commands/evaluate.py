@@ -10,10 +10,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Final, Literal, NamedTuple
 
+import scipy
 import tyro
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import fisher_exact
 
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.campaign.config import CampaignConfig, read_yaml
@@ -172,7 +172,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
         for name in {**chosen.counts, **drawn.counts}
     }
     cells = {name: table for name, table in cells.items() if ": " not in name}  # faults are part of collisions
-    differing = [name for name, table in cells.items() if fisher_exact(table).pvalue < DIFFERENT]
+    differing = [name for name, table in cells.items() if scipy.stats.fisher_exact(table).pvalue < DIFFERENT]
     if not differing:
         return "With drawn actions, as in training, no rate differs significantly (Fisher's exact test, 1 %)."
     return (

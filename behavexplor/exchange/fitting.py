@@ -3,8 +3,8 @@
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from behavexplor.data.npc_motion import HEADING, motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
@@ -64,7 +64,9 @@ def _fitted(route: Route, time: Floats, stations: Floats, ranges: ScriptedLogica
         motion = motion_on_route(ranges.roadmap, route, _waypoints(genes)[None], time[chosen])[0, :, :HEADING]
         return np.asarray((motion - wanted).ravel())
 
-    found = least_squares(deviation, first, bounds=bounds, x_scale=bounds[1] - bounds[0], max_nfev=_EVALUATIONS)
+    found = scipy.optimize.least_squares(
+        deviation, first, bounds=bounds, x_scale=bounds[1] - bounds[0], max_nfev=_EVALUATIONS
+    )
     return _waypoints(found.x)
 
 

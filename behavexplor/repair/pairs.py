@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from scipy.stats import binomtest, norm
+import scipy
 
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.record import Record
@@ -51,7 +51,7 @@ class Pairs:
     def p(self) -> float:
         """P-value of McNemar's exact test: whether both drivers show the outcome equally often."""
         fixed, broken = len(self.only_first), len(self.only_second)
-        return float(binomtest(fixed, fixed + broken, 0.5).pvalue) if fixed + broken else 1.0
+        return float(scipy.stats.binomtest(fixed, fixed + broken, 0.5).pvalue) if fixed + broken else 1.0
 
     @property
     def difference(self) -> tuple[float, float, float]:
@@ -63,7 +63,7 @@ class Pairs:
         n, fixed, broken = self.n + 2, len(self.only_first) + 0.5, len(self.only_second) + 0.5
         middle = (broken - fixed) / n
         deviation = math.sqrt(max(fixed + broken - (broken - fixed) ** 2 / n, 0.0)) / n
-        half = float(norm.ppf(0.5 + CONFIDENCE / 2)) * deviation
+        half = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)) * deviation
         first, second = self.rates
         return second - first, max(middle - half, -1.0), min(middle + half, 1.0)
 

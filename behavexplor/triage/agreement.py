@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sklearn.metrics import adjusted_rand_score, precision_recall_fscore_support
-
 from behavexplor.errors import InputError
 
 
@@ -38,6 +36,11 @@ def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
     Raises:
         InputError: if there are no labels, or the sequences differ in length.
     """
+    from sklearn.metrics import (  # noqa: PLC0415 - slow to import
+        adjusted_rand_score,
+        precision_recall_fscore_support,
+    )
+
     if not true or len(true) != len(given):
         raise InputError(f"Labels are compared one by one, so {len(true)} and {len(given)} labels do not match")
     equal = sum(a == b for a, b in zip(true, given, strict=True)) / len(true)
