@@ -1,4 +1,4 @@
-"""Count the episodes of EnvPool that leave highway-env's: `python benchmarks/envpool_episodes.py [EPISODES]`.
+"""Count the episodes of EnvPool that leave highway-env's: `python -m benchmarks.envpool_episodes [EPISODES]`.
 
 EnvPool draws the starts of episodes with its own generator. So each of its starts is built in highway-env, and both
 take the same random actions until either ends. It needs `pip install envpool`.
@@ -15,8 +15,9 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from benchmarks.highway import ENVPOOL
+
 IDS = ("highway-fast-v0", "merge-v0", "roundabout-v0", "exit-v0", "two-way-v0", "u-turn-v0", "highway-v0")
-NAMES = {"u-turn-v0": "UTurn-v0"}  # of EnvPool, where they do not follow from highway-env's
 EPISODES = 40
 EQUAL = 1e-6  # [m]
 
@@ -37,8 +38,7 @@ def compared(name: str, episodes: int) -> list[Comparison]:
     """Compare episodes of random actions in an environment, given by highway-env's id."""
     import envpool  # noqa: PLC0415 - not a dependency
 
-    theirs_name = NAMES.get(name, "".join(part.capitalize() for part in name[:-3].split("-")) + "-v0")
-    theirs = envpool.make_gymnasium(theirs_name, num_envs=1, num_threads=1, seed=0)
+    theirs = envpool.make_gymnasium(ENVPOOL[name], num_envs=1, num_threads=1, seed=0)
     env: Any = gymnasium.make(name).unwrapped
     rng = np.random.default_rng(0)
     found = []

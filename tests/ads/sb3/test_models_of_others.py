@@ -6,7 +6,7 @@ import zipfile
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.wrappers import NormalizeObservation
+from gymnasium.wrappers import FrameStackObservation, NormalizeObservation
 from sb3_contrib import ARS
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import (
     DummyVecEnv,
     VecCheckNan,
     VecEnvWrapper,
+    VecExtractDictObs,
     VecFrameStack,
     VecMonitor,
     VecNormalize,
@@ -146,10 +147,18 @@ def test_what_spaces_do_not_show_is_not_said_to_fit(seen, commands, hint):
     assert sentence.startswith("A configuration that fits") == ("Give" not in hint and "other one" not in hint)
 
 
-def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused():
-    env = NormalizeObservation(gymnasium.make("highway-fast-v0"))
+@pytest.mark.parametrize(
+    "wrapped",
+    [
+        lambda: NormalizeObservation(gymnasium.make("highway-fast-v0")),
+        lambda: FrameStackObservation(gymnasium.make("highway-fast-v0"), 2),
+        lambda: VecExtractDictObs(make_vec_env("parking-v0"), "observation"),
+    ],
+)
+def test_a_model_in_memory_that_was_trained_in_a_wrapper_is_refused(wrapped):
+    env = wrapped()
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
-    with pytest.raises(InputError, match="trained in the wrapper NormalizeObservation, which is not applied"):
+    with pytest.raises(InputError, match=f"trained in the wrapper {type(env).__name__}, which is not applied"):
         policy_of(model)
 
 
