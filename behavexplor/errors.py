@@ -1,5 +1,6 @@
 """The exception for wrong input, which users see as one sentence instead of a traceback."""
 
+import sys
 import traceback
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -49,7 +50,9 @@ def missing_library(what: str, library: str | None, extra: str) -> InputError:
     """Return the error for a feature that needs a library of one of this package's extras."""
     in_checkout = (Path(__file__).parents[1] / "constraints.txt").is_file()
     command = f"-c constraints.txt -e '.[{extra}]'" if in_checkout else f"'behavexplor[{extra}]'"
-    return InputError(f"{what} needs {library}: install the extra {extra!r} with pip install {command}")
+    return InputError(
+        f"{what} needs {library}: install the extra {extra!r} with {sys.executable} -m pip install {command}"
+    )
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
