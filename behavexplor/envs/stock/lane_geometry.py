@@ -78,6 +78,20 @@ def is_on_lane(lane: Lane, station: float, offset: float, margin: float) -> bool
 
 
 @kernel_inner
+def may_be_on_lane(lane: Lane, x: float, y: float, margin: float) -> bool:
+    """Return whether a point may be on the lane. False is certain, and saves the exact coordinates."""
+    if lane.kind == STRAIGHT:  # its exact coordinates take no longer
+        return True
+    dx, dy = x - lane.x, y - lane.y
+    reach = lane.width / 2 + margin + SLACK
+    if lane.kind == SINE:
+        return bool(abs(dx * -lane.sin + dy * lane.cos) - abs(lane.amplitude) <= reach)
+    distance = math.sqrt(dx * dx + dy * dy)
+    is_between = _least_distance_from_arc(lane, dx, dy, distance) <= VEHICLE_LENGTH + SLACK
+    return bool(is_between and abs(lane.radius - distance) <= reach)
+
+
+@kernel_inner
 def is_on_road(network: Network, vehicle: Vehicle) -> bool:
     """Return whether a vehicle is on its lane: `RoadObject.on_road`."""
     lane = network.lanes[vehicle.lane]
@@ -114,7 +128,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
     best, nearest = likely, _distance_with_heading(network.lanes[likely], x, y, heading)
     for i in range(len(network.lanes)):
         lane = network.lanes[i]
-        if i == likely or _least_distance(lane, x, y) > nearest + SLACK:
+        if i == likely or least_distance(lane, x, y) > nearest + SLACK:
             continue
         distance = _distance_with_heading(lane, x, y, heading)
         if distance < nearest or (distance == nearest and i < best):
@@ -130,11 +144,30 @@ def _distance_with_heading(lane: Lane, x: float, y: float, heading: float) -> fl
 
 
 @kernel_inner
-def _least_distance(lane: Lane, x: float, y: float) -> float:
+def least_distance(lane: Lane, x: float, y: float) -> float:
     """Compute a lower bound of the distance that is cheap to compute [m]."""
     dx, dy = x - lane.x, y - lane.y
     if lane.kind == CIRCULAR:
-        return float(abs(lane.radius - math.sqrt(dx * dx + dy * dy)))
+        distance = math.sqrt(dx * dx + dy * dy)
+        return float(abs(lane.radius - distance) + _least_distance_from_arc(lane, dx, dy, distance))
     station = dx * lane.cos + dy * lane.sin
     offset = abs(dx * -lane.sin + dy * lane.cos) - abs(lane.amplitude)
     return float(offset + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+
+
+@kernel_inner
+def _least_distance_from_arc(lane: Lane, dx: float, dy: float, distance: float) -> float:
+    """Compute a lower bound of the distance beyond an arc's ends, measured along its circle [m].
+
+    The angle between two directions is at least the difference of their cosines.
+
+    Args:
+        lane: a circular lane.
+        dx: distance of the point from the center along x [m].
+        dy: distance along y [m].
+        distance: distance in a straight line [m].
+    """
+    if distance < SLACK:  # at the center, which is in no direction
+        return 0.0
+    beyond = lane.half_arc - (dx * lane.cos + dy * lane.sin) / distance
+    return float(lane.radius * max(beyond, 0.0))

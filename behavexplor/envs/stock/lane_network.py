@@ -25,7 +25,7 @@ LANE: Final = record_type(
     kind=np.int64,
     x=np.float64,  # start, or center of the circle [m]
     y=np.float64,
-    cos=np.float64,  # direction of a straight line
+    cos=np.float64,  # direction of a straight line, or of an arc's middle as seen from its center
     sin=np.float64,
     heading=np.float64,  # of a straight line [rad]
     length=np.float64,  # [m]
@@ -34,6 +34,7 @@ LANE: Final = record_type(
     pulsation=np.float64,  # of a sine [rad/m]
     phase=np.float64,  # of a sine, or start phase of a circle [rad]
     radius=np.float64,  # [m]
+    half_arc=np.float64,  # cosine of half an arc's angle; -1: a full circle
     turn=np.float64,  # 1 if a circle runs clockwise on the screen, else -1
     speed_limit=np.float64,  # [m/s]; NaN: none
     priority=np.int64,
@@ -144,7 +145,10 @@ def _describe(row: Lane, lane: AbstractLane, index: LaneIndex) -> None:
     row.kind = _kind(lane, index)
     if row.kind == CIRCULAR:
         (row.x, row.y), row.radius, row.turn = lane.center, lane.radius, lane.direction
-        row.phase = lane.start_phase
+        half = lane.length / lane.radius / 2
+        middle = lane.start_phase + lane.direction * half
+        row.phase, row.half_arc = lane.start_phase, math.cos(min(abs(half), math.pi))
+        row.cos, row.sin = math.cos(middle), math.sin(middle)
     else:
         (row.x, row.y), (row.cos, row.sin), row.heading = lane.start, lane.direction, lane.heading
     if row.kind == SINE:

@@ -6,7 +6,7 @@ for in a frame.
 
 from typing import Final
 
-from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, lane_coordinates
+from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, lane_coordinates, may_be_on_lane
 from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import Scene
@@ -62,6 +62,8 @@ def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on
         for k in range(first, first + network.lanes[lane].n_links):
             link = network.links[k]
             searched = network.lanes[link.lane]
+            if not may_be_on_lane(searched, vehicles[j].x, vehicles[j].y, MARGIN):
+                continue
             station, offset = lane_coordinates(searched, vehicles[j].x, vehicles[j].y)
             if is_on_lane(searched, station, offset, MARGIN):
                 on_lane[found].vehicle = j

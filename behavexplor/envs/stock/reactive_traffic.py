@@ -29,15 +29,16 @@ def drive(network: Network, scene: Scene, i: int) -> None:
         i: the vehicle, whose kind is IDM or LINEAR. It has not crashed.
     """
     vehicle, traits = scene.vehicles[i], scene.traits[i]
-    lane, target = network.lanes[vehicle.lane], network.lanes[vehicle.target_lane]
-    station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
-    if is_after_end(target, station):
+    lane, former = network.lanes[vehicle.lane], vehicle.target_lane
+    station, offset = lane_coordinates(network.lanes[former], vehicle.x, vehicle.y)
+    if is_after_end(network.lanes[former], station):
         vehicle.target_lane = next_lane(network, vehicle, scene.routes[i], station)
     free = _free_acceleration(traits, lane, vehicle, traits.kind)
     if traits.changes_lanes and (vehicle.lane != vehicle.target_lane or traits.lane_change_delay < vehicle.timer):
         _change_lane(network, scene, i, free)
     target = network.lanes[vehicle.target_lane]
-    station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
+    if vehicle.target_lane != former:
+        station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
     if traits.kind == LINEAR:
         vehicle.steering = linear_steering(target, vehicle, station, offset, traits)
     else:
@@ -46,10 +47,10 @@ def drive(network: Network, scene: Scene, i: int) -> None:
     if vehicle.lane != vehicle.target_lane:
         own, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
     front, _ = neighbors(network, scene, i, vehicle.lane, own)
-    wanted = _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free)
+    wanted = _acceleration(traits, lane, own, scene.vehicles, i, traits.kind, front, free)
     if vehicle.lane != vehicle.target_lane:
         front, _ = neighbors(network, scene, i, vehicle.target_lane, station)
-        wanted = min(wanted, _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free))
+        wanted = min(wanted, _acceleration(traits, lane, own, scene.vehicles, i, traits.kind, front, free))
     vehicle.acceleration = clip(wanted, -traits.max_acceleration, traits.max_acceleration)
 
 
@@ -76,7 +77,7 @@ def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
         return
     station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
     front, rear = neighbors(network, scene, i, vehicle.lane, station)
-    unchanged = _acceleration(traits, lane, scene.vehicles, i, traits.kind, front, free)
+    unchanged = _acceleration(traits, lane, station, scene.vehicles, i, traits.kind, front, free)
     for side in (-1, 1):
         number = lane.number + side
         if number < 0 or number >= network.roads[lane.road].n_lanes:
@@ -125,7 +126,8 @@ def _recommends(
     if new_rear_changed < -traits.max_braking:
         return False
     own_lane = network.lanes[vehicle.lane]
-    changed = _acceleration(traits, own_lane, scene.vehicles, i, traits.kind, new_front, free)
+    own, _ = lane_coordinates(own_lane, vehicle.x, vehicle.y)
+    changed = _acceleration(traits, own_lane, own, scene.vehicles, i, traits.kind, new_front, free)
     position = vehicle.route_position
     if position < vehicle.route_length and scene.routes[i, position].number >= 0:
         target = network.lanes[vehicle.target_lane].number
@@ -156,9 +158,13 @@ def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, fro
     """
     if i == NO_VEHICLE:
         return 0.0
-    lane, kind = network.lanes[scene.vehicles[i].lane], scene.traits[i].kind
-    free = _free_acceleration(traits, lane, scene.vehicles[i], kind)
-    return _acceleration(traits, lane, scene.vehicles, i, kind, front, free)
+    vehicle, kind = scene.vehicles[i], scene.traits[i].kind
+    lane = network.lanes[vehicle.lane]
+    free = _free_acceleration(traits, lane, vehicle, kind)
+    if front == NO_VEHICLE:
+        return free
+    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    return _acceleration(traits, lane, station, scene.vehicles, i, kind, front, free)
 
 
 @kernel_inner
@@ -177,12 +183,15 @@ def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) 
 
 
 @kernel_inner
-def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: int, front: int, free: float) -> float:
+def _acceleration(
+    traits: Traits, lane: Lane, station: float, vehicles: Records, i: int, kind: int, front: int, free: float
+) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
     Args:
         traits: the driver's traits.
         lane: lane of vehicle i.
+        station: its station on this lane [m].
         vehicles: the vehicles.
         i: the vehicle to be accelerated, which need not be the driver's own.
         kind: kind of vehicle i.
@@ -192,7 +201,7 @@ def _acceleration(traits: Traits, lane: Lane, vehicles: Records, i: int, kind: i
     if front == NO_VEHICLE or (kind == OBSTACLE and traits.kind != LINEAR):
         return free
     vehicle, other = vehicles[i], vehicles[front]
-    distance = lane_coordinates(lane, other.x, other.y)[0] - lane_coordinates(lane, vehicle.x, vehicle.y)[0]
+    distance = lane_coordinates(lane, other.x, other.y)[0] - station
     if traits.kind == LINEAR:
         safe = traits.distance_wanted + max(vehicle.speed, 0.0) * traits.time_wanted
         follow = free + traits.front_speed_gain * min(other.speed - vehicle.speed, 0.0)

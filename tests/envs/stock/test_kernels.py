@@ -1,12 +1,18 @@
 """Kernels of the engine, one by one, against highway-env's functions."""
 
+import math
+
 import numpy as np
 import pytest
+from highway_env.road.lane import CircularLane, SineLane
+from highway_env.road.road import RoadNetwork
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.frames import clear_vehicles
-from behavexplor.envs.stock.lane_geometry import closest_lane
-from behavexplor.envs.stock.lane_network import lane_indexes
+from behavexplor.envs.stock.lane_geometry import closest_lane, least_distance, may_be_on_lane
+from behavexplor.envs.stock.lane_network import lane_indexes, make_network
 from behavexplor.envs.stock.neighbors import UNKNOWN, neighbors
 from behavexplor.envs.stock.state import Scene, make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
@@ -17,6 +23,11 @@ from tests.envs.stock.comparison import N_PLACES, N_STEPS, make
 @kernel_in_place
 def closest(network, likely, x, y, heading):
     return closest_lane(network, likely, x, y, heading)
+
+
+@kernel_in_place
+def bounds(network, x, y, margin):
+    return least_distance(network.lanes[0], x, y), may_be_on_lane(network.lanes[0], x, y, margin)
 
 
 @kernel_in_place
@@ -50,6 +61,31 @@ def test_the_closest_lane_is_highway_env_s_wherever_the_search_begins(env_id):
         assert distances[0] == pytest.approx(distances[1], abs=1e-9)
         found.add(index)
     assert len(found) > len(indexes) / 2 - 1
+
+
+phases = st.floats(-7, 7)
+circles = st.builds(CircularLane, st.just([3.0, -2.0]), st.floats(1, 100), phases, phases, st.booleans())
+sines = st.builds(
+    lambda end, *wave: SineLane([0.0, 0.0], end, *wave),
+    st.sampled_from([[80.0, 0.0], [-30.0, 60.0]]),
+    st.floats(-5, 5),
+    st.floats(0.01, 0.3),
+    phases,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.one_of(circles, sines), st.floats(-150, 150), st.floats(-8, 8))
+def test_bounds_leave_out_no_lane_that_is_near(lane, station, offset):
+    road = RoadNetwork()
+    road.add_lane("a", "b", lane)
+    network, position = make_network(road), lane.position(station, offset)
+    least, may_be_on = bounds(network, *position, 1.0)
+    assert least <= lane.distance(position) + 1e-9
+    on_lane = lane.on_lane(position, margin=1.0)
+    assert may_be_on or not on_lane
+    if isinstance(lane, CircularLane) and 0 < lane.length < math.pi * lane.radius:
+        assert least > 0 or lane.distance(position) < 1e-6
 
 
 def test_of_equally_close_lanes_the_first_is_chosen():
