@@ -15,8 +15,7 @@ from behavexplor.data.target import Target
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
-from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import fewest_workers, start_executor
+from behavexplor.execution.start import fewest_workers, logical_of_target, start_executor
 
 TRIAL: Final = 10  # number of timed executions
 _WARMING: Final = 2  # number of executions before them, which compile kernels
@@ -71,9 +70,10 @@ def trial(target: Target, batch: int) -> float:
     Raises:
         InputError: if the ADS or the environment cannot be used.
     """
-    generator, logical = np.random.default_rng(0), logical_scenario(target.env)
-    requests = [logical.sample(generator).to_json().encode() for _ in range(_WARMING + TRIAL)]
+    generator = np.random.default_rng(0)
     with start_executor(target, fewest_workers(target)) as executor:
+        logical = logical_of_target(executor, target.env)
+        requests = [logical.sample(generator).to_json().encode() for _ in range(_WARMING + TRIAL)]
         _execute(executor, requests[:_WARMING], batch)
         start = time.monotonic()
         _execute(executor, requests[_WARMING:], batch)

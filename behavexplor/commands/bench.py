@@ -28,8 +28,7 @@ from behavexplor.commands.wording import clock
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import parse_cluster
 from behavexplor.execution.executor import available_cores
-from behavexplor.execution.simulation import logical_scenario
-from behavexplor.execution.start import check_loading, fewest_workers, start_executor
+from behavexplor.execution.start import check_loading, fewest_workers, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.report.experiment_page import experiment_page
 
@@ -135,12 +134,12 @@ def _prepare(experiment: Experiment, root: Path) -> None:
         if run.seed == experiment.first_seed:
             unlike.setdefault((run.env, run.ads), []).append(run)
     for (env, _), runs in unlike.items():
-        logical = logical_scenario(env)
-        for run in runs:
-            search_method(run.config, logical)
         target = runs[0].config.target
         with start_executor(target, fewest_workers(target)) as executor:
             check_loading(executor)
+            logical = logical_of_target(executor, env)
+        for run in runs:
+            search_method(run.config, logical)
     try:
         root.mkdir(parents=True, exist_ok=True)
         (root / EXPERIMENT).write_text(experiment.to_yaml())
