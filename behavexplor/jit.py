@@ -173,13 +173,17 @@ def keep_no_code() -> None:
     caching.Cache._guard_against_spurious_io_errors = unkept  # type: ignore[assignment] # noqa: SLF001
 
 
-def drop_stale_code(package: Path = _PACKAGE) -> None:
+def drop_stale_code(folder: Path = _PACKAGE, package: Path = _PACKAGE) -> None:
     """Delete the cached machine code of modules whose source, or the source of a module that they import, has changed.
 
     Numba itself only notices changes in a kernel's own file, not in the kernels and constants that the kernel uses.
+
+    Args:
+        folder: folder of the modules.
+        package: folder of the package `behavexplor`, from which they import kernels and constants.
     """
-    digests = {str(path.relative_to(package)): _digest(path, package) for path in _modules_with_kernels(package)}
-    stamp = package / "__pycache__" / "kernels.json"
+    digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
+    stamp = folder / "__pycache__" / "kernels.json"
     try:
         known = _read(stamp)
         if known == digests:
@@ -187,14 +191,14 @@ def drop_stale_code(package: Path = _PACKAGE) -> None:
         stamp.parent.mkdir(exist_ok=True)
         for name, digest in digests.items():
             if known.get(name) != digest:
-                _drop(package / name)
+                _drop(folder / name)
         stamp.write_text(json.dumps(digests))
     except OSError:  # a read-only installation, whose sources do not change
         return
 
 
-def _modules_with_kernels(package: Path) -> list[Path]:
-    return [path for path in sorted(package.rglob("*.py")) if "\n@kernel" in _source(path)]
+def _modules_with_kernels(folder: Path) -> list[Path]:
+    return [path for path in sorted(folder.rglob("*.py")) if "\n@kernel" in _source(path)]
 
 
 def _read(stamp: Path) -> dict[str, str]:

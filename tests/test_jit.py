@@ -53,14 +53,14 @@ def kept(package):
 def package(tmp_path):
     package = tmp_path / "behavexplor"
     put(package, SOURCES)
-    compiled.drop_stale_code(package)
+    compiled.drop_stale_code(package, package)
     compile_all(package)
     yield package
     compiled._source.cache_clear()
 
 
 def test_nothing_is_dropped_while_nothing_changes(package):
-    compiled.drop_stale_code(package)
+    compiled.drop_stale_code(package, package)
     assert kept(package) == set(KERNELS)
 
 
@@ -76,14 +76,14 @@ def test_nothing_is_dropped_while_nothing_changes(package):
 )
 def test_a_change_drops_the_kernels_that_rest_on_it(package, changed, left):
     put(package, {changed: SOURCES[changed] + "NEW = 2\n"})
-    compiled.drop_stale_code(package)
+    compiled.drop_stale_code(package, package)
     assert kept(package) == left
 
 
 @pytest.mark.parametrize("text", ["", "[1", "[1, 2]", "null"])
 def test_a_stamp_that_cannot_be_read_drops_everything(package, text):
     (package / "__pycache__/kernels.json").write_text(text)
-    compiled.drop_stale_code(package)
+    compiled.drop_stale_code(package, package)
     assert kept(package) == set()
 
 
