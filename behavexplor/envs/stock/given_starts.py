@@ -117,6 +117,8 @@ def with_draws(engine: Engine, mask: Bools, draws: Mapping[int, Floats]) -> Engi
         The engine, with more room for draws if that is needed.
     """
     words = engine.words
+    if not draws and words.shape[1] == N_WORDS:  # no slot has had any
+        return engine
     lacking = N_WORDS + max(map(len, draws.values()), default=0) - words.shape[1]
     if lacking > 0:
         words = np.pad(words, ((0, 0), (0, lacking)))

@@ -223,8 +223,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """
         actions: NDArray[Any] = self._sampled_space.sample()
         own, seen = mask.copy(), dict[int, NDArray[Any]]()
-        own[list(starts)] = False
         for b, env in starts.items():
+            own[b] = False
             copy_start(env, self._engine, self._slots, b, self._most_at_start)
         self._engine = with_draws(self._engine, mask, draws)
         if self.places_own:
