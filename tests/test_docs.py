@@ -169,7 +169,12 @@ def test_tables_are_put_into_their_places(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "experiment"),
-    [("paper", "paper"), ("windows", "windows"), ("stock-default", "docs/data/policies/stock-default.yaml")],
+    [
+        ("paper", "paper"),
+        ("windows", "windows"),
+        ("trained-policies", "policies"),
+        ("stock-default", "docs/data/policies/stock-default.yaml"),
+    ],
 )
 def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, name, experiment):
     """If this fails, run the experiment's tables, and then python docs/results.py FOLDER."""
