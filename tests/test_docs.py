@@ -174,6 +174,7 @@ def test_tables_are_put_into_their_places(tmp_path):
         ("windows", "windows"),
         ("trained-policies", "policies"),
         ("stock-default", "docs/data/policies/stock-default.yaml"),
+        ("stock-wide", "docs/data/policies/stock-wide.yaml"),
     ],
 )
 def test_the_figures_of_an_experiment_are_those_of_its_archive(tmp_path, name, experiment):
