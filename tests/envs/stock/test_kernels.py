@@ -74,7 +74,7 @@ sines = st.builds(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.one_of(circles, sines), st.floats(-150, 150), st.floats(-8, 8))
 def test_bounds_leave_out_no_lane_that_is_near(lane, station, offset):
     road = RoadNetwork()
