@@ -17,7 +17,7 @@ from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, as
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.errors import InputError
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def idm_driver(roadmap: RoadMap, variant: str = "") -> IDMDriver:
     return IDMDriver(roadmap)
 
 
-@kernel_in_place
+@kernel_inner
 def idm_acceleration(speed: float, limit: float, gap: float, leader_speed: float) -> float:
     """Compute the acceleration [m/s2] by equations 1 and 2.
 
@@ -111,7 +111,7 @@ def _decide_all(path: Path, scenes: Floats, commands: Floats) -> None:
             commands[i, 0], commands[i, 1] = _decide(path, scenes[i])
 
 
-@kernel_in_place
+@kernel_inner
 def _decide(path: Path, scene: Floats) -> tuple[float, float]:
     speed = scene[EGO, SPEED]
     station, _ = project_on_path(path, scene[EGO, X], scene[EGO, Y])
@@ -122,7 +122,7 @@ def _decide(path: Path, scene: Floats) -> tuple[float, float]:
     return min(max(acceleration, low), high), steer(path, scene, station, 0.0)
 
 
-@kernel_in_place
+@kernel_inner
 def _leader(path: Path, scene: Floats, station: float) -> tuple[float, float]:
     """Return the gap [m] to the next vehicle ahead in the ego's lane and direction, and its speed there [m/s]."""
     nearest, leader_speed = math.inf, 0.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> Non
             filled[i, j * count : (j + 1) * count] = _statistics(x[i : i + window, j], still)
 
 
-@kernel
+@kernel_inner
 def _statistics(x: Floats, still: float) -> tuple[float, float, float, float, float, float, float, float]:
     """Compute the statistics of one window. All sums run in the order of time."""
     n = len(x)

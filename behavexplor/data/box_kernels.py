@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def fill_box_segment_distances(boxes: Floats, segments: Floats, gaps: Floats) ->
                 gaps[i] = min(gaps[i], _to_segment(box[k], segment[0], segment[1]))
 
 
-@kernel_in_place
+@kernel_inner
 def _corners_to_edges(points: Floats, box: Floats) -> float:
     """Return the least distance of points, shape (n, 2), from the edges of a box, shape (4, 2)."""
     least = math.inf
@@ -39,7 +39,7 @@ def _corners_to_edges(points: Floats, box: Floats) -> float:
     return least
 
 
-@kernel_in_place
+@kernel_inner
 def _to_segment(point: Floats, start: Floats, end: Floats) -> float:
     along_x, along_y = end[0] - start[0], end[1] - start[1]
     squared = along_x * along_x + along_y * along_y
@@ -48,7 +48,7 @@ def _to_segment(point: Floats, start: Floats, end: Floats) -> float:
     return math.hypot(point[0] - (start[0] + share * along_x), point[1] - (start[1] + share * along_y))
 
 
-@kernel_in_place
+@kernel_inner
 def _overlap(a: Floats, b: Floats) -> bool:
     """Return whether two boxes touch or overlap, by the separating axis theorem."""
     for k in range(2):
@@ -59,7 +59,7 @@ def _overlap(a: Floats, b: Floats) -> bool:
     return True
 
 
-@kernel_in_place
+@kernel_inner
 def _meets(box: Floats, segment: Floats) -> bool:
     """Return whether a segment touches or enters a box, by the separating axis theorem."""
     for k in range(2):
@@ -68,7 +68,7 @@ def _meets(box: Floats, segment: Floats) -> bool:
     return not _separates(box, segment, -(segment[1, 1] - segment[0, 1]), segment[1, 0] - segment[0, 0])
 
 
-@kernel_in_place
+@kernel_inner
 def _separates(a: Floats, b: Floats, x: float, y: float) -> bool:
     """Return whether two sets of points lie apart along a direction."""
     low_a, high_a = _extent(a, x, y)
@@ -76,7 +76,7 @@ def _separates(a: Floats, b: Floats, x: float, y: float) -> bool:
     return high_a < low_b or high_b < low_a
 
 
-@kernel_in_place
+@kernel_inner
 def _extent(points: Floats, x: float, y: float) -> tuple[float, float]:
     low, high = math.inf, -math.inf
     for i in range(len(points)):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def fill_motion(routes: Routes, route: int, waypoints: Floats, time: Floats, tab
     fill_frames(routes, route, phases, fill_phases(waypoints, phases), time, table)
 
 
-@kernel
+@kernel_inner
 def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time: Floats, table: Floats) -> None:
     """Fill one NPC's columns of a motion table, shape (T, 5), from its phases; see `fill_phases`."""
     phase = 0
@@ -175,7 +175,7 @@ def fill_phases(waypoints: Floats, phases: Floats) -> int:
     return n + 1
 
 
-@kernel
+@kernel_inner
 def npc_at(
     routes: Routes, route: int, since: float, station: float, speed: float, acceleration: float
 ) -> tuple[float, float, float, float]:

@@ -9,6 +9,9 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from tests.ads.learned.scenes import LOGICALS, ego, on_route
+from tests.kernel_calls import called_alone
+
+idm_acceleration = called_alone(idm_acceleration)
 
 ROADMAP = LOGICALS["lane-follow"].roadmap
 

@@ -12,6 +12,17 @@ from behavexplor.envs.network import road_network
 from behavexplor.envs.vector.contact import boxes_touch, corners, line_meets_box, touches_line
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, lane_point, next_lane
 from behavexplor.envs.vector.world import make_world
+from tests.kernel_calls import called_alone
+
+boxes_touch = called_alone(boxes_touch)
+closest_lane = called_alone(closest_lane)
+corners = called_alone(corners)
+lane_coordinates = called_alone(lane_coordinates)
+lane_heading = called_alone(lane_heading)
+lane_point = called_alone(lane_point)
+line_meets_box = called_alone(line_meets_box)
+next_lane = called_alone(next_lane)
+touches_line = called_alone(touches_line)
 
 ENVS = [IntersectionLeftEnv, LaneChangeEnv]
 

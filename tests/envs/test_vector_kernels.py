@@ -28,6 +28,23 @@ from behavexplor.envs.vector.rewards import TERMS, reward_terms
 from behavexplor.envs.vector.slots import END, LINE_FRAME, N_NPCS, RUNNING, make_slots, move_npcs, put_scenario
 from behavexplor.envs.vector.world import make_world
 from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
+from tests.kernel_calls import called_alone
+
+boxes_touch = called_alone(boxes_touch)
+corners = called_alone(corners)
+line_distance = called_alone(line_distance)
+line_meets_box = called_alone(line_meets_box)
+move_npcs = called_alone(move_npcs)
+touches_line = called_alone(touches_line)
+changed_lane = called_alone(meta.changed_lane)
+changed_speed = called_alone(meta.changed_speed)
+follow_road = called_alone(meta.follow_road)
+nearest_speed = called_alone(meta.nearest_speed)
+steering = called_alone(meta.steering)
+throttle = called_alone(meta.throttle)
+find_end = called_alone(step._find_end)
+station = called_alone(step._station)
+within_speeds = called_alone(step._within_speeds)
 
 LEFT, CHANGE = IntersectionLeftEnv(), LaneChangeEnv()
 WORLDS = {env: make_world(env) for env in (LEFT, CHANGE)}
@@ -115,14 +132,14 @@ def test_maneuvers_are_highway_env_s(env):
         maneuver, done = int(rng.integers(5)), int(rng.integers(len(route) + 1))
         vehicle.route = route[done:]
         x, y = vehicle.position
-        index = meta.changed_speed(speeds, 1, maneuver, vehicle.speed)
-        lane, _ = meta.follow_road(network, done, target, x, y)
-        lane = meta.changed_lane(network, lane, maneuver, x, y)
+        index = changed_speed(speeds, 1, maneuver, vehicle.speed)
+        lane, _ = follow_road(network, done, target, x, y)
+        lane = changed_lane(network, lane, maneuver, x, y)
         vehicle.act(MANEUVERS[maneuver])
         assert index == vehicle.speed_index
         assert road_network(env.logical.roadmap)._indexes[lane] == tuple(vehicle.target_lane_index)
-        assert meta.throttle(speeds[index], vehicle.speed) == vehicle.action["acceleration"]
-        steered = meta.steering(network.lanes, lane, x, y, vehicle.heading, vehicle.speed)
+        assert throttle(speeds[index], vehicle.speed) == vehicle.action["acceleration"]
+        steered = steering(network.lanes, lane, x, y, vehicle.heading, vehicle.speed)
         assert steered == vehicle.action["steering"]
         changed.add((maneuver, lane != target))
     assert {(meta.LANE_LEFT, True), (meta.LANE_RIGHT, True), (meta.IDLE, False)} <= changed
@@ -132,7 +149,7 @@ def test_maneuvers_are_highway_env_s(env):
 def test_the_nearest_target_speed_is_highway_env_s(speed, steps, count):
     speeds = 1.0 + steps[0] * np.arange(count)
     vehicle = MDPVehicle(None, [0, 0], target_speeds=speeds)
-    assert meta.nearest_speed(speeds, speed) == vehicle.speed_to_index(speed)
+    assert nearest_speed(speeds, speed) == vehicle.speed_to_index(speed)
 
 
 @given(st.floats(-60, 60), st.floats(-10, 10))
@@ -140,7 +157,7 @@ def test_speeds_are_kept_within_limits_as_highway_env_does(speed, acceleration):
     vehicle = Vehicle(None, [0, 0], speed=speed)
     vehicle.act({"steering": 0.0, "acceleration": acceleration})
     vehicle.clip_actions()
-    assert step._within_speeds(WORLDS[LEFT].rules, speed, acceleration) == vehicle.action["acceleration"]
+    assert within_speeds(WORLDS[LEFT].rules, speed, acceleration) == vehicle.action["acceleration"]
 
 
 @pytest.mark.parametrize("env", [LEFT, CHANGE], ids=["left", "change"])
@@ -149,7 +166,7 @@ def test_stations_on_the_route_are_the_map_s(env):
     route = env.logical.roadmap.ego_route
     for _ in range(300):
         x, y = route.pose(rng.uniform(-20, route.length + 20))[:2] + rng.normal(0, 5, 2)
-        assert step._station(WORLDS[env].ego_lanes, x, y) == pytest.approx(route.project(x, y)[0], abs=1e-9)
+        assert station(WORLDS[env].ego_lanes, x, y) == pytest.approx(route.project(x, y)[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +190,7 @@ def test_ends_come_in_their_order(frame, standing, ahead, aside, expected):
     rules, roadmap = WORLDS[LEFT].rules, LEFT.logical.roadmap
     along = roadmap.destination_direction
     x, y = roadmap.destination_point + ahead * along + aside * np.array([-along[1], along[0]])
-    end = step._find_end(rules, frame, standing, x, y)
+    end = find_end(rules, frame, standing, x, y)
     assert (None if end == RUNNING else ENDS[end]) == expected
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.learned.tracker import ACCELERATIONS, N_LANE_CHOICES
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,7 +72,7 @@ def _average_all(preferences: Floats, table: Floats, accelerations: Floats, lane
         accelerations[i], lanes[i] = _average(preferences[i], table)
 
 
-@kernel_in_place
+@kernel_inner
 def _average(preferences: Floats, table: Floats) -> tuple[float, int]:
     """Return the mean acceleration and the most probable lane choice."""
     top = preferences[_greatest(preferences)]
@@ -95,7 +95,7 @@ def _draw_all(preferences: Floats, shares: Floats, actions: Ints) -> None:
         actions[i] = _at_share(preferences[i], shares[i])
 
 
-@kernel_in_place
+@kernel_inner
 def _at_share(preferences: Floats, share: float) -> int:
     """Return the action at a share of the cumulative probabilities."""
     top = preferences[_greatest(preferences)]
@@ -110,7 +110,7 @@ def _at_share(preferences: Floats, share: float) -> int:
     return len(preferences) - 1
 
 
-@kernel_in_place
+@kernel_inner
 def _greatest(preferences: Floats) -> int:
     best = 0
     for i in range(1, len(preferences)):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -68,14 +68,14 @@ def _evaluate_all(network: DenseNetwork, rooms: Floats) -> int:
     return now
 
 
-@kernel_in_place
+@kernel_inner
 def _squash(values: Floats, count: int) -> None:
     for row in range(len(values)):
         for i in range(count):
             values[row, i] = math.tanh(values[row, i])
 
 
-@kernel_in_place
+@kernel_inner
 def _add_up(weights: Floats, values: Floats, inputs: int, sums: Floats, width: int) -> None:
     """Add the products of the inputs `values` and the weights to the sums of each row's outputs.
 

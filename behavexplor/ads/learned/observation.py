@@ -19,7 +19,7 @@ from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.lane_arrays import offset_on_lane, project_on_lane
 from behavexplor.ads.road.path import SPACING, pose_on_path, project_on_path, row_at
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ N_CONFLICT: Final = 7  # numbers for each conflict
 N_FEATURES: Final = N_EGO + 3 * N_LANE + N_CONFLICTS * N_CONFLICT
 
 
-@kernel_in_place
+@kernel_inner
 def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     """Fill in the features of one scene, each scaled to a size of about 1.
 
@@ -66,7 +66,7 @@ def see(course: Course, scene: Floats, wanted: float, out: Floats) -> None:
     _see_conflicts(course, scene, station, out[N_EGO + 3 * N_LANE :])
 
 
-@kernel_in_place
+@kernel_inner
 def lanes_beside(course: Course, row: int, offset: float) -> tuple[int, int]:
     """Count the lanes to the left and right of the lane at an offset from the route; there are none in a junction."""
     path = course.path
@@ -76,12 +76,12 @@ def lanes_beside(course: Course, row: int, offset: float) -> tuple[int, int]:
     return max(left + lane, 0), max(right - lane, 0)
 
 
-@kernel_in_place
+@kernel_inner
 def _near(distance: float) -> float:
     return min(max(distance / RANGE, -1.0), 1.0)
 
 
-@kernel_in_place
+@kernel_inner
 def _see_ego(course: Course, scene: Floats, station: float, offset: float, wanted: float, out: Floats) -> None:
     row = row_at(course.path, station)
     along = pose_on_path(course.path, station)[2]
@@ -101,7 +101,7 @@ def _see_ego(course: Course, scene: Floats, station: float, offset: float, wante
         out[12 + i] = 10.0 * course.curvature[row_at(course.path, station + AHEAD[i])]
 
 
-@kernel_in_place
+@kernel_inner
 def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out: Floats) -> None:
     """Fill in the vehicles ahead and behind on three lanes.
 
@@ -135,7 +135,7 @@ def _see_lanes(course: Course, scene: Floats, station: float, offset: float, out
                     out[N_LANE * i + 5] = scene[other, ACCELERATION] / STRONG
 
 
-@kernel_in_place
+@kernel_inner
 def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -> None:
     """Fill in the next stays of other vehicles on the ego's path, sorted by the time at which they begin."""
     for i in range(N_CONFLICTS):
@@ -156,7 +156,7 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
                 count = _add_conflict(course, scene, station, other, there, zone, out, count)
 
 
-@kernel_in_place
+@kernel_inner
 def _add_conflict(
     course: Course, scene: Floats, station: float, other: int, there: float, zone: int, out: Floats, count: int
 ) -> int:

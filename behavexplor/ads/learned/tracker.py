@@ -12,7 +12,7 @@ from behavexplor.ads.road.path import limit_at, project_on_path, row_at
 from behavexplor.ads.road.steering import steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE
 from behavexplor.data.scene import EGO, SPEED, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ STARTED: Final = 2  # 1 after the first decision of an episode
 N_MEMORIES: Final = 3
 
 
-@kernel_in_place
+@kernel_inner
 def begin(course: Course, scene: Floats, memory: Floats) -> None:
     """Begin an episode: the ego wants its route's lane, and drives from where it stands."""
     memory[WANTED] = 0.0
@@ -39,7 +39,7 @@ def begin(course: Course, scene: Floats, memory: Floats) -> None:
     memory[STARTED] = 1.0
 
 
-@kernel_in_place
+@kernel_inner
 def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Floats) -> tuple[float, float]:
     """Return acceleration [m/s2] and steering angle [rad] for a decision.
 
@@ -59,7 +59,7 @@ def track(course: Course, scene: Floats, wanted: float, choice: int, memory: Flo
     return acceleration, steer(course.path, scene, station, memory[DRIVEN])
 
 
-@kernel_in_place
+@kernel_inner
 def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: Floats) -> None:
     """Choose the lane beside if it exists; near a junction, only the lane of the route."""
     if course.side_by_side[row] < LAST_CHANGE:
@@ -76,7 +76,7 @@ def _choose_lane(course: Course, row: int, offset: float, choice: int, memory: F
         memory[WANTED] = 0.0
 
 
-@kernel_in_place
+@kernel_inner
 def _accelerate(course: Course, scene: Floats, station: float, wanted: float) -> float:
     """Limit the acceleration so that the ego keeps the speed limit, in curves too, and never reverses."""
     speed: float = scene[EGO, SPEED]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.roadmap import Lane
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def lane_array(lanes: Iterable[Lane]) -> Floats:
     return np.array([(*row, math.cos(row[HEADING]), math.sin(row[HEADING])) for row in rows])
 
 
-@kernel_in_place
+@kernel_inner
 def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float]:
     """Return position and heading at a station of a lane, which may lie beyond its ends."""
     x, y, start, curvature = lanes[lane, X], lanes[lane, Y], lanes[lane, HEADING], lanes[lane, CURVATURE]
@@ -40,7 +40,7 @@ def pose_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float
     return x, y, heading
 
 
-@kernel_in_place
+@kernel_inner
 def direction_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, float, float, float]:
     """Return position, and cosine and sine of the heading, at a station of a lane, which may lie beyond its ends."""
     x, y, start_cos, start_sin = lanes[lane, X], lanes[lane, Y], lanes[lane, COS], lanes[lane, SIN]
@@ -52,7 +52,7 @@ def direction_on_lane(lanes: Floats, lane: int, station: float) -> tuple[float, 
     return x + (sin - start_sin) / curvature, y - (cos - start_cos) / curvature, cos, sin
 
 
-@kernel_in_place
+@kernel_inner
 def offset_on_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
     """Return the offset of a point [m], positive to the right. On curves this is faster than `project_on_lane`."""
     cos, sin = lanes[lane, COS], lanes[lane, SIN]
@@ -64,7 +64,7 @@ def offset_on_lane(lanes: Floats, lane: int, x: float, y: float) -> float:
     return radius - math.copysign(1.0, radius) * math.hypot(radius - aside, dx * cos + dy * sin)
 
 
-@kernel_in_place
+@kernel_inner
 def project_on_lane(lanes: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
     """Return station and offset (positive to the right) of a point [m]."""
     cos, sin = lanes[lane, COS], lanes[lane, SIN]

@@ -18,7 +18,7 @@ from behavexplor.ads.road.lane_arrays import (
 )
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import Lane, RoadMap
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -133,34 +133,34 @@ def _speed_limits(roadmap: RoadMap, stations: Floats, lateral_acceleration: floa
     return limits
 
 
-@kernel_in_place
+@kernel_inner
 def row_at(path: Path, station: float) -> int:
     """Return the row of the path's tables, such as `limits`, for a station [m]."""
     return min(max(int(station / SPACING), 0), len(path.limits) - 1)
 
 
-@kernel_in_place
+@kernel_inner
 def limit_at(path: Path, station: float) -> float:
     """Return the greatest allowed speed [m/s] at a station [m]."""
     limit: float = path.limits[row_at(path, station)]
     return limit
 
 
-@kernel_in_place
+@kernel_inner
 def has_lane(path: Path, lane: int, station: float) -> bool:
     """Return whether a lane (0 is the route's, 1 the next to the right) runs in the ego's direction at a station."""
     i = row_at(path, station)
     return bool(-path.left[i] <= lane <= path.right[i])
 
 
-@kernel_in_place
+@kernel_inner
 def oncoming_lane(path: Path, station: float) -> int:
     """Return the oncoming lane next to the lanes in the ego's direction, 0 if there is none."""
     i = row_at(path, station)
     return -int(path.left[i]) - 1 if path.oncoming[i] else 0
 
 
-@kernel_in_place
+@kernel_inner
 def lane_end(path: Path, lane: int, station: float) -> float:
     """Return the station by which a lane other than the route's must be left: its end, or the destination [m]."""
     end = station
@@ -169,7 +169,7 @@ def lane_end(path: Path, lane: int, station: float) -> float:
     return min(end, path.destination)
 
 
-@kernel_in_place
+@kernel_inner
 def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     """Return the lane of the route nearest to a point, and the point's station and offset on the route [m]."""
     last = len(path.lanes) - 1
@@ -187,7 +187,7 @@ def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     return best, best_station, best_offset
 
 
-@kernel_in_place
+@kernel_inner
 def _outside(path: Path, lane: int, station: float) -> float:
     """Return how far a station lies beyond a lane's ends [m]; the first and last lane continue beyond the route."""
     if station < 0.0:
@@ -195,14 +195,14 @@ def _outside(path: Path, lane: int, station: float) -> float:
     return max(station - path.lanes[lane, LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
 
 
-@kernel_in_place
+@kernel_inner
 def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
     """Return station and offset (positive to the right) of a point [m]; the route continues beyond its ends."""
     _, station, offset = locate_on_path(path, x, y)
     return station, offset
 
 
-@kernel_in_place
+@kernel_inner
 def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     """Return whether the route is straight between two stations around a lane; the route continues beyond its ends."""
     if path.lanes[lane, CURVATURE] != 0.0:
@@ -211,7 +211,7 @@ def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     return bool(starts and (lane == len(path.lanes) - 1 or high <= path.bounds[lane + 1]))
 
 
-@kernel_in_place
+@kernel_inner
 def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     """Return position and heading at a station; the route continues beyond its ends."""
     i = 0
@@ -220,7 +220,7 @@ def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     return pose_on_lane(path.lanes, i, station - path.bounds[i])
 
 
-@kernel_in_place
+@kernel_inner
 def point_beside(path: Path, station: float, offset: float) -> tuple[float, float]:
     """Return the point at a station and an offset."""
     x, y, heading = pose_on_path(path, station)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path, pose_on_path
 from behavexplor.ads.scene_io import STEERING_RANGE
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
 LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]
 
 
-@kernel_in_place
+@kernel_inner
 def steer(path: Path, scene: Floats, station: float, offset: float) -> float:
     """Return the steering angle [rad] by pure pursuit of a point ahead, at an offset from the path.
 

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 from behavexplor.ads.road.lane_arrays import COS, SIN
 from behavexplor.ads.road.path import Path, is_straight, locate_on_path, project_on_path
 from behavexplor.ads.rule.lateral import LateralProfile, offset_at
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 PARALLEL: Final = 1e-6  # sine of the angle to the route below which a box is parallel to it
 SLACK: Final = 1.0  # lateral distance by which a profile may overshoot its offsets [m]
@@ -32,7 +32,7 @@ class Box(NamedTuple):
     width: float
 
 
-@kernel_in_place
+@kernel_inner
 def box_on_path(path: Path, profile: LateralProfile, box: Box, strip: float) -> tuple[float, float]:
     """Return the stations between which a box reaches into the strip along the path; (inf, -inf) if it does not.
 
@@ -74,7 +74,7 @@ def box_on_path(path: Path, profile: LateralProfile, box: Box, strip: float) -> 
     return low, high
 
 
-@kernel_in_place
+@kernel_inner
 def _on_path(path: Path, profile: LateralProfile, x: float, y: float, straight: bool) -> tuple[float, float]:
     """Return the station of a point [m] and its offset from the profile [m].
 

@@ -13,7 +13,7 @@ from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,7 +27,7 @@ HELD_STEERING: Final = 0.2  # angle beyond which steering is held (R2-4) [rad]
 TURN_WAY, TURN = 15.0, 0.1  # a left turn: the route has turned by more than TURN [rad] on the last TURN_WAY [m]
 
 
-@kernel_in_place
+@kernel_inner
 def steer(
     path: Path, profile: LateralProfile, scene: Floats, station: float, memory: Memory, bits: Ints, p: Numbers
 ) -> float:
@@ -56,7 +56,7 @@ def steer(
     return min(max(wanted, STEERING_RANGE[0]), STEERING_RANGE[1])
 
 
-@kernel_in_place
+@kernel_inner
 def _worsened(
     profile: LateralProfile, speed: float, turns: bool, wanted: float, memory: Memory, bits: Ints, p: Numbers
 ) -> float:
@@ -81,7 +81,7 @@ def _worsened(
     return held
 
 
-@kernel_in_place
+@kernel_inner
 def accelerate(wanted: float, last: float, speed: float, at_once: bool, p: Numbers) -> float:
     """Return the acceleration [m/s2] within the limits of its change and of the vehicle, never into reverse."""
     change = (p.emergency_jerk if at_once else p.jerk) * PERIOD

@@ -38,7 +38,7 @@ from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, 
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.data.scene import EGO, HEADING, SPEED, WIDTH, X, Y
 from behavexplor.data.scene import LENGTH as EGO_LENGTH
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ STUCK: Final = 1.0  # time of standing in a lane change after which the ego deci
 CREEP_ACCELERATION: Final = 1.2  # acceleration while creeping [m/s2]
 
 
-@kernel_in_place
+@kernel_inner
 def plan_once(world: Surroundings, memory: Memory) -> None:
     """Make one decision, and leave its commands in the memory."""
     path, scene, bits = world.path, world.scene, world.room.bits
@@ -68,7 +68,7 @@ def plan_once(world: Surroundings, memory: Memory) -> None:
     memory.reached, memory.triggered = bits[0], bits[1]
 
 
-@kernel_in_place
+@kernel_inner
 def _remember(path: Path, ego: EgoState, memory: Memory) -> None:
     """Update the memory with the ego's motion since the last decision."""
     if memory.started == 0.0:
@@ -90,7 +90,7 @@ def _remember(path: Path, ego: EgoState, memory: Memory) -> None:
     memory.restarted = max(memory.restarted - PERIOD, 0.0)
 
 
-@kernel_in_place
+@kernel_inner
 def _present_profile(path: Path, memory: Memory) -> LateralProfile:
     last = memory.lane * path.lane_width
     if memory.change_length == 0.0:
@@ -98,12 +98,12 @@ def _present_profile(path: Path, memory: Memory) -> LateralProfile:
     return LateralProfile(memory.change_start, memory.change_length, memory.change_offset, memory.change_slope, last)
 
 
-@kernel_in_place
+@kernel_inner
 def _is_safe(option: Option) -> bool:
     return option.plan.survived == N_INTERVALS and option.plan.risk == 0.0
 
 
-@kernel_in_place
+@kernel_inner
 def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
     """Begin a lane change if another lane is better and its gaps are accepted."""
     path, others, p, bits = world.path, world.others, world.p, world.room.bits
@@ -120,7 +120,7 @@ def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memor
     return option
 
 
-@kernel_in_place
+@kernel_inner
 def _try_change(
     world: Surroundings, ego: EgoState, present: Option, wanted: int, memory: Memory
 ) -> tuple[Option, bool]:
@@ -150,7 +150,7 @@ def _try_change(
     return option, True
 
 
-@kernel_in_place
+@kernel_inner
 def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
     """Return to the original lane if a vehicle comes close in the target lane, and returning is possible and helps.
 
@@ -179,21 +179,21 @@ def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory
     return option
 
 
-@kernel_in_place
+@kernel_inner
 def _slope(world: Surroundings, ego: EgoState) -> float:
     """Return the slope of the ego's motion relative to its route."""
     _, _, along = pose_on_path(world.path, ego.station)
     return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
 
 
-@kernel_in_place
+@kernel_inner
 def _adopt(profile: LateralProfile, lane: int, memory: Memory) -> None:
     memory.lane = lane
     memory.change_start, memory.change_length = profile.start, profile.length
     memory.change_offset, memory.change_slope = profile.first, profile.slope
 
 
-@kernel_in_place
+@kernel_inner
 def _settle(world: Surroundings, ego: EgoState, option: Option, memory: Memory) -> None:
     """Store the decision and its commands in the memory."""
     path, p, bits, plan = world.path, world.p, world.room.bits, option.plan

@@ -21,7 +21,7 @@ from behavexplor.ads.rule.station_time import (
     StationTime,
 )
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,27 +44,27 @@ RESTART_OUTLOOK: Final = 1.0  # time over which a hasty planner looks ahead (R1-
 RESTART_WAIT: Final = 0.5  # time after which a hasty planner decides anew (R1-3) [s]
 
 
-@kernel_in_place
+@kernel_inner
 def can_wait(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> bool:
     """Return whether firm braking stops the ego before the junction, or within `line_overrun` beyond the stop line."""
     line = path.junction_start - half_length
     return station + speed * speed / (2 * p.firm_braking) <= line + p.line_overrun
 
 
-@kernel_in_place
+@kernel_inner
 def passed(path: Path, station: float, half_length: float) -> bool:
     """Return whether the ego has left the junction, or there is no junction."""
     return station >= path.junction_end + half_length
 
 
-@kernel_in_place
+@kernel_inner
 def waiting_station(path: Path, station: float, speed: float, half_length: float, p: Numbers) -> float:
     """Return the station for waiting [m]: with a gap to the stop line if firm braking suffices, else closer."""
     line = path.junction_start - half_length
     return min(line + p.line_overrun, max(line - p.stop_line_gap, station + speed * speed / (2 * p.firm_braking)))
 
 
-@kernel_in_place
+@kernel_inner
 def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length: float) -> bool:
     """Return whether a plan stays before the junction, or crosses it without stopping or coming too close to a vehicle.
 
@@ -79,7 +79,7 @@ def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length:
     return plan.risk == 0.0 and plan.inside == 0.0
 
 
-@kernel_in_place
+@kernel_inner
 def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: float, yields: bool) -> int:
     """Return the code of a plan's decision for the decision log."""
     if plan.survived * INTERVAL < ALARM:
@@ -93,7 +93,7 @@ def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: floa
     return STOP if plan.speed < STANDING else FOLLOW
 
 
-@kernel_in_place
+@kernel_inner
 def restarts_hastily(crosses: bool, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether the ego, which has stood and yielded, hardly looks ahead now (weakness R1-3)."""
     if p.restart == 0.0 or memory.waited < RESTART_WAIT:
@@ -104,7 +104,7 @@ def restarts_hastily(crosses: bool, memory: Memory, bits: Ints, p: Numbers) -> b
     return not crosses
 
 
-@kernel_in_place
+@kernel_inner
 def waits_for_ever(graph: StationTime, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether a standing ego waits for a vehicle that hardly moves across its way (weakness R3-4)."""
     if memory.waited == 0.0 or not _deadlocked(graph, memory, p):
@@ -113,13 +113,13 @@ def waits_for_ever(graph: StationTime, memory: Memory, bits: Ints, p: Numbers) -
     return True
 
 
-@kernel_in_place
+@kernel_inner
 def _deadlocked(graph: StationTime, memory: Memory, p: Numbers) -> bool:
     """Return whether the gate of weakness R3-4 is open."""
     return bool(p.deadlock > 0.0 and memory.stood >= p.deadlock_after and _slowest(graph) < p.deadlock)
 
 
-@kernel_in_place
+@kernel_inner
 def _slowest(graph: StationTime) -> float:
     """Return the least speed of the vehicles that cross or lead [m/s], infinity without any."""
     slowest = np.inf
@@ -129,7 +129,7 @@ def _slowest(graph: StationTime) -> float:
     return slowest
 
 
-@kernel_in_place
+@kernel_inner
 def shorten(graph: StationTime, outlook: float) -> None:
     """Remove the vehicles that cross or merge later than an outlook [s]."""
     for k in range(N_INTERVALS):
@@ -144,7 +144,7 @@ def shorten(graph: StationTime, outlook: float) -> None:
         graph.counts[k] = kept
 
 
-@kernel_in_place
+@kernel_inner
 def may_creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether an ego that has stood for long may move on a little: no vehicle is or comes close ahead of it."""
     if memory.stood < p.creep_after or station + CREEP_ROOM / 2 > limit:
@@ -160,7 +160,7 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Memory, 
     return True
 
 
-@kernel_in_place
+@kernel_inner
 def creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether the ego creeps now. Once begun, creeping goes on for `CREEP_TIME`."""
     if memory.creeps <= 0.0 and may_creep(graph, station, limit, memory, bits, p):

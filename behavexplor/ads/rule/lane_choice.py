@@ -11,7 +11,7 @@ from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.traffic import HALF_ALONG, STATION, Neighbors, neighbors
 from behavexplor.ads.rule.weaknesses import R1_5, R2_3, R3_1, R3_2, R3_3, note
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -48,13 +48,13 @@ class EgoState(NamedTuple):
     half_width: float
 
 
-@kernel_in_place
+@kernel_inner
 def change_length(speed: float, p: Numbers) -> float:
     """Return the length of a change to the next lane, along the route [m]."""
     return max(p.change_length, p.change_time * speed)
 
 
-@kernel_in_place
+@kernel_inner
 def beside_lane(path: Path, others: Floats, ego: EgoState, lane: int) -> Neighbors:
     """Find the nearest vehicles in a lane; a vehicle ahead that is beyond the destination does not count."""
     found = neighbors(others, ego.station, lane * path.lane_width, ego.half_length, ego.half_width)
@@ -65,7 +65,7 @@ def beside_lane(path: Path, others: Floats, ego: EgoState, lane: int) -> Neighbo
     return found
 
 
-@kernel_in_place
+@kernel_inner
 def choose_lane(path: Path, others: Floats, ego: EgoState, memory: Memory, bits: Ints, p: Numbers) -> int:
     """Return the lane that the ego should be in: its own, or a lane next to it."""
     lane = int(memory.lane)
@@ -91,7 +91,7 @@ def choose_lane(path: Path, others: Floats, ego: EgoState, memory: Memory, bits:
     return best
 
 
-@kernel_in_place
+@kernel_inner
 def _open(path: Path, ego: EgoState, lane: int, p: Numbers) -> bool:
     """Return whether a lane runs beside the ego for the length of a change to it, without a junction in between."""
     until = ego.station + change_length(ego.speed, p) + ego.half_length
@@ -100,7 +100,7 @@ def _open(path: Path, ego: EgoState, lane: int, p: Numbers) -> bool:
     return has_lane(path, lane, ego.station) and has_lane(path, lane, until)
 
 
-@kernel_in_place
+@kernel_inner
 def _score(path: Path, others: Floats, ego: EgoState, lane: int, p: Numbers) -> float:
     """Return how far the ego gets in a lane within the outlook, less the cost of being beside the route [m]."""
     found = beside_lane(path, others, ego, lane)
@@ -110,14 +110,14 @@ def _score(path: Path, others: Floats, ego: EgoState, lane: int, p: Numbers) -> 
     return free - abs(lane) * p.lane_cost
 
 
-@kernel_in_place
+@kernel_inner
 def _must_return(path: Path, ego: EgoState, lane: int, p: Numbers) -> bool:
     """Return whether the remaining room is needed to return to the route."""
     room = lane_end(path, lane, ego.station) - ego.station
     return room < abs(lane) * (change_length(ego.speed, p) + 2 * ego.speed + p.change_length)
 
 
-@kernel_in_place
+@kernel_inner
 def _delays(path: Path, ego: EgoState, lane: int, leader: Neighbors, bits: Ints, p: Numbers) -> bool:
     """Return whether a needed lane change is put off behind a slow leader (weakness R3-3)."""
     if p.late_change == 0.0 or leader.ahead < 0 or leader.gap_ahead > CLOSE_UP or leader.speed_ahead > SLOW:
@@ -128,7 +128,7 @@ def _delays(path: Path, ego: EgoState, lane: int, leader: Neighbors, bits: Ints,
     return late
 
 
-@kernel_in_place
+@kernel_inner
 def _may_overtake(
     path: Path, others: Floats, ego: EgoState, other: int, leader: Neighbors, memory: Memory, bits: Ints, p: Numbers
 ) -> bool:
@@ -149,7 +149,7 @@ def _may_overtake(
     return fits
 
 
-@kernel_in_place
+@kernel_inner
 def room_to_overtake(path: Path, others: Floats, ego: EgoState, leader: Neighbors, p: Numbers) -> float:
     """Return the distance until the ego is back in front of its leader, at the speed that needs the least room [m]."""
     least = math.inf
@@ -163,7 +163,7 @@ def room_to_overtake(path: Path, others: Floats, ego: EgoState, leader: Neighbor
     return least
 
 
-@kernel_in_place
+@kernel_inner
 def wrong_side(path: Path, others: Floats, ego: EgoState, memory: Memory, bits: Ints, p: Numbers) -> int:
     """Return the oncoming lane if a slow leader is to be overtaken there (weakness R2-3), or else the ego's lane."""
     lane = int(memory.lane)
@@ -183,7 +183,7 @@ def wrong_side(path: Path, others: Floats, ego: EgoState, memory: Memory, bits: 
     return other if fits else lane
 
 
-@kernel_in_place
+@kernel_inner
 def gap_share(path: Path, others: Floats, ego: EgoState, lane: int, p: Numbers) -> float:
     """Return the gap in a lane as a share of the gap needed by distance and closing speed.
 
@@ -195,13 +195,13 @@ def gap_share(path: Path, others: Floats, ego: EgoState, lane: int, p: Numbers) 
     return min(found.gap_ahead / ahead, found.gap_behind / behind)
 
 
-@kernel_in_place
+@kernel_inner
 def cuts_in(ego: EgoState, p: Numbers) -> bool:
     """Return whether the ego would take a gap that is too small (weakness R1-5)."""
     return p.cut_in > 0.0 and ego.speed < p.cut_in_below
 
 
-@kernel_in_place
+@kernel_inner
 def accepts_gap(path: Path, others: Floats, ego: EgoState, lane: int, bits: Ints, p: Numbers) -> bool:
     """Return whether the gaps in a lane are wide enough to begin a change to it."""
     share = gap_share(path, others, ego, lane, p)
@@ -211,7 +211,7 @@ def accepts_gap(path: Path, others: Floats, ego: EgoState, lane: int, bits: Ints
     return share >= 1.0
 
 
-@kernel_in_place
+@kernel_inner
 def lane_wall(path: Path, ego: EgoState, lane: int, p: Numbers) -> float:
     """Return the station that the ego must not pass beside its route's lane, so that it can still return [m]."""
     if lane == 0:

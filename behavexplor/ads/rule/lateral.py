@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 
 class LateralProfile(NamedTuple):
@@ -24,7 +24,7 @@ class LateralProfile(NamedTuple):
     last: float
 
 
-@kernel_in_place
+@kernel_inner
 def offset_at(profile: LateralProfile, station: float) -> float:
     """Return the offset at a station [m]: between start and end, a quintic without curvature at its ends."""
     if station >= profile.start + profile.length:
@@ -37,13 +37,13 @@ def offset_at(profile: LateralProfile, station: float) -> float:
     return profile.first + u * (slope + u * u * (cubic + u * (quartic + u * quintic)))
 
 
-@kernel_in_place
+@kernel_inner
 def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> LateralProfile:
     """Return the profile of a change from the ego's position to another offset."""
     return LateralProfile(station, length, offset, min(max(slope, -0.5), 0.5), target)
 
 
-@kernel_in_place
+@kernel_inner
 def keep_profile(offset: float) -> LateralProfile:
     """Return the profile of an offset that is kept."""
     return LateralProfile(-math.inf, 0.0, offset, 0.0, offset)

@@ -11,7 +11,7 @@ from behavexplor.ads.rule.occlusion import hidden_share
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7
 from behavexplor.data.scene import ACCELERATION, EGO, LENGTH, SPEED, WIDTH, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Motion(NamedTuple):
     turning_width: float
 
 
-@kernel_in_place
+@kernel_inner
 def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
     """Return an NPC's motion as a careful planner predicts it."""
     speed = max(scene[row, SPEED], 0.0)
@@ -54,7 +54,7 @@ def true_motion(path: Path, scene: Floats, row: int, p: Numbers) -> Motion:
     return Motion(speed, scene[row, ACCELERATION], p.acceleration_memory, limit, length, width, length, width)
 
 
-@kernel_in_place
+@kernel_inner
 def _is_hidden(scene: Floats, row: int, p: Numbers) -> bool:
     """Return whether a vehicle counts as hidden (weakness R1-1)."""
     if math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]) < p.occlusion_beyond:
@@ -62,7 +62,7 @@ def _is_hidden(scene: Floats, row: int, p: Numbers) -> bool:
     return bool(hidden_share(scene, row) > 1.0 - p.occlusion)
 
 
-@kernel_in_place
+@kernel_inner
 def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> int:
     """Return the bits of the weaknesses of prediction whose gates an NPC opens: R1-1, R1-2, R1-4 and R1-7."""
     bits = 0
@@ -78,7 +78,7 @@ def weaknesses_of_motion(scene: Floats, row: int, true: Motion, p: Numbers) -> i
     return bits
 
 
-@kernel_in_place
+@kernel_inner
 def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
     """Return an NPC's motion as a planner with weaknesses predicts it.
 

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
 TWO_PI = 2 * math.pi
 
 
-@kernel_in_place
+@kernel_inner
 def hidden_share(scene: Floats, row: int) -> float:
     """Return the hidden share of a vehicle's angular width, as seen from the ego's center.
 
@@ -34,7 +34,7 @@ def hidden_share(scene: Floats, row: int) -> float:
     return most
 
 
-@kernel_in_place
+@kernel_inner
 def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
     """Return the bearing of a vehicle's center from the ego's center [rad], and the range of its corners' bearings.
 

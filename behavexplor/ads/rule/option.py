@@ -32,7 +32,7 @@ from behavexplor.ads.rule.speed import plan_speed
 from behavexplor.ads.rule.speed_search import Nodes, Situation, SpeedPlan
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
 from behavexplor.ads.rule.weaknesses import R1_5, note
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class Option(NamedTuple):
     limit: float
 
 
-@kernel_in_place
+@kernel_inner
 def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lane: int, memory: Memory) -> Option:
     """Plan the speed along a profile, with a wait before a junction that cannot be crossed."""
     path, room, p = world.path, world.room, world.p

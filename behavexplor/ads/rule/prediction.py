@@ -22,7 +22,7 @@ from behavexplor.ads.road.lane_arrays import (
 )
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.data.roadmap import Lane, Route
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -73,7 +73,7 @@ def _distance(lane: Lane, way: Floats) -> float:
     return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
 
 
-@kernel_in_place
+@kernel_inner
 def find_tails(
     graph: LaneGraph, x: float, y: float, heading: float, speed: float, p: Numbers, tails: Ints, stations: Floats
 ) -> tuple[int, int]:
@@ -117,7 +117,7 @@ def find_tails(
     return count + overlooked, overlooked
 
 
-@kernel_in_place
+@kernel_inner
 def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
     """Return whether a vehicle may be driving on a lane, and its station there [m], 0 if it is far from the lane."""
     if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
@@ -129,7 +129,7 @@ def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbe
     return abs((heading - along + math.pi) % TWO_PI - math.pi) <= p.match_heading, station
 
 
-@kernel_in_place
+@kernel_inner
 def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool:
     """Return whether a way on turns off, but the vehicle has not clearly turned yet (weakness R1-8)."""
     lanes, lane, following = graph.lanes, graph.tails[tail, 0], graph.tails[tail, 1]
@@ -139,7 +139,7 @@ def _overlooked(graph: LaneGraph, tail: int, heading: float, p: Numbers) -> bool
     return bool(turned < p.branch_turn)
 
 
-@kernel_in_place
+@kernel_inner
 def traveled(speed: float, acceleration: float, duration: float, limit: float, time: float) -> float:
     """Return the distance [m] driven in a time, if an acceleration goes on for a duration.
 

@@ -16,12 +16,12 @@ from behavexplor.ads.rule.speed_search import (
     stops_inside,
 )
 from behavexplor.ads.rule.station_time import HARD_HIGH, HARD_LOW, INTERVAL, N_INTERVALS
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
 
 
-@kernel_in_place
+@kernel_inner
 def plan_speed(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Plan the speed along the path: drive freely if possible, else search for the best motion, else escape.
 
@@ -41,14 +41,14 @@ def plan_speed(situation: Situation, station: float, speed: float, acceleration:
     return _escape(situation, station, speed)
 
 
-@kernel_in_place
+@kernel_inner
 def free_acceleration(path: Path, station: float, speed: float, p: Numbers) -> float:
     """Return a comfortable acceleration towards the limit, here and after the response time."""
     limit = min(limit_at(path, station), limit_at(path, station + RESPONSE * speed))
     return min(max((limit - speed) / RESPONSE, -p.firm_braking), p.comfortable_acceleration)
 
 
-@kernel_in_place
+@kernel_inner
 def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPlan:
     path, p = situation.path, situation.p
     first = free_acceleration(path, station, speed, p)
@@ -65,7 +65,7 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
     return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True)
 
 
-@kernel_in_place
+@kernel_inner
 def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
     """Return the acceleration with the latest contact, for when no motion is free of contact.
 
@@ -79,7 +79,7 @@ def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
     return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False)
 
 
-@kernel_in_place
+@kernel_inner
 def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
     """Return the first interval in which boxes touch on the path."""
     graph, gap = situation.graph, situation.p.bumper_gap

@@ -24,7 +24,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
-from behavexplor.jit import kernel, kernel_in_place, kernel_inner
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -124,7 +124,7 @@ def empty_nodes() -> Nodes:
     )
 
 
-@kernel_in_place
+@kernel_inner
 def search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Find the cheapest way to each (station, speed) stage by stage, and return the cheapest of the last stage.
 

@@ -16,7 +16,7 @@ from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
 from behavexplor.ads.rule.weaknesses import R1_8, note
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
-from behavexplor.jit import kernel, kernel_in_place
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -85,7 +85,7 @@ class Projection(NamedTuple):
     room: StationTime
 
 
-@kernel_in_place
+@kernel_inner
 def project_obstacles(
     path: Path,
     profile: LateralProfile,
@@ -128,7 +128,7 @@ def project_obstacles(
                 note(room.bits, weak, touched or _occupy(view, way, true)[0] >= 0)
 
 
-@kernel_in_place
+@kernel_inner
 def _ignored(view: Projection, row: int, blind: float) -> bool:
     """Return whether an NPC in the target lane is too far behind to be considered (weaknesses R1-5 and R1-6)."""
     if blind == -math.inf or view.profile.length == 0.0:
@@ -137,7 +137,7 @@ def _ignored(view: Projection, row: int, blind: float) -> bool:
     return bool(abs(aside - view.profile.last) < view.path.lane_width / 2 and at - view.station < blind)
 
 
-@kernel_in_place
+@kernel_inner
 def _steps(motion: Motion, p: Numbers) -> int:
     """Return the number of steps that an NPC can drive along its way within the horizon."""
     horizon = N_INTERVALS * INTERVAL
@@ -146,7 +146,7 @@ def _steps(motion: Motion, p: Numbers) -> int:
     return min(int(farthest / STEP) + 2, N_STEPS)
 
 
-@kernel_in_place
+@kernel_inner
 def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
     """Add one NPC's motion along one way, if it is seen. An NPC that follows the ego on its path is left out.
 
@@ -191,7 +191,7 @@ def _project(view: Projection, way: int, motion: Motion, seen: bool) -> bool:
     return True
 
 
-@kernel_in_place
+@kernel_inner
 def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     """Compute the stretch of the ego's path that an NPC's box occupies at each step of its way.
 
@@ -226,7 +226,7 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
     return first, last
 
 
-@kernel_in_place
+@kernel_inner
 def _stretch(occupied: Floats, first: int, last: int, near: float, far: float) -> tuple[float, float]:
     """Return the stretch of the ego's path that is occupied while an NPC is between two distances along its way."""
     low, high = math.inf, -math.inf

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Neighbors(NamedTuple):
     speed_behind: float
 
 
-@kernel_in_place
+@kernel_inner
 def locate(path: Path, scene: Floats, others: Floats) -> None:
     """Fill the table of other vehicles, shape (n, 6).
 
@@ -63,7 +63,7 @@ def locate(path: Path, scene: Floats, others: Floats) -> None:
         other[ALONG_SPEED] = scene[row, SPEED] * math.cos(turned)
 
 
-@kernel_in_place
+@kernel_inner
 def in_lane(other: Floats, offset: float, half_width: float) -> bool:
     """Return whether a vehicle drives along the lane centered at an offset, or reaches into an ego's way there."""
     if other[STATION] == math.inf or abs(other[TURNED]) > SAME_WAY:
@@ -71,7 +71,7 @@ def in_lane(other: Floats, offset: float, half_width: float) -> bool:
     return bool(abs(other[OFFSET] - offset) < other[HALF_ACROSS] + half_width + TOUCHING)
 
 
-@kernel_in_place
+@kernel_inner
 def neighbors(others: Floats, station: float, offset: float, half_length: float, half_width: float) -> Neighbors:
     """Find the nearest vehicles ahead and behind in the lane at an offset."""
     ahead, behind = NO_VEHICLE, NO_VEHICLE

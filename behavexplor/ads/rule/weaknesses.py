@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.decision_log import bit_of
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import kernel_inner
 
 Ints = NDArray[np.int64]
 
@@ -172,7 +172,7 @@ WEAKNESSES = MappingProxyType(
 (R3_1, R3_2, R3_3, R3_4) = (bit_of(f"R3-{i}") for i in range(1, 5))
 
 
-@kernel_in_place
+@kernel_inner
 def note(bits: Ints, weakness: int, triggered: bool) -> None:
     """Record that a weakness is reached, and whether it is triggered, in bits of shape (2,)."""
     bits[REACHED] |= weakness

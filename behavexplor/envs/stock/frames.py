@@ -15,13 +15,13 @@ from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.regulation import enforce_rules
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import Rules, World
-from behavexplor.jit import kernel_in_place, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-@kernel_in_place
+@kernel_inner
 def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active: Bools, log: FrameLog) -> None:
     """Simulate one decision of many episodes.
 

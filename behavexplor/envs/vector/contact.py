@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ Corners: TypeAlias = tuple[tuple[float, float, float, float], tuple[float, float
 RADIUS: Final = math.hypot(*EGO_SIZE) / 2  # distance of the ego's corners from its center [m]
 
 
-@kernel
+@kernel_inner
 def corners(x: float, y: float, heading: float, length: float, width: float) -> Corners:
     """Compute the corners of an oriented box, in order around it."""
     cos, sin = math.cos(heading), math.sin(heading)
@@ -27,13 +27,13 @@ def corners(x: float, y: float, heading: float, length: float, width: float) -> 
     )
 
 
-@kernel
+@kernel_inner
 def boxes_touch(a: Corners, b: Corners) -> bool:
     """Return whether two boxes touch or overlap, by the separating axis theorem."""
     return not (_sides_separate(a, b) or _sides_separate(b, a))
 
 
-@kernel
+@kernel_inner
 def _sides_separate(box: Corners, other: Corners) -> bool:
     """Return whether a side of the box is an axis that separates it from the other box."""
     xs, ys = box
@@ -46,7 +46,7 @@ def _sides_separate(box: Corners, other: Corners) -> bool:
     return False
 
 
-@kernel
+@kernel_inner
 def _span(box: Corners, ex: float, ey: float) -> tuple[float, float]:
     """Compute the least and greatest projection of the corners on an axis."""
     xs, ys = box
@@ -57,7 +57,7 @@ def _span(box: Corners, ex: float, ey: float) -> tuple[float, float]:
     return low, high
 
 
-@kernel
+@kernel_inner
 def line_distance(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Compute the distance of a point from a segment [m]."""
     dx, dy = bx - ax, by - ay
@@ -67,7 +67,7 @@ def line_distance(x: float, y: float, ax: float, ay: float, bx: float, by: float
     return math.hypot(x - (ax + share * dx), y - (ay + share * dy))
 
 
-@kernel
+@kernel_inner
 def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> bool:
     """Return whether a segment touches or enters a box.
 
@@ -85,7 +85,7 @@ def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> 
     return True
 
 
-@kernel
+@kernel_inner
 def touches_line(lines: Floats, x: float, y: float, heading: float) -> bool:
     """Return whether the ego's box touches any of the lines, shape (lines, 4) [m]."""
     for i in range(len(lines)):

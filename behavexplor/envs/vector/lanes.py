@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane
 from numpy.typing import NDArray
 
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,7 +49,7 @@ def lane_row(lane: AbstractLane) -> list[float]:
     return [0.0, *lane.start, *lane.direction, lane.heading, lane.length, lane.width]
 
 
-@kernel
+@kernel_inner
 def wrap_to_pi(angle: float) -> float:
     """Wrap an angle to [-pi, pi)."""
     if 0 <= angle + math.pi < 2 * math.pi:  # no division, and the same result
@@ -58,7 +58,7 @@ def wrap_to_pi(angle: float) -> float:
     return wrapped
 
 
-@kernel
+@kernel_inner
 def lane_coordinates(lanes: Floats, i: int, x: float, y: float) -> tuple[float, float]:
     """Compute the station and offset of a point on lane i [m]."""
     dx, dy = x - lanes[i, X], y - lanes[i, Y]
@@ -70,7 +70,7 @@ def lane_coordinates(lanes: Floats, i: int, x: float, y: float) -> tuple[float, 
     return station, lanes[i, C] * (lanes[i, A] - math.sqrt(dx * dx + dy * dy))
 
 
-@kernel
+@kernel_inner
 def lane_heading(lanes: Floats, i: int, station: float) -> float:
     """Compute the heading of lane i at a station [rad]."""
     if lanes[i, CURVED] == 0.0:
@@ -79,7 +79,7 @@ def lane_heading(lanes: Floats, i: int, station: float) -> float:
     return float(phase + math.pi / 2 * lanes[i, C])
 
 
-@kernel
+@kernel_inner
 def lane_point(lanes: Floats, i: int, station: float) -> tuple[float, float]:
     """Compute the point of lane i's center line at a station [m]."""
     if lanes[i, CURVED] == 0.0:
@@ -88,14 +88,14 @@ def lane_point(lanes: Floats, i: int, station: float) -> tuple[float, float]:
     return lanes[i, X] + lanes[i, A] * math.cos(phase), lanes[i, Y] + lanes[i, A] * math.sin(phase)
 
 
-@kernel
+@kernel_inner
 def lane_distance(lanes: Floats, i: int, x: float, y: float) -> float:
     """Compute highway-env's distance of a point from lane i: its offset plus its distance beyond either end [m]."""
     station, offset = lane_coordinates(lanes, i, x, y)
     return float(abs(offset) + max(station - lanes[i, LENGTH], 0.0) + max(-station, 0.0))
 
 
-@kernel
+@kernel_inner
 def closest_lane(lanes: Floats, x: float, y: float, heading: float) -> int:
     """Return the lane that is closest in position and heading."""
     best, nearest = 0, math.inf
@@ -110,7 +110,7 @@ def closest_lane(lanes: Floats, x: float, y: float, heading: float) -> int:
     return best
 
 
-@kernel
+@kernel_inner
 def _least_distance(lanes: Floats, i: int, x: float, y: float) -> float:
     """Compute a lower bound of the distance from lane i that is cheap to compute: the offset [m]."""
     dx, dy = x - lanes[i, X], y - lanes[i, Y]
@@ -119,21 +119,21 @@ def _least_distance(lanes: Floats, i: int, x: float, y: float) -> float:
     return float(abs(lanes[i, A] - math.sqrt(dx * dx + dy * dy)))
 
 
-@kernel
+@kernel_inner
 def is_reachable(lanes: Floats, i: int, x: float, y: float) -> bool:
     """Return whether highway-env lets a vehicle change to lane i."""
     station, offset = lane_coordinates(lanes, i, x, y)
     return bool(abs(offset) <= 2 * lanes[i, WIDTH] and 0 <= station < lanes[i, LENGTH] + VEHICLE_LENGTH)
 
 
-@kernel
+@kernel_inner
 def is_after_end(lanes: Floats, i: int, x: float, y: float) -> bool:
     """Return whether a vehicle is so near the end of lane i that highway-env looks for the next lane."""
     station, _ = lane_coordinates(lanes, i, x, y)
     return bool(station > lanes[i, LENGTH] - VEHICLE_LENGTH / 2)
 
 
-@kernel
+@kernel_inner
 def next_lane(network: LaneNetwork, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
     """Find the lane after the given one: along the route if it continues from there, else the closest lane.
 
@@ -167,7 +167,7 @@ def next_lane(network: LaneNetwork, position: int, lane: int, x: float, y: float
     return best, position
 
 
-@kernel
+@kernel_inner
 def _lane_on(
     lanes: Floats, roads: Ints, road: int, number: int, following: int, wanted: int, x: float, y: float
 ) -> tuple[int, float]:

@@ -22,7 +22,7 @@ from behavexplor.envs.vector.lanes import (
     next_lane,
     wrap_to_pi,
 )
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ LENGTH: Final = float(EGO_SIZE[0])  # [m]
 SLOWEST: Final = 1e-2  # least speed in a denominator [m/s]
 
 
-@kernel
+@kernel_inner
 def changed_speed(speeds: Floats, index: int, maneuver: int, speed: float) -> int:
     """Return the index of the target speed after a maneuver: `MDPVehicle.act`."""
     if maneuver not in (FASTER, SLOWER):
@@ -46,7 +46,7 @@ def changed_speed(speeds: Floats, index: int, maneuver: int, speed: float) -> in
     return min(max(index, 0), len(speeds) - 1)
 
 
-@kernel
+@kernel_inner
 def nearest_speed(speeds: Floats, speed: float) -> int:
     """Return the index of the nearest of evenly spaced speeds."""
     last = len(speeds) - 1
@@ -54,7 +54,7 @@ def nearest_speed(speeds: Floats, speed: float) -> int:
     return int(min(max(np.rint(share * last), 0.0), float(last)))
 
 
-@kernel
+@kernel_inner
 def changed_lane(network: LaneNetwork, lane: int, maneuver: int, x: float, y: float) -> int:
     """Return the target lane after a maneuver: `ControlledVehicle.act` with a meta-action."""
     if maneuver not in (LANE_LEFT, LANE_RIGHT):
@@ -65,7 +65,7 @@ def changed_lane(network: LaneNetwork, lane: int, maneuver: int, x: float, y: fl
     return wanted if is_reachable(network.lanes, wanted, x, y) else lane
 
 
-@kernel
+@kernel_inner
 def follow_road(network: LaneNetwork, position: int, lane: int, x: float, y: float) -> tuple[int, int]:
     """Return the target lane and the completed steps of the route: `ControlledVehicle.follow_road`.
 
@@ -76,13 +76,13 @@ def follow_road(network: LaneNetwork, position: int, lane: int, x: float, y: flo
     return lane, position
 
 
-@kernel
+@kernel_inner
 def throttle(target_speed: float, speed: float) -> float:
     """Compute the acceleration toward a target speed [m/s2]: `ControlledVehicle.speed_control`."""
     return KP_SPEED * (target_speed - speed)
 
 
-@kernel
+@kernel_inner
 def steering(lanes: Floats, lane: int, x: float, y: float, heading: float, speed: float) -> float:
     """Compute the steering angle toward a target lane [rad]: `ControlledVehicle.steering_control`."""
     station, offset = lane_coordinates(lanes, lane, x, y)
@@ -96,13 +96,13 @@ def steering(lanes: Floats, lane: int, x: float, y: float, heading: float, speed
     return _clip(math.atan(2 * math.tan(slip)), MAX_STEERING)
 
 
-@kernel
+@kernel_inner
 def _not_zero(speed: float) -> float:
     if abs(speed) > SLOWEST:
         return speed
     return SLOWEST if speed >= 0 else -SLOWEST
 
 
-@kernel
+@kernel_inner
 def _clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)

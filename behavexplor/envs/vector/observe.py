@@ -13,7 +13,7 @@ from behavexplor.envs.kinematics import FEATURES, RELATIVE, Kinematics
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, wrap_to_pi
 from behavexplor.envs.vector.slots import N_NPCS, ROUTE, ROUTE_POSITION, Slots
 from behavexplor.envs.vector.world import World
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -113,7 +113,7 @@ def observe_kinematics(world: World, slots: Slots, view: View, chosen: Bools, ob
                 observations[b, row, j] = _normalized(value, view.low[j], view.width[j], view.clip)
 
 
-@kernel
+@kernel_inner
 def _sort_seen(
     lanes: Floats, ego: Floats, npc: Floats, b: int, n_npcs: int, view: View, order: Ints, gaps: Floats
 ) -> int:
@@ -136,7 +136,7 @@ def _sort_seen(
     return n
 
 
-@kernel
+@kernel_inner
 def _normalized(value: float, low: float, width: float, clip: bool) -> float:
     """Map a value from its range to [-1, 1], if it has a range."""
     if width == 0.0:
@@ -145,7 +145,7 @@ def _normalized(value: float, low: float, width: float, clip: bool) -> float:
     return min(max(value, -1.0), 1.0) if clip else value
 
 
-@kernel
+@kernel_inner
 def _value(
     lanes: Floats, feature: int, x: float, y: float, heading: float, speed: float, end_x: float, end_y: float
 ) -> float:
@@ -166,7 +166,7 @@ def _value(
     return _lane_offset(lanes, feature, x, y, heading)
 
 
-@kernel
+@kernel_inner
 def _lane_offset(lanes: Floats, feature: int, x: float, y: float, heading: float) -> float:
     """Compute the station [m], offset [m] or angle [rad] of a vehicle in its closest lane."""
     lane = closest_lane(lanes, x, y, heading)

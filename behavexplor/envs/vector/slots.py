@@ -30,7 +30,7 @@ from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.vector.contact import touches_line
 from behavexplor.envs.vector.lanes import closest_lane
 from behavexplor.envs.vector.world import World
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -138,7 +138,7 @@ def begin_episode(world: World, slots: Slots, b: int, routes: Ints, sizes: Float
     row[X], row[Y], row[HEADING], row[VX], row[VY] = ego[X], ego[Y], ego[HEADING], 0.0, 0.0
 
 
-@kernel
+@kernel_inner
 def move_npcs(
     routes: Routes, numbers: Ints, npc: Floats, npc_numbers: Ints, phases: Floats, b: int, time: float
 ) -> None:

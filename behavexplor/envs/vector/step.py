@@ -47,7 +47,7 @@ from behavexplor.envs.vector.world import (
     Rules,
     World,
 )
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -58,7 +58,7 @@ COLLISION, ARRIVED, PASSED, STANDSTILL, TIMEOUT = (
 )
 LENGTH: Final = float(EGO_SIZE[0])  # [m]
 
-_is_rear_end = kernel(is_rear_end)
+_is_rear_end = kernel_inner(is_rear_end)
 
 
 @kernel
@@ -120,7 +120,7 @@ def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
         slots.outcome[b, REAR_END] = 1.0 if rear_end else 0.0
 
 
-@kernel
+@kernel_inner
 def _within_speeds(rules: Rules, speed: float, acceleration: float) -> float:
     """Limit the acceleration to keep the ego within its speed range: `Vehicle.clip_actions`."""
     if speed > rules.max_speed:
@@ -130,7 +130,7 @@ def _within_speeds(rules: Rules, speed: float, acceleration: float) -> float:
     return acceleration
 
 
-@kernel
+@kernel_inner
 def _bicycle(
     rules: Rules, x: float, y: float, heading: float, speed: float, acceleration: float, slip: float
 ) -> tuple[float, float, float, float]:
@@ -142,7 +142,7 @@ def _bicycle(
     return x, y, heading, speed + acceleration * dt
 
 
-@kernel
+@kernel_inner
 def _find_end(rules: Rules, frame: int, standing: int, x: float, y: float) -> int:
     """Return the end of the episode other than a collision, or `RUNNING`: `DrivingEnv._find_end`."""
     dx, dy = x - rules.destination_x, y - rules.destination_y
@@ -155,7 +155,7 @@ def _find_end(rules: Rules, frame: int, standing: int, x: float, y: float) -> in
     return TIMEOUT if frame >= rules.max_frames else RUNNING
 
 
-@kernel
+@kernel_inner
 def _touched(npc: Floats, size: Floats, b: int, first: int, n_npcs: int, x: float, y: float, heading: float) -> int:
     """Return the first NPC of slot b, from `first` on, that the ego's box touches, or -1 if there is none."""
     for i in range(first, n_npcs):
@@ -170,7 +170,7 @@ def _touched(npc: Floats, size: Floats, b: int, first: int, n_npcs: int, x: floa
     return -1
 
 
-@kernel
+@kernel_inner
 def _appraise(
     rules: Rules, ego_lanes: Floats, record: Floats, outcome: Floats, b: int, decided: int, frame: int
 ) -> None:
@@ -182,7 +182,7 @@ def _appraise(
     outcome[b, PROGRESS] = _station(ego_lanes, record[b, frame, X], record[b, frame, Y]) - start
 
 
-@kernel
+@kernel_inner
 def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b: int, n_npcs: int) -> bool:
     """Return whether every NPC that touches the ego ran into its back."""
     x, y, heading = record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING]
@@ -197,7 +197,7 @@ def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b
     return True
 
 
-@kernel
+@kernel_inner
 def _station(lanes: Floats, x: float, y: float) -> float:
     """Compute the station of a point on the ego's route [m]: `behavexplor.data.roadmap.Route.project`."""
     best, nearest = 0.0, math.inf

@@ -6,6 +6,9 @@ import pytest
 from behavexplor.ads.learned.observation import HORIZON, N_CONFLICT, N_CONFLICTS, N_EGO, N_FEATURES, N_LANE, RANGE, see
 from behavexplor.ads.learned.route_table import END, IN, OUT, START
 from tests.ads.learned.scenes import COURSES, LOGICALS, ego, on_route
+from tests.kernel_calls import called_alone
+
+see = called_alone(see)
 
 LIMIT = 11.176
 

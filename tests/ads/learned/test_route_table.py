@@ -10,6 +10,10 @@ from behavexplor.ads.road.path import SPACING, row_at
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from tests.ads.learned.scenes import COURSES, LOGICALS
+from tests.kernel_calls import called_alone
+
+lanes_beside = called_alone(lanes_beside)
+row_at = called_alone(row_at)
 
 EVERYWHERE = pytest.mark.parametrize("name", COURSES)
 

@@ -18,6 +18,10 @@ from behavexplor.ads.learned.tracker import (
 )
 from behavexplor.ads.scene_io import STEERING_RANGE
 from tests.ads.learned.scenes import COURSES, LOGICALS, ego
+from tests.kernel_calls import called_alone
+
+begin = called_alone(begin)
+track = called_alone(track)
 
 BRAKE, COAST, GO = -6.0, 0.0, 2.0  # accelerations
 

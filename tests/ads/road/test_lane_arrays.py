@@ -3,6 +3,11 @@ import pytest
 
 from behavexplor.ads.road.lane_arrays import lane_array, offset_on_lane, pose_on_lane, project_on_lane
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from tests.kernel_calls import called_alone
+
+offset_on_lane = called_alone(offset_on_lane)
+pose_on_lane = called_alone(pose_on_lane)
+project_on_lane = called_alone(project_on_lane)
 
 LOGICAL = IntersectionStraightEnv.logical
 

@@ -13,6 +13,16 @@ from behavexplor.ads.road.path import (
     project_on_path,
 )
 from behavexplor.envs.roads import crossing, straight_road
+from tests.kernel_calls import called_alone
+
+has_lane = called_alone(has_lane)
+lane_end = called_alone(lane_end)
+locate_on_path = called_alone(locate_on_path)
+oncoming_lane = called_alone(oncoming_lane)
+point_beside = called_alone(point_beside)
+pose_on_path = called_alone(pose_on_path)
+project_on_lane = called_alone(project_on_lane)
+project_on_path = called_alone(project_on_path)
 
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)
 ROADS = {f"lane {i + 1}": straight_road(i, i, 10, 230) for i in range(4)}

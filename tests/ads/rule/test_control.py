@@ -13,6 +13,15 @@ from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
+from tests.kernel_calls import called_alone
+
+accelerate = called_alone(accelerate)
+change_profile = called_alone(change_profile)
+keep_profile = called_alone(keep_profile)
+offset_at = called_alone(offset_at)
+point_beside = called_alone(point_beside)
+pose_on_path = called_alone(pose_on_path)
+steer = called_alone(steer)
 
 AT_ONCE = Parameters(steering_rate=1e3)  # no limit of the change
 PATHS = {

@@ -26,6 +26,13 @@ from behavexplor.ads.rule.station_time import N_INTERVALS
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
+from tests.kernel_calls import called_alone
+
+_remember = called_alone(_remember)
+can_wait = called_alone(can_wait)
+decision_code = called_alone(decision_code)
+passed = called_alone(passed)
+waiting_station = called_alone(waiting_station)
 
 P = numbers(Parameters())
 ROAD, JUNCTION = (ego_path(roadmap) for roadmap in (straight_road(2, 2, 10, 230), crossing("left", 10, 60)))

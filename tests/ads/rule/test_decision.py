@@ -8,6 +8,12 @@ from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, REACHED, TRIGGERED
 from tests.ads.rule.world import memory_with
+from tests.kernel_calls import called_alone
+
+creep = called_alone(creep)
+restarts_hastily = called_alone(restarts_hastily)
+shorten = called_alone(shorten)
+waits_for_ever = called_alone(waits_for_ever)
 
 
 def graph(low=40.0, high=50.0, speed=0.3, leads=0.0):

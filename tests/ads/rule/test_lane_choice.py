@@ -19,6 +19,14 @@ from behavexplor.ads.rule.traffic import locate
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
+from tests.kernel_calls import called_alone
+
+beside_lane = called_alone(beside_lane)
+change_length = called_alone(change_length)
+choose_lane = called_alone(choose_lane)
+lane_wall = called_alone(lane_wall)
+locate = called_alone(locate)
+room_to_overtake = called_alone(room_to_overtake)
 
 P = numbers(Parameters())
 ROAD, LEFTMOST = straight_road(2, 2, 10, 230), straight_road(0, 0, 10, 230)

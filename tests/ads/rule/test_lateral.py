@@ -2,6 +2,11 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.lateral import LateralProfile, change_profile, keep_profile, offset_at
+from tests.kernel_calls import called_alone
+
+change_profile = called_alone(change_profile)
+keep_profile = called_alone(keep_profile)
+offset_at = called_alone(offset_at)
 
 CHANGES = [(0.0, 3.5, 0.0, 20.0), (3.5, 0.0, 0.0, 15.0), (1.2, 0.0, 0.25, 18.0), (-7.0, -3.5, -0.1, 40.0)]
 

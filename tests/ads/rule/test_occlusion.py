@@ -2,6 +2,9 @@ import pytest
 
 from behavexplor.ads.rule.occlusion import hidden_share
 from tests.ads.rule.world import scene
+from tests.kernel_calls import called_alone
+
+hidden_share = called_alone(hidden_share)
 
 EGO = (0.0, 0.0, 0.0, 5.0)
 

@@ -21,6 +21,10 @@ from behavexplor.ads.rule.speed_search import (
 )
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.envs.roads import crossing, straight_road
+from tests.kernel_calls import called_alone
+
+limit_at = called_alone(limit_at)
+search = called_alone(search)
 
 P = numbers(Parameters())
 PATHS = {"road": ego_path(straight_road(2, 2, 10, 230)), "turn": ego_path(crossing("left", 10, 60))}

@@ -22,6 +22,14 @@ from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
+from tests.kernel_calls import called_alone
+
+box_on_path = called_alone(box_on_path)
+change_profile = called_alone(change_profile)
+keep_profile = called_alone(keep_profile)
+pose_on_path = called_alone(pose_on_path)
+project_obstacles = called_alone(project_obstacles)
+project_on_path = called_alone(project_on_path)
 
 KEEP = keep_profile(0.0)
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)

@@ -8,6 +8,10 @@ from behavexplor.ads.rule.traffic import ALONG_SPEED, NO_VEHICLE, OFFSET, STATIO
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
+from tests.kernel_calls import called_alone
+
+locate = called_alone(locate)
+neighbors = called_alone(neighbors)
 
 ROAD = straight_road(2, 2, 10, 230)
 LEFT = crossing("left", 10, 60)

@@ -29,6 +29,19 @@ from behavexplor.ads.rule.weaknesses import (
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
+from tests.kernel_calls import called_alone
+
+accepts_gap = called_alone(accepts_gap)
+change_profile = called_alone(change_profile)
+choose_lane = called_alone(choose_lane)
+false_motion = called_alone(false_motion)
+gap_share = called_alone(gap_share)
+keep_profile = called_alone(keep_profile)
+locate = called_alone(locate)
+steer = called_alone(steer)
+true_motion = called_alone(true_motion)
+weaknesses_of_motion = called_alone(weaknesses_of_motion)
+wrong_side = called_alone(wrong_side)
 
 ROAD, CHANGE = straight_road(2, 2, 10, 230), straight_road(1, 3, 10, 230)
 STRAIGHT, LEFT = crossing("straight", 20, 60), crossing("left", 10, 60)

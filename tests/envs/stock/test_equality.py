@@ -11,6 +11,9 @@ from behavexplor.envs.stock.frames import step
 from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
 from tests.envs.stock.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make
+from tests.kernel_calls import called_alone
+
+step = called_alone(step)
 
 SHORT = {"highway-v0": {"decisions": 2}}  # its decisions take ten times as long in highway-env
 VEHICLES = [f"highway_env.vehicle.behavior.{name}Vehicle" for name in ("IDM", "Linear", "Aggressive", "Defensive")]
