@@ -173,6 +173,7 @@ def test_tables_are_put_into_their_places(tmp_path):
         ("paper", "paper"),
         ("windows", "windows"),
         ("trained-policies", "policies"),
+        ("default-planner", "default-planner"),
         ("stock-default", "docs/data/policies/stock-default.yaml"),
         ("stock-wide", "docs/data/policies/stock-wide.yaml"),
     ],
