@@ -1,4 +1,4 @@
-"""Calls from Python of functions that the package compiles only as parts of other kernels."""
+"""Calls of functions that the package compiles only as parts of kernels, so that tests can call them one by one."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,5 +7,5 @@ from behavexplor.jit import kernel_in_place
 
 
 def called_alone(part: Any) -> Callable[..., Any]:
-    """Return a kernel that is such a part alone, see `behavexplor.jit.kernel_inner`. Its machine code is cached."""
+    """Compile a part as a kernel of its own, see `behavexplor.jit.kernel_inner`. The machine code is cached."""
     return kernel_in_place(part.py_func)
