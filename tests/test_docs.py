@@ -175,6 +175,7 @@ def test_tables_are_put_into_their_places(tmp_path):
         ("trained-policies", "policies"),
         ("default-planner", "default-planner"),
         ("encounters-options", "docs/data/encounters-options.yaml"),
+        ("encounters-changing-share", "docs/data/encounters-changing-share.yaml"),
         ("stock-default", "docs/data/policies/stock-default.yaml"),
         ("stock-wide", "docs/data/policies/stock-wide.yaml"),
     ],
