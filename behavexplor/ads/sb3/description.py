@@ -36,7 +36,7 @@ class Description:
         simulation_frequency: simulation steps per second [Hz]; None for the environment's own.
         env: name of the environment in which the policy was trained; None if unknown.
         config: highway-env's configuration in training; None if unknown.
-        frame_stack: number of observations stacked along the last axis.
+        frame_stack: number of observations stacked by `VecFrameStack`.
         decision: rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None
             for a policy with observations and actions of highway-env.
         statistics: file of `VecNormalize`; None if observations were not normalized.

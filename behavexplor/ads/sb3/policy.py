@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.preprocessing import is_image_space
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
 from behavexplor.ads.sb3.arrays import as_arrays
@@ -19,7 +20,7 @@ from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.drawing_actions import noise_of
 from behavexplor.ads.sb3.normalization import Moments, Statistics
 from behavexplor.data.observations import Observation, mapped
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError, brief, sentence
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +103,7 @@ class SB3Policy:
         if not self._scales_stack:
             prepared = self.prepare(prepared)
         if self._stack > 1:
-            prepared = frames = _stacked(prepared, frames, episode_start, self._stack)
+            prepared = frames = _stacked(prepared, frames, episode_start, self._stack, self.observation_space)
         if self._scales_stack:
             prepared = self.prepare(prepared)
         actions, memory = ask_in_blocks(self._network, self._rows, prepared, memory, episode_start, noise)
@@ -181,30 +182,57 @@ def _shapes(statistics: Statistics, space: gymnasium.Space[Any]) -> tuple[Any, A
 
 
 def _unstacked(space: gymnasium.Space[Any], stack: int) -> gymnasium.Space[Any]:
-    """Return the space of one of the frames that are stacked along the last axis."""
-    if stack > 1 and isinstance(space, gymnasium.spaces.Dict):
+    """Return the space of one of the frames that are stacked.
+
+    Raises:
+        InputError: if a space of stacked frames cannot be this one.
+    """
+    if stack == 1:
+        return space
+    if isinstance(space, gymnasium.spaces.Dict):
         parts = [(key, _unstacked(part, stack)) for key, part in space.spaces.items()]
         return gymnasium.spaces.Dict(OrderedDict(parts))
-    if stack == 1 or not isinstance(space, gymnasium.spaces.Box):
-        return space
-    width = space.shape[-1]
+    if not isinstance(space, gymnasium.spaces.Box) or not space.shape:
+        raise InputError(f"The policy's observations are of {brief(space)}, which cannot be {stack} stacked frames")
+    axis = _axis(space)
+    width = space.shape[axis]
     if width % stack:
-        raise InputError(f"The policy's observations have {width} columns, which cannot be {stack} stacked frames")
-    return gymnasium.spaces.Box(
-        space.low[..., -width // stack :], space.high[..., -width // stack :], dtype=space.dtype.type
-    )
+        counted = "channels" if axis == 0 and len(space.shape) == 3 else "columns"
+        raise InputError(f"The policy's observations have {width} {counted}, which cannot be {stack} stacked frames")
+    newest = range(width - width // stack, width)
+    low, high = space.low.take(newest, axis), space.high.take(newest, axis)
+    return gymnasium.spaces.Box(low, high, dtype=space.dtype.type)
 
 
-def _stacked(newest: Any, frames: Any, episode_start: NDArray[np.bool_] | None, stack: int) -> Any:
-    """Stack the last frames along the last axis, with the newest at its end and zeros before the episode."""
-    if isinstance(newest, Mapping):
-        before = frames or {}
-        return {key: _stacked(array, before.get(key), episode_start, stack) for key, array in newest.items()}
-    width = newest.shape[-1]
-    if frames is None:
-        frames = np.zeros((*newest.shape[:-1], stack * width), dtype=newest.dtype)
-    frames = np.roll(frames, -width, axis=-1)
+def _axis(space: gymnasium.Space[Any]) -> int:
+    """Return the axis along which `VecFrameStack` stacks: that of an image's channels if it is the first, or the last.
+
+    Args:
+        space: space of a frame, or of stacked frames.
+    """
+    shape = space.shape or ()
+    return 0 if is_image_space(space) and np.argmin(shape) == 0 else len(shape) - 1
+
+
+def _stacked(
+    newest: Any, before: Any, episode_start: NDArray[np.bool_] | None, stack: int, space: gymnasium.Space[Any]
+) -> Any:
+    """Stack the last frames, with the newest at the end and zeros before the episode.
+
+    Args:
+        newest: the newest frame of each row.
+        before: the frames stacked so far; None at first.
+        episode_start: True for each row that begins an episode, shape (B,); None if no row does.
+        stack: number of frames.
+        space: space of a frame.
+    """
+    if isinstance(space, gymnasium.spaces.Dict):
+        past = before or dict.fromkeys(space)
+        return {key: _stacked(newest[key], past[key], episode_start, stack, part) for key, part in space.items()}
+    axis = 1 + _axis(space)
+    if before is None:
+        before = np.concatenate([np.zeros_like(newest)] * stack, axis)
+    kept = before.take(range(newest.shape[axis], before.shape[axis]), axis)
     if episode_start is not None:
-        frames[np.asarray(episode_start, dtype=bool)] = 0
-    frames[..., -width:] = newest
-    return frames
+        kept[np.asarray(episode_start, dtype=bool)] = 0
+    return np.concatenate([kept, newest], axis)

@@ -286,6 +286,37 @@ def test_stacked_frames_are_scaled_as_in_training(tmp_path):
         start = np.zeros(1, dtype=bool)
 
 
+@pytest.mark.parametrize(
+    ("space", "axis"),
+    [
+        (gymnasium.spaces.Box(0, 255, (4, 40, 36), np.uint8), 1),
+        (gymnasium.spaces.Box(-3.0, 9.0, (4, 6, 5), np.float32), 3),
+    ],
+    ids=["channels of an image", "columns of a grid"],
+)
+def test_frames_are_stacked_as_in_training(space, axis, tmp_path):
+    env = VecFrameStack(DummyVecEnv([lambda: Still(space)] * 2), 3)
+    seen = env.reset()
+    make_model("PPO", env.observation_space).save(tmp_path / "model")
+    (tmp_path / "model.yaml").write_text("frame_stack: 3\n")
+    policy = load_policy(tmp_path / "model.zip")
+    assert policy.observation_space == space
+    state, start = None, np.ones(2, dtype=bool)
+    for _ in range(5):
+        newest = np.split(seen, 3, axis)[-1]
+        _, state = policy.predict(newest, state, start)
+        np.testing.assert_array_equal(state[0], seen)
+        seen, *_ = env.step(np.zeros((2, 2)))
+        start = np.zeros(2, dtype=bool)
+
+
+def test_what_cannot_be_stacked_frames_is_refused(tmp_path):
+    make_model("PPO", gymnasium.spaces.Discrete(6)).save(tmp_path / "model")
+    (tmp_path / "model.yaml").write_text("frame_stack: 3\n")
+    with pytest.raises(InputError, match=r"observations are of Discrete\(6\), which cannot be 3 stacked frames"):
+        load_policy(tmp_path / "model.zip")
+
+
 def test_statistics_are_those_of_vecnormalize(tmp_path):
     env, _ = normalized(1)
     env.save(str(tmp_path / "saved.pkl"))
