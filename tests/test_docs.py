@@ -174,6 +174,7 @@ def test_tables_are_put_into_their_places(tmp_path):
         ("windows", "windows"),
         ("trained-policies", "policies"),
         ("default-planner", "default-planner"),
+        ("deviations", "docs/data/deviations.yaml"),
         ("encounters-options", "docs/data/encounters-options.yaml"),
         ("encounters-changing-share", "docs/data/encounters-changing-share.yaml"),
         ("stock-default", "docs/data/policies/stock-default.yaml"),
