@@ -110,7 +110,7 @@ def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDrive
             meta-actions, such as "SLOWER"; `DEFAULT` if empty.
 
     Raises:
-        InputError: if the variant is neither one or two such numbers nor a meta-action that is possible.
+        InputError: if the variant is neither one or two such numbers nor a meta-action, or is not possible there.
     """
     if variant in MANEUVERS and roadmap is not None:
         raise InputError(
@@ -119,6 +119,11 @@ def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDrive
         )
     if variant in MANEUVERS:
         return ConstantManeuver(variant)
+    if roadmap is None:
+        raise InputError(
+            f"In an environment of highway-env, the constant driver repeats a meta-action, such as "
+            f"constant:SLOWER: name one of {', '.join(MANEUVERS)}"
+        )
     number = r"[-+]?\d*\.?\d+"
     if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
         raise InputError(

@@ -40,6 +40,12 @@ def test_wrong_variants_are_refused(name):
         load_ads(name, ROADMAP)
 
 
+@pytest.mark.parametrize("name", ["constant", "constant:1", "constant:fast"])
+def test_in_a_stock_environment_the_meta_actions_are_named(name):
+    with pytest.raises(InputError, match=r"such as constant:SLOWER: name one of .*FASTER"):
+        load_ads(name, None)
+
+
 @pytest.mark.parametrize(
     ("speed", "gap", "leader_speed", "expected"),
     [
