@@ -121,8 +121,8 @@ def constant_driver(roadmap: RoadMap | None, variant: str = "") -> ConstantDrive
         return ConstantManeuver(variant)
     if roadmap is None:
         raise InputError(
-            f"In an environment of highway-env, the constant driver repeats a meta-action, such as "
-            f"constant:SLOWER: name one of {', '.join(MANEUVERS)}"
+            "In an environment of highway-env, the constant driver repeats a meta-action, such as constant:SLOWER: "
+            f"name one of {', '.join(MANEUVERS)}"
         )
     number = r"[-+]?\d*\.?\d+"
     if not re.fullmatch(rf"{number}(,{number})?", variant or DEFAULT):
