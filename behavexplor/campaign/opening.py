@@ -74,7 +74,7 @@ def opened(
     """
     begun = time.monotonic()
     check_revision(stored_config(folder) if resume else config, str(folder))
-    recipe = evaluator_recipe(config.target, -(-config.batch // max(workers, 1)))
+    recipe = evaluator_recipe(config.target, config.batch)
     if workers and not cluster and driver is None:
         share_imports(recipe)
     logical = None if is_stock(config.env) else logical_scenario(config.env)

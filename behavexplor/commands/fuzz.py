@@ -1,5 +1,6 @@
 """`behavexplor fuzz`: search for failures of a driving system."""
 
+import gc
 import shlex
 import signal
 import sqlite3
@@ -169,6 +170,7 @@ def _checked(code: int, folder: Path, checks: Checks, file: Path | None) -> int:
 
 
 def _run(campaign: Campaign, store: Store, display: Display) -> int:
+    gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     code, failure = OK, None
     with display:
         try:

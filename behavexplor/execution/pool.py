@@ -21,6 +21,7 @@ from threading import Lock, Thread
 from typing import Any, Final
 
 from behavexplor.errors import InputError
+from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.messages import READY, SUSPECT, Request, settle, split_key
 from behavexplor.execution.rollout import ADSError
@@ -73,11 +74,15 @@ class _Task:
 class WorkerPool(Executor):
     """Calls functions of a service in worker processes. A process that dies or hangs is replaced.
 
-    One thread supervises all workers. When a batch fails, it is unknown which of its calls is to blame. Each call is
+    One thread supervises all workers. The first one compiles the kernels for all. Others start when there are more
+    calls than the running ones can process at a time, or when the caller waits for results most of the time. For a
+    service that is fast compared with its caller, a single worker with a full batch is faster than several.
+
+    When a batch fails, it is unknown which of its calls is to blame. Each call is
     then made again alone, so that its outcome does not depend on the other calls.
 
     Args:
-        n_workers: number of processes.
+        n_workers: greatest number of processes.
         recipe: recipe of the service of each process.
         time_limit: time limit [s]. It applies to a call that has a worker to itself, and to the time between two
             answers of a worker that processes a batch. A process that exceeds it is killed.
@@ -92,6 +97,7 @@ class WorkerPool(Executor):
         self._serving = (recipe, memory_limit, self._folder.name)
         self._time_limit = time_limit
         self._keys = count()
+        self._demand = Demand()
         self._lock = Lock()  # guards the following fields, which submitting threads change
         self._waiting: deque[_Task] = deque()
         self._closed = self._aborted = self._stopped = False
@@ -103,14 +109,15 @@ class WorkerPool(Executor):
 
     def submit(self, function: str, data: bytes) -> "Future[bytes]":
         """Call a function as soon as a worker is free; see `Executor.submit`."""
-        future: Future[bytes] = Future()
+        alone = function != self._recipe.batched
+        future: Future[bytes] = Future() if alone else AwaitedFuture(self._demand)
         with self._lock:
             if self._failed:
                 future.set_exception(WorkerDiedError(self._failed))
                 return future
             if self._closed:
                 raise RuntimeError("the workers have been shut down")
-            self._waiting.append(_Task(future, function, data, alone=function != self._recipe.batched))
+            self._waiting.append(_Task(future, function, data, alone))
         self._interrupt()
         return future
 
@@ -145,6 +152,7 @@ class WorkerPool(Executor):
         """Hand out calls and listen to the workers until all calls are done."""
         try:
             while not self._aborted and not self._is_done():
+                self._start_others()
                 self._hand_out()
                 busy = {worker.connection: worker for worker in self._workers if worker and worker.is_listened_to}
                 deadline = min((worker.deadline for worker in busy.values()), default=None)
@@ -189,15 +197,21 @@ class WorkerPool(Executor):
             worker.ask(next(self._keys), task, self._time_limit)
 
     def _free_place(self, *, alone: bool) -> int | None:
-        """Return the index of the least busy worker that can take one more call; None if all are busy."""
+        """Return the place of the least busy worker that can take one more call; None if all are busy.
+
+        A place without a worker is free if the call needs a worker to itself, or if there is no worker at all.
+        """
         loads = [len(worker.tasks) if worker else 0 for worker in self._workers]
-        share = -(-(sum(loads) + len(self._waiting)) // len(loads))
-        free = []
-        for place, worker in enumerate(self._workers):
-            in_company = worker is not None and not alone and not worker.is_alone
-            if loads[place] == 0 or (worker and in_company and loads[place] < min(worker.capacity, share)):
-                free.append(place)
-        return min(free, key=lambda place: loads[place], default=None)
+        started = [worker is not None for worker in self._workers]
+        ready = [worker is not None and worker.is_ready for worker in self._workers]
+        if alone or not any(started):
+            free = [place for place, load in enumerate(loads) if load == 0]
+        else:
+            usable = ready if any(ready) else started
+            share = -(-(sum(loads) + len(self._waiting)) // sum(usable))
+            rooms = [worker.has_room(share) if worker else False for worker in self._workers]
+            free = [place for place in range(len(loads)) if usable[place] and rooms[place]]
+        return min(free, key=lambda place: (loads[place], not ready[place], not started[place]), default=None)
 
     def _listen(self, worker: "_Worker", *, answered: bool) -> None:
         """Process a worker's answer, its death or its timeout."""
@@ -215,7 +229,7 @@ class WorkerPool(Executor):
         tag, content = answer[:1], answer[1:]
         if tag == READY:
             worker.capacity, worker.is_ready = int(content), True
-            self._start_others()
+            self._demand.measure_anew()
         elif not worker.is_ready:
             _fail(worker.tasks.values(), InputError(content.decode()))
             self._remove(worker)
@@ -227,9 +241,19 @@ class WorkerPool(Executor):
                 self._remove(worker)
 
     def _start_others(self) -> None:
-        """Start the other workers, after the first one has compiled the kernels for all."""
-        if not self._recipe.long_calls:
-            self._workers = [worker or _Worker(*self._serving) for worker in self._workers]
+        """Start other workers if there is work for them, once the first one has compiled the kernels for all."""
+        workers = [worker for worker in self._workers if worker]
+        ready = [worker for worker in workers if worker.is_ready]
+        if self._recipe.long_calls or not ready or len(workers) == len(self._workers):
+            return
+        calls = len(self._waiting) + sum(len(worker.tasks) for worker in workers)
+        wanted = -(-calls // max(worker.capacity for worker in ready))
+        if self._demand.is_high and len(ready) == len(workers):
+            wanted = max(wanted, 2 * len(workers))
+        for place, worker in enumerate(self._workers):
+            if worker is None and len(workers) < wanted:
+                self._workers[place] = started = _Worker(*self._serving)
+                workers.append(started)
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
         """Remove a worker that has died or hangs, and repeat or fail its calls."""
@@ -295,6 +319,10 @@ class _Worker:
     def is_alone(self) -> bool:
         """True if the worker processes a call that needs it to itself."""
         return any(task.alone for task in self.tasks.values())
+
+    def has_room(self, share: int) -> bool:
+        """Return whether the worker can take one more call beside others, up to a share of all calls."""
+        return not self.is_alone and len(self.tasks) < min(self.capacity, share)
 
     def ask(self, key: int, task: _Task, time_limit: float) -> None:
         """Send a call to the worker."""

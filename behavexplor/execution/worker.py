@@ -1,5 +1,6 @@
 """The child's side of the process boundary: receive requests, call the service alone or in batches, and answer."""
 
+import gc
 import logging
 import math
 import multiprocessing
@@ -66,6 +67,7 @@ def serve(
         Thread(target=_end_with_supervisor, daemon=True).start()
         service.begin()
         threadpool_limits(1)  # includes libraries that the ADS has loaded
+        gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     except InputError as error:
         _send(connection, 0, error_answer(error))
         return

@@ -184,6 +184,35 @@ class Adder(Service):
         self.batch = Adding(file)
 
 
+class Slow(Service):
+    """Sleeps, up to four calls at a time, and leaves a file for each of its processes."""
+
+    capacity = 4
+
+    def __init__(self, folder):
+        self.folder, self.batch, self.functions, self.ends = folder, self, {"slow": sleeping}, {}
+
+    def begin(self, key=None, request=None):
+        if key is None:  # the service begins, and not a call
+            Path(self.folder, str(os.getpid())).touch()
+        else:
+            self.ends[key] = time.monotonic() + float(request)
+
+    def advance(self):
+        time.sleep(0.005)
+        done = [key for key, end in self.ends.items() if end <= time.monotonic()]
+        return [(key, self.ends.pop(key) and b"awake") for key in done]
+
+
+@pytest.fixture
+def pool_of_slow(tmp_path):
+    made = Recipe(f"{__name__}:Slow", {"folder": str(tmp_path)}, batched="slow", preload=PRELOAD)
+    pool = WorkerPool(3, made, time_limit=5.0, memory_limit=8.0)
+    pool.submit("slow", b"0").result()
+    yield pool, tmp_path
+    pool.shutdown(wait=False)
+
+
 @pytest.fixture
 def adders(tmp_path):
     file = str(tmp_path / "together")
@@ -195,10 +224,35 @@ def adders(tmp_path):
 
 def test_calls_are_worked_on_together_as_many_as_there_is_room_for(adders):
     pool, file = adders
-    futures = [pool.submit("count_down", b"%d" % number) for number in [3000, *range(1, 40), 2000]]
+    futures = [pool.submit("count_down", b"%d" % number) for number in [30_000, *range(1, 40), 20_000]]
     assert [future.result() for future in futures] == [b"0"] * 41
     sizes = {int(line) for line in file.read_text().split()}
     assert max(sizes) == 3
+
+
+def test_one_worker_does_it_all_while_its_caller_has_other_things_to_do(pool_of_slow):
+    pool, folder = pool_of_slow
+    for _ in range(20):
+        future = pool.submit("slow", b"0.01")
+        time.sleep(0.1)
+        future.result()
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_another_worker_starts_if_the_caller_does_nothing_but_wait(pool_of_slow):
+    pool, folder = pool_of_slow
+    end = time.monotonic() + 60.0
+    while len(list(folder.iterdir())) == 1 and time.monotonic() < end:
+        pool.submit("slow", b"0.05").result()
+    assert len(list(folder.iterdir())) == 2
+
+
+def test_other_workers_start_at_once_if_there_are_more_calls_than_one_can_take(pool_of_slow):
+    pool, folder = pool_of_slow
+    futures = [pool.submit("slow", b"0.5") for _ in range(9)]
+    for future in futures:
+        future.result()
+    assert len(list(folder.iterdir())) == 3
 
 
 def test_what_fails_in_company_is_called_alone(adders):
@@ -367,5 +421,5 @@ def test_calls_that_another_thread_cancels_meanwhile_do_not_end_the_pool():
 
     pool = object.__new__(WorkerPool)
     pool._lock, pool._waiting = Lock(), Interrupted([SimpleNamespace(alone=True)])
-    pool._workers = [SimpleNamespace(tasks={0: None}, is_alone=True, capacity=1)]
+    pool._workers = [SimpleNamespace(tasks={0: None}, is_alone=True, is_ready=True, capacity=1)]
     pool._hand_out()
