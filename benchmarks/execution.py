@@ -102,7 +102,7 @@ def worker_rows(env: str, ads: str, count: int, workers: Sequence[int]) -> list[
     rows = []
     for number in workers:
         with start_executor(Target(env, ads), number) as executor:
-            for future in [executor.submit(EXECUTE, request) for request in requests[: 2 * number]]:
+            for future in [executor.submit(EXECUTE, request) for request in requests[: 128 * number]]:  # all start
                 future.result()
             start = time.perf_counter()
             for future in [executor.submit(EXECUTE, request) for request in requests]:
