@@ -56,8 +56,8 @@ def opened(
     Args:
         config: configuration of the campaign.
         folder: run folder, new or empty unless the campaign is resumed.
-        workers: number of processes that execute scenarios. 0 means this process, or on a cluster one node for each
-            core.
+        workers: greatest number of processes that execute scenarios; they start when they are needed. 0 means this
+            process, or on a cluster one node for each core.
         resume: whether to resume the campaign in the folder.
         cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
         driver: object of this process that drives in place of the driving system that the configuration names. There

@@ -89,8 +89,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         budget: Number of executions (750), or running time (90s, 30m, 1h30m).
         seed: Random seed. The same seed gives the same records.
         batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it.
-        workers: Number of worker processes (no effect on the records). 0: this process, with no limits for the ADS;
-            an ADS that is not shipped with behavexplor then needs --unconfined.
+        workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
+            ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
         cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.

@@ -78,8 +78,8 @@ class WorkerPool(Executor):
     calls than the running ones can process at a time, or when the caller waits for results most of the time. For a
     service that is fast compared with its caller, a single worker with a full batch is faster than several.
 
-    When a batch fails, it is unknown which of its calls is to blame. Each call is
-    then made again alone, so that its outcome does not depend on the other calls.
+    When a batch fails, it is unknown which of its calls is to blame. Each call is then made again alone, so that its
+    outcome does not depend on the other calls.
 
     Args:
         n_workers: greatest number of processes.
@@ -209,8 +209,8 @@ class WorkerPool(Executor):
         else:
             usable = ready if any(ready) else started
             share = -(-(sum(loads) + len(self._waiting)) // sum(usable))
-            rooms = [worker.has_room(share) if worker else False for worker in self._workers]
-            free = [place for place in range(len(loads)) if usable[place] and rooms[place]]
+            places = [(place, worker) for place, worker in enumerate(self._workers) if worker and usable[place]]
+            free = [place for place, worker in places if worker.has_room(share)]
         return min(free, key=lambda place: (loads[place], not ready[place], not started[place]), default=None)
 
     def _listen(self, worker: "_Worker", *, answered: bool) -> None:

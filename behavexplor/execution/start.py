@@ -27,8 +27,8 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
 
     Args:
         target: the driving system and its environment.
-        workers: number of worker processes, or of nodes of a cluster. 0 means this process, without limits of time
-            and memory, or on a cluster one node for each core.
+        workers: greatest number of worker processes, or number of nodes of a cluster. 0 means this process, without
+            limits of time and memory, or on a cluster one node for each core.
         cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
         recipe: recipe of the service for the target; by default that of an `Evaluator`.
 
