@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar, cast
@@ -126,10 +127,26 @@ def compiled_for(function: Function, *arguments: object) -> Function:
 
     Numba finds out the types of all arguments at each call, which takes 20 us for tuples of many arrays. The machine
     code does not: it must be called with arguments of exactly the same types, dimensions and memory layouts only. With
-    any others, it reads and writes beyond them.
+    any others, it reads and writes beyond them. Objects that hold it can be copied and pickled.
     """
     types = tuple(numba.typeof(argument) for argument in arguments)  # type: ignore[no-untyped-call]
-    return cast("Function", cast("Any", function).compile(types))
+    return cast("Function", _MachineCode(function, types))
+
+
+class _MachineCode:
+    def __init__(self, function: Any, types: tuple[Any, ...]) -> None:
+        self._recipe = function.__module__, function.__qualname__, types
+        self._code: Callable[..., object] = function.compile(types)
+
+    def __call__(self, *arguments: object) -> object:
+        return self._code(*arguments)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _compiled_again, self._recipe
+
+
+def _compiled_again(module: str, name: str, types: tuple[Any, ...]) -> _MachineCode:
+    return _MachineCode(getattr(import_module(module), name), types)
 
 
 class _Notice(event.Listener):

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import pickle
 import subprocess
 import sys
 from importlib import import_module
@@ -16,6 +17,7 @@ from numba.core.errors import NumbaError
 from behavexplor import jit as compiled
 from behavexplor.ads.rule.lateral import LateralProfile
 from behavexplor.ads.rule.station_time import StationTime
+from behavexplor.behavior.window_statistics import fill_statistics
 
 SOURCES = {
     "constants.py": "LIMIT = 1\n",
@@ -162,6 +164,16 @@ def test_a_kernel_compiled_for_some_types_does_the_same_for_other_values():
     assert values.tolist() == [2.0, 3.0, 4.0]
     assert others.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert len(move.signatures) == 1
+
+
+def test_what_holds_machine_code_can_be_pickled():
+    values = np.arange(6.0).reshape(3, 2)
+    code = compiled.compiled_for(fill_statistics, values, 2, 0.1, np.zeros((2, 16)))
+    results = [np.zeros((2, 16)), np.zeros((2, 16))]
+    for again, result in zip((code, pickle.loads(pickle.dumps(code))), results, strict=True):
+        again(values, 2, 0.1, result)
+    assert results[0].any()
+    assert np.array_equal(*results)
 
 
 def holds_arrays(annotation):

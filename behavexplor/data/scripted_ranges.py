@@ -6,19 +6,19 @@ Source: paper section 2.2, for the parameters that are searched (the NPCs' route
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.roadmap import Lane, RoadMap, Route
+from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 
 Floats = NDArray[np.float64]
-Pose = tuple[float, ...]  # x [m], y [m] and heading [rad]
+Pose = tuple[float, float, float]  # x [m], y [m] and heading [rad]
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class ScriptedRanges:
             raise InputError(f"type: {unknown_name('vehicle type', npc.type, self.vehicle_types)}")
         if npc.route not in self.roadmap.routes:
             raise InputError(f"route: {unknown_name('route', npc.route, self.roadmap.routes)}")
-        ranges = self.position_ranges(self.roadmap.routes[npc.route]).tolist()
+        ranges = self._ranges[npc.route]
         if len(npc.waypoints) != len(ranges):
             raise InputError(f"waypoints: route {npc.route!r} takes {len(ranges)}, got {len(npc.waypoints)}")
         low, high = self.speed_range
@@ -107,8 +107,7 @@ class ScriptedRanges:
         Returns:
             The broken rule as the end of the sentence "the vehicle starts ...", or None.
         """
-        start, size = self._start_of(npc), VEHICLE_SIZES[npc.type]
-        ego = tuple(self.roadmap.start_pose.tolist())
+        start, size, ego = self._start_of(npc), VEHICLE_SIZES[npc.type], self._ego_start
         ego_gap = math.dist(start[:2], ego[:2])
         if ego_gap < self.ego_gap:
             return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
@@ -129,7 +128,16 @@ class ScriptedRanges:
         return np.array(self._start_of(npc))
 
     def _start_of(self, npc: NPC) -> Pose:
-        return _pose(self.roadmap.routes[npc.route].lanes[0], npc.waypoints[0].position)
+        return self.roadmap.routes[npc.route].lanes[0].pose_at(npc.waypoints[0].position)
+
+    @cached_property
+    def _ego_start(self) -> Pose:
+        x, y, heading = self.roadmap.start_pose.tolist()
+        return x, y, heading
+
+    @cached_property
+    def _ranges(self) -> dict[str, list[list[float]]]:
+        return {name: self.position_ranges(route).tolist() for name, route in self.roadmap.routes.items()}
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
         """Sample a scenario with every parameter uniform in its range.
@@ -176,11 +184,6 @@ def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> F
     ranges[0] += end_gap, -end_gap
     ranges.setflags(write=False)
     return ranges
-
-
-@lru_cache  # a vehicle is compared with several others, and a scenario is checked wherever it comes from outside
-def _pose(lane: Lane, position: float) -> Pose:
-    return tuple(lane.pose(position).tolist())
 
 
 def _overlap(pose: Pose, size: tuple[float, float], other_pose: Pose, other_size: tuple[float, float]) -> bool:

@@ -88,9 +88,7 @@ class Trace:
         self._validate()
 
     def _validate(self) -> None:
-        frames, vehicles, decisions = (
-            np.atleast_1d(rows).shape[0] for rows in (self.time, self.size, self.action_frame)
-        )
+        frames, vehicles, decisions = _rows(self.time), _rows(self.size), _rows(self.action_frame)
         shapes: dict[str, tuple[int | None, ...]] = {
             "time": (frames,),
             "position": (frames, vehicles, 2),
@@ -264,7 +262,7 @@ def _frozen_mapping(name: str, values: Any) -> Mapping[str, Floats]:
 
 
 def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None = None) -> NDArray[Any]:
-    """Return a read-only copy of an array, rounded to multiples of `step` if that is given.
+    """Return a read-only array of the same values, rounded to multiples of `step` if that is given.
 
     Values that are not numbers, or would lose a fraction, are refused.
     """
@@ -274,21 +272,31 @@ def _frozen(name: str, values: Any, kind: type[np.generic], step: float | None =
         given = np.asarray(None)
     if given.dtype.kind not in "biuf":
         raise InputError(f"{name}: expected an array of numbers, got {' '.join(repr(values).split())[:80]}")
-    if kind is np.int64 and not (np.isfinite(given) & (given == np.rint(given))).all():
+    if kind is np.int64 and given.dtype.kind == "f" and not (np.isfinite(given) & (given == np.rint(given))).all():
         raise InputError(f"{name}: every value must be a whole number")
+    if step is None and given.dtype == kind and given.base is None and not given.flags.writeable:
+        return given  # the arrays of a map belong to all its traces
     array: NDArray[Any] = given.astype(kind)
     if step is not None:
-        array = np.rint(array / step) * step
+        array /= step
+        np.rint(array, out=array)
+        array *= step
     array.setflags(write=False)
     return array
 
 
+def _rows(array: NDArray[Any]) -> int:
+    return array.shape[0] if array.ndim else 1
+
+
 def _check_shape(name: str, array: NDArray[np.generic], expected: tuple[int | None, ...]) -> None:
-    known = tuple(actual if size is None else size for size, actual in zip(expected, array.shape, strict=False))
-    if array.shape != known or len(expected) != array.ndim:
+    fits = len(expected) == array.ndim
+    for size, actual in zip(expected, array.shape, strict=False):
+        fits = fits and size in (None, actual)
+    if not fits:
         wanted = tuple("any" if size is None else size for size in expected)
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
-    if array.dtype == np.float64 and not np.isfinite(array).all():
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"{name}: every value must be finite")
 
 

@@ -106,6 +106,11 @@ class LockStep:
         return [self._keys[slot] for slot in np.flatnonzero(self._running)]
 
     @property
+    def is_running(self) -> bool:
+        """True if an episode has not ended."""
+        return bool(self._running.any())
+
+    @property
     def free(self) -> int:
         """Number of sub-environments without an episode."""
         return len(self._running) - int(self._running.sum())
@@ -195,7 +200,7 @@ def run_episodes(episodes: LockStep, scenarios: Iterable[Scenario]) -> Iterator[
     while True:
         for number, scenario in islice(waiting, episodes.free):
             episodes.begin(number, scenario)
-        if not episodes.running:
+        if not episodes.is_running:
             return
         yield from episodes.step()
 

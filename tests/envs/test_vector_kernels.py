@@ -197,7 +197,7 @@ def test_ends_come_in_their_order(frame, standing, ahead, aside, expected):
 def test_a_slot_forgets_the_episode_before():
     """Fewer NPCs than before, other types: nothing of the larger scenario is left."""
     logical = LEFT.logical
-    used, fresh = make_slots(2, 10, logical), make_slots(2, 10, logical)
+    used, fresh = make_slots(2, 10, (10, 2), logical), make_slots(2, 10, (10, 2), logical)
     first, second = (logical.sample(np.random.default_rng(seed)) for seed in (0, 1))
     small = ScriptedScenario(logical.name, second.npcs[:2])
     put_scenario(WORLDS[LEFT], used, 1, first, logical.roadmap)
@@ -216,7 +216,7 @@ def test_a_slot_forgets_the_episode_before():
 def test_npcs_move_at_any_times_as_their_table_says(seed, times):
     logical, world = LEFT.logical, WORLDS[LEFT]
     scenario, times = logical.sample(np.random.default_rng(seed)), np.sort(times)
-    state = make_slots(1, 2, logical)
+    state = make_slots(1, 2, (1, 2), logical)
     put_scenario(world, state, 0, scenario, logical.roadmap)
     table = motion_table(scenario, logical.roadmap, times)
     for time, rows in zip(times, table, strict=True):
@@ -226,7 +226,7 @@ def test_npcs_move_at_any_times_as_their_table_says(seed, times):
 
 def test_the_reward_of_many_is_that_of_each():
     rng = np.random.default_rng(2)
-    state = make_slots(60, 2, LEFT.logical)
+    state = make_slots(60, 2, (1, 2), LEFT.logical)
     state.numbers[:, END] = rng.integers(-1, len(ENDS), 60)
     state.outcome[:, :2] = rng.normal(0, 3, (60, 2))
     state.outcome[:, 2:] = rng.integers(0, 2, (60, 2))
@@ -268,7 +268,7 @@ def test_the_ego_of_the_single_environment_is_placed_as_the_kernels_have_it():
     network = road_network(roadmap)
     road = Road(network, np_random=np.random.default_rng(0))
     ego = place_ego(Vehicle, road, roadmap.start_pose, network.indexes(roadmap.ego_route))
-    state = make_slots(1, 2, LEFT.logical)
+    state = make_slots(1, 2, (1, 2), LEFT.logical)
     put_scenario(WORLDS[LEFT], state, 0, ScriptedScenario(LEFT.logical.name, ()), roadmap)
     assert state.ego[0, :4].tolist() == [*ego.position, ego.heading, ego.speed]
     assert network._indexes[state.numbers[0, slots.TARGET_LANE]] == ego.lane_index

@@ -23,9 +23,9 @@ from behavexplor.ads.learned.tracker import (
 )
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scene import EGO, PRESENT
+from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.errors import InputError
-from behavexplor.jit import kernel_in_place
+from behavexplor.jit import compiled_for, kernel_in_place
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class LearnedDriver:
     noise: int = 1
 
     def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
-        self._course = make_course(roadmap)
+        self._kernels = CourseKernels(make_course(roadmap))
         widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
         shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
@@ -87,50 +87,67 @@ class LearnedDriver:
         Raises:
             InputError: if an array has the wrong shape.
         """
-        scenes = as_scenes(observation)
-        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        preferences = evaluate_batch(self._network, see_batch(self._course, scenes, memory))
-        return track_batch(self._course, scenes, decide(preferences, self._rule), memory), memory
+        scenes, memory, preferences = self._preferences(observation, state, episode_start)
+        return self._kernels.track(scenes, decide(preferences, self._rule), memory), memory
 
     def draw(
         self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, noise: Floats
     ) -> tuple[Floats, Floats]:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
-        scenes = as_scenes(observation)
-        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        preferences = evaluate_batch(self._network, see_batch(self._course, scenes, memory))
-        return track_batch(self._course, scenes, draw_decisions(preferences, noise[:, 0]), memory), memory
+        scenes, memory, preferences = self._preferences(observation, state, episode_start)
+        return self._kernels.track(scenes, draw_decisions(preferences, noise[:, 0]), memory), memory
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
         return {"wanted_offset": state[:, WANTED]}
 
-
-def see_batch(course: Course, scenes: Floats, memory: Floats) -> Floats:
-    """Compute the features that policies see, shape (B, N_FEATURES).
-
-    Args:
-        course: route table, see `behavexplor.ads.learned.route_table`.
-        scenes: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-        memory: memory of each ego, shape (B, 3). A row of zeros begins an episode; it is changed in place.
-    """
-    seen = np.zeros((len(scenes), N_FEATURES))
-    _see_all(course, scenes, memory, seen)
-    return seen
+    def _preferences(
+        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return scenes, memory and preferences, shape (B, N_ACTIONS); those of an absent ego mean nothing."""
+        scenes = as_scenes(observation)
+        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
+        is_present = scenes[:, EGO, PRESENT] != 0.0
+        return scenes, memory, evaluate_batch(self._network, self._kernels.see(scenes, memory), is_present)
 
 
-def track_batch(course: Course, scenes: Floats, decisions: Decisions, memory: Floats) -> Floats:
-    """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
+class CourseKernels:
+    """What policies see of a batch of scenes, and the commands for their decisions, computed by machine code.
 
     Args:
         course: route table, see `behavexplor.ads.learned.route_table`.
-        scenes: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-        decisions: decisions of the policies.
-        memory: memory of each ego, shape (B, 3), changed in place.
     """
-    commands = np.zeros((len(scenes), 2))
-    _track_all(course, scenes, decisions, memory, commands)
-    return as_actions(commands)
+
+    def __init__(self, course: Course) -> None:
+        self._course = course
+        scenes, memory, seen = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros((1, N_FEATURES))
+        decisions = Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
+        self._see_all = compiled_for(_see_all, course, scenes, memory, seen)
+        self._track_all = compiled_for(_track_all, course, scenes, decisions, memory, np.zeros((1, 2)))
+
+    def see(self, scenes: Floats, memory: Floats) -> Floats:
+        """Compute the features that policies see, shape (B, N_FEATURES).
+
+        Args:
+            scenes: scenes, contiguous, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+            memory: memory of each ego, contiguous, shape (B, 3). A row of zeros begins an episode; it is changed in
+                place.
+        """
+        seen = np.zeros((len(scenes), N_FEATURES))
+        self._see_all(self._course, scenes, memory, seen)
+        return seen
+
+    def track(self, scenes: Floats, decisions: Decisions, memory: Floats) -> Floats:
+        """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
+
+        Args:
+            scenes: scenes, contiguous, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
+            decisions: decisions of the policies.
+            memory: memory of each ego, contiguous, shape (B, 3), changed in place.
+        """
+        commands = np.zeros((len(scenes), 2))
+        self._track_all(self._course, scenes, decisions, memory, commands)
+        return as_actions(commands)
 
 
 @kernel_in_place

@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from behavexplor.ads.learned.choosing import as_decisions
-from behavexplor.ads.learned.driver import see_batch, track_batch
+from behavexplor.ads.learned.driver import CourseKernels
 from behavexplor.ads.learned.observation import N_FEATURES
 from behavexplor.ads.learned.route_table import make_course
 from behavexplor.ads.learned.tracker import N_ACTIONS, N_MEMORIES
@@ -32,32 +32,30 @@ class LearningVecEnv(VecEnvWrapper):
         space = gymnasium.spaces.Box(-np.inf, np.inf, (N_FEATURES,), np.float32)
         super().__init__(venv, space, gymnasium.spaces.Discrete(N_ACTIONS))
         self.roadmap = roadmap
-        self._course = make_course(roadmap)
+        self._kernels = CourseKernels(make_course(roadmap))
         self._memory = np.zeros((venv.num_envs, N_MEMORIES))
         self._scenes: NDArray[np.float64] = np.zeros(0)
 
     def reset(self) -> NDArray[np.float32]:
         """Begin an episode in every sub-environment."""
         self._memory[:] = 0.0
-        self._scenes = np.asarray(self.venv.reset(), dtype=np.float64)
+        self._scenes = np.ascontiguousarray(self.venv.reset(), dtype=np.float64)
         return self._see()
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Pass on the commands for the actions, shape (num_envs,)."""
         chosen = np.asarray(actions, dtype=np.int64)
-        self.venv.step_async(track_batch(self._course, self._scenes, as_decisions(chosen), self._memory))
+        self.venv.step_async(self._kernels.track(self._scenes, as_decisions(chosen), self._memory))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance all sub-environments to the next decision."""
         scenes, rewards, dones, infos = self.venv.step_wait()
-        self._scenes = np.asarray(scenes, dtype=np.float64)
+        self._scenes = np.ascontiguousarray(scenes, dtype=np.float64)
         for i in np.flatnonzero(dones):
-            last = np.asarray(infos[i]["terminal_observation"], dtype=np.float64)[None]
-            infos[i]["terminal_observation"] = see_batch(self._course, last, self._memory[i : i + 1])[0].astype(
-                np.float32
-            )
+            last = np.ascontiguousarray(infos[i]["terminal_observation"], dtype=np.float64)[None]
+            infos[i]["terminal_observation"] = self._kernels.see(last, self._memory[i : i + 1])[0].astype(np.float32)
             self._memory[i] = 0.0
         return self._see(), rewards, dones, infos
 
     def _see(self) -> NDArray[np.float32]:
-        return see_batch(self._course, self._scenes, self._memory).astype(np.float32)
+        return self._kernels.see(self._scenes, self._memory).astype(np.float32)

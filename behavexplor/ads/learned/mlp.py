@@ -11,6 +11,7 @@ from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 
 class DenseNetwork(NamedTuple):
@@ -38,7 +39,7 @@ def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
     )
 
 
-def evaluate_batch(network: DenseNetwork, seen: Floats) -> Floats:
+def evaluate_batch(network: DenseNetwork, seen: Floats, counts: Bools | None = None) -> Floats:
     """Compute the outputs of a network for each row of inputs, shape (B, outputs).
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
@@ -46,37 +47,38 @@ def evaluate_batch(network: DenseNetwork, seen: Floats) -> Floats:
     Args:
         network: network to evaluate.
         seen: inputs, shape (B, inputs).
+        counts: True for each row whose outputs are used, shape (B,); None if all are. The others are not computed.
     """
-    rooms = np.empty((2, len(seen), int(network.widths.max())))
+    rows = np.arange(len(seen)) if counts is None else counts.nonzero()[0]
+    rooms = np.zeros((2, len(seen), int(network.widths.max())))
     rooms[0, :, : seen.shape[1]] = seen
-    return rooms[_evaluate_all(network, rooms), :, : network.widths[-1]].copy()
+    return rooms[_evaluate_all(network, rooms, rows), :, : network.widths[-1]].copy()
 
 
 @kernel_in_place
-def _evaluate_all(network: DenseNetwork, rooms: Floats) -> int:
+def _evaluate_all(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
     """Compute the outputs of the layers in turn, from inputs in `rooms[0]`. Return the index of the last outputs."""
     weight, bias, now = 0, 0, 0
     for layer in range(len(network.widths) - 1):
         before, width = network.widths[layer], network.widths[layer + 1]
-        if layer > 0:
-            _squash(rooms[now], before)
-        for row in range(rooms.shape[1]):
+        for row in rows:
+            if layer > 0:
+                _squash(rooms[now, row], before)
             for j in range(width):
                 rooms[1 - now, row, j] = network.biases[bias + j]
-        _add_up(network.weights[weight : weight + before * width], rooms[now], before, rooms[1 - now], width)
+        _add_up(network.weights[weight : weight + before * width], rooms[now], before, rooms[1 - now], width, rows)
         weight, bias, now = weight + before * width, bias + width, 1 - now
     return now
 
 
 @kernel_inner
 def _squash(values: Floats, count: int) -> None:
-    for row in range(len(values)):
-        for i in range(count):
-            values[row, i] = math.tanh(values[row, i])
+    for i in range(count):
+        values[i] = math.tanh(values[i])
 
 
 @kernel_inner
-def _add_up(weights: Floats, values: Floats, inputs: int, sums: Floats, width: int) -> None:
+def _add_up(weights: Floats, values: Floats, inputs: int, sums: Floats, width: int, rows: Ints) -> None:
     """Add the products of the inputs `values` and the weights to the sums of each row's outputs.
 
     Each weight is used for all rows before the next ones are read from memory, and four inputs are added at a time.
@@ -86,14 +88,14 @@ def _add_up(weights: Floats, values: Floats, inputs: int, sums: Floats, width: i
         start = i * width
         a, b = weights[start : start + width], weights[start + width : start + 2 * width]
         c, d = weights[start + 2 * width : start + 3 * width], weights[start + 3 * width : start + 4 * width]
-        for row in range(len(sums)):
+        for row in rows:
             into = sums[row][:width]
             u, v, w, x = values[row, i], values[row, i + 1], values[row, i + 2], values[row, i + 3]
             for j in range(len(into)):
                 into[j] = into[j] + a[j] * u + b[j] * v + c[j] * w + d[j] * x
     for i in range(whole, inputs):
         rest = weights[i * width : (i + 1) * width]
-        for row in range(len(sums)):
+        for row in rows:
             into, value = sums[row][:width], values[row, i]
             for j in range(len(into)):
                 into[j] += rest[j] * value

@@ -51,7 +51,7 @@ def chosen_slots(mask: object, num_envs: int) -> Bools:
         raise InputError(f"reset_mask: expected an array of {num_envs} booleans, got {shown(mask)}")
     if not mask.any():
         raise InputError("reset_mask: at least one sub-environment must be reset")
-    return mask
+    return np.ascontiguousarray(mask)
 
 
 def chosen_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:

@@ -22,16 +22,17 @@ from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import TERMS, reward_terms
-from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, make_slots, motion_of, put_scenario
+from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, RUNNING, make_slots, motion_of, put_scenario
 from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
 from behavexplor.errors import InputError
+from behavexplor.jit import compiled_for
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_TERMINAL = np.array([end in TERMINAL for end in ENDS])
+_TERMINAL = np.array([*(end in TERMINAL for end in ENDS), False])  # the last one is for `RUNNING`, which is -1
 _OPTIONS = ("scenario", "scenarios", "reset_mask")
 _MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 
@@ -86,13 +87,15 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._world = make_world(single)
         n_frames = int(np.ceil(self._world.rules.max_frames)) + 1
         self._time = np.arange(n_frames) / self.config["simulation_frequency"]
-        self._slots = make_slots(num_envs, n_frames, self.logical)
+        n_decisions = -(-n_frames // self._world.rules.substeps)
+        self._n_values = int(np.prod(self.single_action_space.shape or ()))  # of an action
+        self._slots = make_slots(num_envs, n_frames, (n_decisions, self._n_values), self.logical)
         self._commands = make_commands(single.action_type)
         self._view = make_view(single.observation_type) if isinstance(single.observation_type, Kinematics) else None
         space = self.single_observation_space
         self._observations = np.zeros((num_envs, *(space.shape or ())), dtype=space.dtype)
-        n_decisions = -(-n_frames // self._world.rules.substeps)
-        self._actions = np.zeros((num_envs, n_decisions, *(self.single_action_space.shape or (1,))))
+        self._compile()
+        self._has_idle = True
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._weights = np.array([self.config["reward"][name] for name in TERMS], dtype=np.float64)
@@ -138,22 +141,19 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             Observations, shape (num_envs, ...); rewards, terminations and truncations, each of shape (num_envs,); and
             infos, which contain the `trace` and `end` of episodes that have just ended.
         """
-        numbers = self._slots.numbers
-        if (numbers[:, END] == IDLE).any():
+        if self._has_idle:
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
-        ended = numbers[:, END] >= 0
-        active = ~ended
         check_actions(self.action_space, actions)
-        actions = np.asarray(actions)
-        decision = numbers[active, FRAME] // self._world.rules.substeps
-        self._actions[active, decision] = actions[active].reshape(-1, self._actions.shape[2])
-        step(self._world, self._slots, self._commands(actions), active)
+        actions, end = np.asarray(actions), self._slots.numbers[:, END]
+        values = np.ascontiguousarray(actions.reshape(self.num_envs, self._n_values), dtype=np.float64)
+        active = end == RUNNING
+        self._step_slots(self._world, self._slots, values, self._commands(actions), active)
         self._observe(active)
         terms, rewards = None, np.zeros(self.num_envs)
         if self.gives_rewards:
             terms = reward_terms(self._weights, self._slots, active)
             rewards = sum(terms, rewards)
-        done = active & (numbers[:, END] >= 0)
+        done = active & (end != RUNNING)
         infos: dict[str, Any] = {}
         if self._mode is AutoresetMode.SAME_STEP and done.any():
             terminated, truncated = self._ends()
@@ -161,17 +161,17 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             infos |= self._begin(done)
             self._observe(done)
             return self._observations.copy(), rewards, terminated, truncated, infos
-        infos = self._step_infos(active, terms)
-        if self._mode is AutoresetMode.NEXT_STEP and ended.any():
-            infos |= self._begin(ended)
-            self._observe(ended)
+        infos = self._step_infos(active, terms) | self._end_infos(done)
+        if self._mode is AutoresetMode.NEXT_STEP and not active.all():
+            infos |= self._begin(~active)
+            self._observe(~active)
         return self._observations.copy(), rewards, *self._ends(), infos
 
     def _ends(self) -> tuple[Bools, Bools]:
         """Return which episodes are terminated, and which are truncated."""
         end = self._slots.numbers[:, END]
-        terminated = (end >= 0) & _TERMINAL[end]
-        return terminated, (end >= 0) & ~terminated
+        terminated = _TERMINAL[end]
+        return terminated, (end != RUNNING) & ~terminated
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
@@ -184,36 +184,45 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 scenario = self.logical.sample(generator)
             put_scenario(self._world, self._slots, b, scenario, self.logical.roadmap)
             self.scenarios[b] = infos[b] = scenario
+        self._has_idle = bool((self._slots.numbers[:, END] == IDLE).any())
         return {"scenario": infos, "_scenario": mask.copy()}
 
+    def _compile(self) -> None:
+        """Compile the kernels for the types of this environment's arrays, or read them from the cache."""
+        world, slots, mask = self._world, self._slots, np.zeros(self.num_envs, dtype=bool)
+        values, commands = np.zeros((self.num_envs, self._n_values)), np.zeros((self.num_envs, 2))
+        self._step_slots = compiled_for(step, world, slots, values, commands, mask)
+        observe: Any = observe_scene if self._view is None else observe_kinematics
+        self._seen = (slots,) if self._view is None else (world, slots, self._view)
+        self._observe_slots = compiled_for(observe, *self._seen, mask, self._observations)
+
     def _observe(self, mask: Bools) -> None:
-        if self._view is None:
-            observe_scene(self._slots, mask, self._observations)
-        else:
-            observe_kinematics(self._world, self._slots, self._view, mask, self._observations)
+        self._observe_slots(*self._seen, mask, self._observations)
 
     def _step_infos(self, mask: Bools, terms: Floats | None) -> dict[str, Any]:
         """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
-        infos: dict[str, Any] = {}
-        if terms is not None and mask.any():
-            speeds, terms = np.where(mask, self._slots.ego[:, SPEED], 0.0), np.where(mask, terms, 0.0)
-            rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
-            infos = {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
-        done = mask & (self._slots.numbers[:, END] >= 0)
-        if done.any():
-            ends, traces = np.full((2, self.num_envs), None, dtype=object)
-            for b in np.flatnonzero(done).tolist():
-                ends[b] = ENDS[self._slots.numbers[b, END]]
-                traces[b] = self._trace(b)
-            infos |= {"end": ends, "_end": done, "trace": traces, "_trace": done}
-        return infos
+        if terms is None or not mask.any():
+            return {}
+        speeds, terms = np.where(mask, self._slots.ego[:, SPEED], 0.0), np.where(mask, terms, 0.0)
+        rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
+        return {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
+
+    def _end_infos(self, done: Bools) -> dict[str, Any]:
+        """Return what that `info` has besides at the end of an episode, for the chosen slots."""
+        slots = done.nonzero()[0].tolist()
+        if not slots:
+            return {}
+        ends, traces = np.full((2, self.num_envs), None, dtype=object)
+        for b in slots:
+            ends[b], traces[b] = ENDS[self._slots.numbers[b, END]], self._trace(b)
+        return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 
     def _final_infos(self, done: Bools, terms: Floats | None) -> dict[str, Any]:
         observations = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(done).tolist():
             observations[b] = self._observations[b].copy()
         infos = {"final_obs": observations, "_final_obs": done}
-        return infos | {"final_info": self._step_infos(done, terms), "_final_info": done}
+        return infos | {"final_info": self._step_infos(done, terms) | self._end_infos(done), "_final_info": done}
 
     def _trace(self, b: int) -> Trace:
         """Return the trace of the episode that has ended in slot b."""
@@ -226,7 +235,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             ego=slots.record[b, :frames],
             motion=motion_of(self._world, slots, b, self._time[:frames]),
             sizes=slots.size[b, : 1 + slots.numbers[b, N_NPCS]],
-            actions=self._actions[b, : len(decisions)],
+            actions=slots.actions[b, : len(decisions)],
             action_frames=decisions,
             end=ENDS[slots.numbers[b, END]],
         )

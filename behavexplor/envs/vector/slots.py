@@ -60,6 +60,7 @@ class Slots(NamedTuple):
             the frame at which it first touched an illegal line (-1: none), the end of the episode, the number of NPCs,
             and for meta-actions the target lane, the position on the route and the index of the target speed.
         record: x [m], y [m], heading [rad] and velocity [m/s] of the ego in every frame, shape (B, T, 5).
+        actions: the actions of each decision, shape (B, D, A).
         outcome: result of the latest decision, shape (B, 4): progress along the route [m], mean acceleration [m/s2],
             whether the ego touched an illegal line for the first time, and whether a faster NPC struck it from behind.
         size: length and width of every vehicle [m], the ego first, shape (B, 1 + N, 2).
@@ -72,6 +73,7 @@ class Slots(NamedTuple):
     ego: Floats
     numbers: Ints
     record: Floats
+    actions: Floats
     outcome: Floats
     size: Floats
     npc: Floats
@@ -79,12 +81,15 @@ class Slots(NamedTuple):
     phases: Floats
 
 
-def make_slots(n_slots: int, n_frames: int, logical: ScriptedLogicalScenario) -> Slots:
+def make_slots(
+    n_slots: int, n_frames: int, shape_of_actions: tuple[int, int], logical: ScriptedLogicalScenario
+) -> Slots:
     """Create slots without episodes.
 
     Args:
         n_slots: number of slots.
         n_frames: greatest number of frames of an episode.
+        shape_of_actions: greatest number of decisions of an episode, and the number of values of an action.
         logical: logical scenario of the scenarios to run.
     """
     npcs = logical.n_npcs
@@ -96,6 +101,7 @@ def make_slots(n_slots: int, n_frames: int, logical: ScriptedLogicalScenario) ->
         ego=np.zeros((n_slots, N_EGO)),
         numbers=numbers,
         record=np.empty((n_slots, n_frames, N_RECORD)),
+        actions=np.zeros((n_slots, *shape_of_actions)),
         outcome=np.zeros((n_slots, 4)),
         size=np.zeros((n_slots, 1 + npcs, 2)),
         npc=np.zeros((n_slots, npcs, N_COLUMNS)),

@@ -62,12 +62,13 @@ _is_rear_end = kernel_inner(is_rear_end)
 
 
 @kernel
-def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
+def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools) -> None:
     """Simulate until the next decision, or until an episode ends.
 
     Args:
         world: the environment's map and rules.
         slots: the slots, changed in place.
+        actions: the actions, which are only recorded, shape (B, A).
         commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the code
             of the maneuver.
         active: whether each slot is stepped, shape (B,).
@@ -85,6 +86,7 @@ def step(world: World, slots: Slots, commands: Floats, active: Bools) -> None:
             lane, position = follow_road(world.network, position, lane, x, y)
             lane = changed_lane(world.network, lane, maneuver, x, y)
         decided = frame = numbers[b, FRAME]
+        slots.actions[b, decided // rules.substeps] = actions[b]
         for _ in range(rules.substeps):
             if world.is_meta:
                 lane, position = follow_road(world.network, position, lane, x, y)
