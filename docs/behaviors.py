@@ -65,7 +65,7 @@ def abstracted(traces: dict[str, Trace], options: MinerOptions) -> Abstracted:
     described = {name: miner.describe(trace) for name, trace in traces.items()}
     index = {name: miner.add(behavior) for name, behavior in described.items()}
     miner.fit()
-    labels = {name: miner.abstract(behavior.merged) for name, behavior in described.items()}
+    labels = {name: miner.abstract(behavior) for name, behavior in described.items()}
     distances = {pair: float(miner.distances(labels[pair[0]])[index[pair[1]]]) for pair in PAIRS}
     return Abstracted(labels, distances)
 

@@ -8,6 +8,8 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.behavior.clusters import Clusters
+from behavexplor.behavior.distance import Labels
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.trace import Trace
 
@@ -101,11 +103,43 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     """
     from behavexplor.behavior.window_statistics import fill_statistics  # noqa: PLC0415 - numba is slow to import
 
-    x = np.asarray(states, dtype=np.float64)
-    if not len(x):
-        return np.zeros((0, N_FEATURES))
-    padding = window - 1 if tail == "padded" else max(window - len(x), 0)
-    x = np.concatenate([x, np.repeat(x[-1:], padding, axis=0)])
-    merged = np.empty((len(x) - window + 1, N_FEATURES))
-    fill_statistics(x, window, STILL, merged)
+    columns = _padded_columns(states, window, tail)
+    merged = np.empty((_n_windows(columns, window), N_FEATURES))
+    fill_statistics(columns, window, STILL, merged)
     return merged
+
+
+def nearest_clusters(states: NDArray[np.floating], window: int, tail: Tail, clusters: Clusters) -> Labels:
+    """Return the cluster that is nearest to each merged state; see `merged_states`.
+
+    The sums of the distances run in a fixed order, so that ties do not depend on the number of threads.
+
+    Args:
+        states: the ego's states, shape (N', 8).
+        window: number of states in a window.
+        tail: windows at the end of the trace.
+        clusters: clusters of merged states.
+
+    Returns:
+        Indices of clusters, the first of several that are equally near; shape (windows,).
+    """
+    from behavexplor.behavior.window_statistics import fill_labels  # noqa: PLC0415 - numba is slow to import
+
+    columns = _padded_columns(states, window, tail)
+    labels = np.empty(_n_windows(columns, window), dtype=np.uint8)
+    fill_labels(columns, window, STILL, clusters, labels)
+    return labels
+
+
+def _padded_columns(states: NDArray[np.floating], window: int, tail: Tail) -> Floats:
+    """Return the states as columns, with the last one repeated, so that all windows are whole; shape (8, n)."""
+    count = len(states)
+    padding = (window - 1 if tail == "padded" else max(window - count, 0)) if count else 0
+    columns = np.empty((len(ATTRIBUTES), count + padding))
+    columns[:, :count] = states.T
+    columns[:, count:] = columns[:, count - 1 : count]
+    return columns
+
+
+def _n_windows(columns: Floats, window: int) -> int:
+    return max(int(columns.shape[1]) - window + 1, 0)

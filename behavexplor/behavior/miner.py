@@ -5,16 +5,23 @@ from the centers of the last one, uses a bounded sample of merged states, and ha
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib import import_module
+from functools import cached_property, lru_cache
 from typing import Annotated, Literal
-from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.behavior.clusters import clusters_of, k_means
 from behavexplor.behavior.distance import MAX_CLUSTERS, AbstractTraces, Labels
-from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE, HeadingFrame, Tail, merged_states, state_matrix
+from behavexplor.behavior.features import (
+    N_FEATURES,
+    NEGLIGIBLE,
+    HeadingFrame,
+    Tail,
+    merged_states,
+    nearest_clusters,
+    state_matrix,
+)
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
@@ -64,17 +71,23 @@ class Behavior:
 
     Attributes:
         states: the paper's X-bar, shape (N', 8).
-        merged: the paper's H, shape (windows, 64).
+        window: the paper's w, number of states in a window.
+        tail: windows at the end of the trace, see `behavexplor.behavior.features.merged_states`.
     """
 
     states: NDArray[np.float32]
-    merged: Floats
+    window: int
+    tail: Tail
+
+    @cached_property
+    def merged(self) -> Floats:
+        """The paper's H, shape (windows, 64)."""
+        return merged_states(self.states, self.window, self.tail)
 
 
 @lru_cache(maxsize=2)  # a search method and the novelty archive describe the same trace one after the other
 def _describe(trace: Trace, heading_frame: HeadingFrame, window: int, tail: Tail) -> Behavior:
-    states = state_matrix(trace, heading_frame)
-    return Behavior(states, merged_states(states, window, tail))
+    return Behavior(state_matrix(trace, heading_frame), window, tail)
 
 
 class BehaviorMiner:
@@ -88,7 +101,7 @@ class BehaviorMiner:
         self._states: list[NDArray[np.float32]] = []
         self._traces = AbstractTraces()
         self._sample = _Sample(options.sample_size, np.random.default_rng(options.random_state))
-        self._clusters = _Clusters(np.zeros((1, N_FEATURES)), np.zeros(N_FEATURES), np.ones(N_FEATURES))
+        self._clusters = clusters_of(np.zeros((1, N_FEATURES)), np.zeros(N_FEATURES), np.ones(N_FEATURES))
         self._fitted_at = 0
 
     def __len__(self) -> int:
@@ -98,16 +111,9 @@ class BehaviorMiner:
         """Compute the ego's behavior in a trace."""
         return _describe(trace, self.options.heading_frame, self.options.window, self.options.tail)
 
-    def abstract(self, merged: Floats) -> Labels:
-        """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state.
-
-        Args:
-            merged: merged states, shape (windows, 64).
-
-        Returns:
-            Cluster indices, shape (windows,).
-        """
-        return self._clusters.nearest(merged)
+    def abstract(self, behavior: Behavior) -> Labels:
+        """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state, shape (windows,)."""
+        return self._labels(behavior.states)
 
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace from every known behavior, in order of addition; shape (n,)."""
@@ -117,7 +123,7 @@ class BehaviorMiner:
         """Add a behavior to the known ones, and return its index."""
         self._states.append(behavior.states)
         self._sample.extend(behavior.merged)
-        self._traces.append(self.abstract(behavior.merged))
+        self._traces.append(self.abstract(behavior))
         return len(self._states) - 1
 
     @property
@@ -134,40 +140,21 @@ class BehaviorMiner:
         count = min(self.options.clusters, len(rows))
         mean, scale = np.zeros(N_FEATURES), np.ones(N_FEATURES)
         if self.options.scaling == "zscore":
-            mean, scale = rows.mean(0), np.maximum(rows.std(0), NEGLIGIBLE)
+            mean = rows.mean(0)
+            scale = np.maximum(rows.std(0, mean=mean[None]), NEGLIGIBLE)
         starts: list[Floats | str] = []
         if len(self._clusters.centers) == count:
             starts.append((self._clusters.unscaled_centers - mean) / scale)
         if not starts or not self._sample.full:
             starts.append("k-means++")
-        centers = _k_means((rows - mean) / scale, count, starts, self.options.random_state)
-        self._clusters = _Clusters(centers, mean, scale)
+        rows -= mean
+        rows /= scale
+        self._clusters = clusters_of(k_means(rows, count, starts, self.options.random_state), mean, scale)
         for i, states in enumerate(self._states):
-            self._traces[i] = self.abstract(merged_states(states, self.options.window, self.options.tail))
+            self._traces[i] = self._labels(states)
 
-
-@dataclass(frozen=True)
-class _Clusters:
-    """Centers of clusters in scaled features, shape (K, 64).
-
-    Scaling subtracts the `mean` of each feature, then divides by its `scale`.
-    """
-
-    centers: Floats
-    mean: Floats
-    scale: Floats
-
-    @property
-    def unscaled_centers(self) -> Floats:
-        return self.centers * self.scale + self.mean
-
-    def nearest(self, merged: Floats) -> Labels:
-        """Return the indices of the nearest centers, shape (windows,).
-
-        Sums are taken in a fixed order, so that ties do not depend on the number of threads.
-        """
-        products = np.einsum("nf,kf->nk", (merged - self.mean) / self.scale, self.centers)
-        return np.asarray(((self.centers**2).sum(1) - 2 * products).argmin(1), dtype=np.uint8)
+    def _labels(self, states: NDArray[np.float32]) -> Labels:
+        return nearest_clusters(states, self.options.window, self.options.tail, self._clusters)
 
 
 class _Sample:
@@ -194,27 +181,3 @@ class _Sample:
         kept = slots < len(self._rows)
         self._rows[slots[kept]] = rows[kept]
         self._seen += len(rows)
-
-
-def load_clustering() -> None:
-    """Import the library that finds the clusters, which takes a second."""
-    import_module("sklearn.cluster")
-
-
-def _k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:
-    """Find the best centers by K-means from several starts, shape (clusters, features).
-
-    A single thread computes them, so that their last bits do not depend on the machine's number of threads. If there
-    are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows.
-    """
-    from sklearn.cluster import KMeans  # noqa: PLC0415 - slow to import, needed only once a campaign runs
-    from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
-    from threadpoolctl import threadpool_limits  # noqa: PLC0415
-
-    with threadpool_limits(limits=1), catch_warnings():
-        simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
-        fits = [
-            KMeans(clusters, init=start, n_init=1, random_state=random_state, copy_x=False).fit(rows)
-            for start in starts
-        ]
-    return np.asarray(min(fits, key=lambda fit: fit.inertia_).cluster_centers_)

@@ -46,7 +46,7 @@ class NoveltyArchive:
         The novelty is the least distance from the distinct behaviors so far, or 1 if there are none.
         """
         behavior = self._miner.describe(trace)
-        distances = self._miner.distances(self._miner.abstract(behavior.merged))
+        distances = self._miner.distances(self._miner.abstract(behavior))
         novelty = float(distances.min(initial=1.0))
         if novelty > self.options.threshold or not len(self):
             self._miner.add(behavior)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.miner import load_clustering
+from behavexplor.behavior.clusters import load_clustering
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.stage_clock import STARTING, StageClock

@@ -215,7 +215,7 @@ class BehAVExplor:
             return novelty, distance
         if behavior is None:
             return 0.0, 0.0
-        distances = self._miner.distances(self._miner.abstract(behavior.merged))
+        distances = self._miner.distances(self._miner.abstract(behavior))
         return float(distances[self._known].min()), float(distances[parent.behavior])
 
     def _energy(self, gain: float, change: float, novelty: float) -> float:

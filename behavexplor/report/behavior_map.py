@@ -71,15 +71,13 @@ def behaviors(traces: Mapping[int, Trace]) -> Behaviors:
         traces: traces by the numbers of their executions, at least one.
     """
     miner = BehaviorMiner(MinerOptions(clusters=len(LETTERS)))
-    merged = []
-    for trace in traces.values():
-        behavior = miner.describe(trace)
+    described = [miner.describe(trace) for trace in traces.values()]
+    for behavior in described:
         miner.add(behavior)
-        merged.append(behavior.merged)
     miner.fit()
-    found = [miner.abstract(rows) for rows in merged]
+    found = [miner.abstract(behavior) for behavior in described]
     distances = np.stack([miner.distances(labels) for labels in found])
-    order, states = _states(np.concatenate(merged), np.concatenate(found))
+    order, states = _states(np.concatenate([behavior.merged for behavior in described]), np.concatenate(found))
     labels = {number: order[old] for number, old in zip(traces, found, strict=True)}
     places = {number: (float(x), float(y)) for number, (x, y) in zip(traces, scaled(distances), strict=True)}
     return Behaviors(states, labels, places)

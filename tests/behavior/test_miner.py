@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from sklearn.cluster import KMeans
@@ -30,7 +32,7 @@ def miner_of(traces, **options):
 
 
 def labels_of(miner, trace):
-    return miner.abstract(miner.describe(trace).merged)
+    return miner.abstract(miner.describe(trace))
 
 
 def test_states_that_differ_fall_into_different_clusters():
@@ -47,7 +49,7 @@ def test_labels_are_the_nearest_centers():
     clusters = miner._clusters
     scaled = (rows - clusters.mean) / clusters.scale
     gaps = np.linalg.norm(scaled[:, None] - clusters.centers, axis=2)
-    assert miner.abstract(rows).tolist() == gaps.argmin(1).tolist()
+    assert labels_of(miner, TRACES[0]).tolist() == gaps.argmin(1).tolist()
     assert set(np.concatenate([labels_of(miner, trace) for trace in TRACES[:5]])) == set(range(10))
 
 
@@ -97,7 +99,8 @@ def test_a_better_fit_than_from_scratch_or_as_good():
     def inertia(miner):
         rows = np.concatenate([miner.describe(trace).merged for trace in TRACES])
         scaled = (rows - miner._clusters.mean) / miner._clusters.scale
-        return np.square(scaled - miner._clusters.centers[miner.abstract(rows)]).sum()
+        labels = np.concatenate([labels_of(miner, trace) for trace in TRACES])
+        return np.square(scaled - miner._clusters.centers[labels]).sum()
 
     assert inertia(grown) <= inertia(fresh) * (1 + 1e-6)
 
@@ -136,7 +139,7 @@ def test_a_refit_starts_from_the_centers_of_the_last(monkeypatch):
     last = miner._clusters.centers * miner._clusters.scale + miner._clusters.mean
     starts = []
     monkeypatch.setattr(
-        "behavexplor.behavior.miner._k_means", lambda rows, k, tried, seed: starts.extend(tried) or rows[:k]
+        "behavexplor.behavior.miner.k_means", lambda rows, k, tried, seed: starts.extend(tried) or rows[:k]
     )
     miner.add(miner.describe(TRACES[2]))
     miner.fit()
@@ -148,7 +151,7 @@ def test_a_full_sample_is_stable_enough_for_the_warm_start_alone(monkeypatch):
     miner = miner_of(TRACES[:2], sample_size=50)
     starts = []
     monkeypatch.setattr(
-        "behavexplor.behavior.miner._k_means", lambda rows, k, tried, seed: starts.extend(tried) or rows[:k]
+        "behavexplor.behavior.miner.k_means", lambda rows, k, tried, seed: starts.extend(tried) or rows[:k]
     )
     miner.fit()
     assert len(starts) == 1
@@ -161,7 +164,7 @@ def test_the_sample_is_bounded_and_uniform():
     for i in range(12):
         behavior = miner.describe(TRACES[i])
         marked = np.full((400, N_FEATURES), float(i))
-        miner.add(type(behavior)(behavior.states, marked))
+        miner.add(SimpleNamespace(states=behavior.states, merged=marked))
     rows = miner._sample.rows
     assert rows.shape == (500, N_FEATURES)
     counts = np.bincount(rows[:, 0].astype(int), minlength=12)

@@ -135,10 +135,12 @@ def test_a_novel_testcase_refits_the_clusters():
     search = started(drive(5.0), degree=1.0)
     x = np.cumsum(5 + 5 * np.sin(np.arange(1200) / 40)) / 20
     winding = make_trace(np.stack([x, 0 * x, 0 * x], axis=1))
-    fast, slow = (search._miner.describe(winding).merged[i : i + 1] for i in (30, 95))
-    assert search._miner.abstract(fast) == search._miner.abstract(slow)
+    behavior, fast, slow = search._miner.describe(winding), 30, 95
+    labels = search._miner.abstract(behavior)
+    assert labels[fast] == labels[slow]
     assert tell_next(search, winding, verdict(4.0))[1]["novel"]
-    assert search._miner.abstract(fast) != search._miner.abstract(slow)
+    labels = search._miner.abstract(behavior)
+    assert labels[fast] != labels[slow]
 
 
 @pytest.mark.parametrize(("known", "novelty"), [("kept", 0.0), ("novel", 1 / 3)])
