@@ -4,6 +4,8 @@ The world frame is highway-env's: x points to the right, y points down, and head
 lateral offset therefore lies to the right of the direction of travel. Lengths are in meters, angles in radians.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -156,15 +158,28 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
         Station of each projected point [m], and the polyline's heading at that station [rad], each of shape (T,). The
         heading is interpolated between the headings at the middles of the segments.
     """
-    along = np.diff(polyline, axis=0)
-    length = np.hypot(along[:, 0], along[:, 1])
-    vertex = ((polyline**2).sum(1) - 2 * (points @ polyline.T)).argmin(1)
-    near = np.clip(vertex[:, None] + np.arange(-2, 2), 0, len(along) - 1)  # segments, shape (T, 4)
-    dx, dy = np.moveaxis((along / length[:, None])[near], -1, 0)
-    x, y = np.moveaxis(points[:, None] - polyline[near], -1, 0)
-    ahead = np.clip(x * dx + y * dy, 0.0, length[near])  # distance from the start of each segment
-    best = np.arange(len(points)), ((x - ahead * dx) ** 2 + (y - ahead * dy) ** 2).argmin(1)
-    ends = np.concatenate([[0.0], np.cumsum(length)])
-    station = ends[near[best]] + ahead[best]
-    heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    from behavexplor.data.polyline_kernels import fill_stations  # noqa: PLC0415 - numba is slow to import
+
+    vertices = np.array(polyline, dtype=np.float64, order="C")
+    pieces, ends, heading = _pieces(vertices.tobytes())
+    station = np.empty(len(points))
+    fill_stations(np.array(points, dtype=np.float64, order="C"), vertices, pieces, ends, station)
     return station, np.interp(station, (ends[:-1] + ends[1:]) / 2, heading)
+
+
+@lru_cache(maxsize=8)  # all traces of a scene have the same route
+def _pieces(vertices: bytes) -> tuple[Floats, Floats, Floats]:
+    """Return the segments of a polyline.
+
+    Args:
+        vertices: the bytes of its vertices, shape (P, 2) [m].
+
+    Returns:
+        Direction and length of each segment, shape (P - 1, 3); stations of the vertices [m], shape (P,); headings of
+        the segments without jumps [rad], shape (P - 1,).
+    """
+    along = np.diff(np.frombuffer(vertices).reshape(-1, 2), axis=0)
+    length = np.hypot(along[:, 0], along[:, 1])
+    ends = np.concatenate([[0.0], np.cumsum(length)])
+    heading = np.unwrap(np.arctan2(along[:, 1], along[:, 0]))
+    return np.column_stack([along / length[:, None], length]), ends, heading

@@ -1,5 +1,6 @@
 """Arrays by name as bytes: the safetensors format, compressed by Zstandard."""
 
+import threading
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -13,10 +14,21 @@ from behavexplor.data.untrusted import MAX_ARRAY_BYTES
 LEVEL: Final = 3
 
 
+class _Compression(threading.local):
+    """A compressor and a decompressor for each thread. Creating them takes longer than they need for a trace."""
+
+    def __init__(self) -> None:
+        self.compressor = zstandard.ZstdCompressor(level=LEVEL)
+        self.decompressor = zstandard.ZstdDecompressor()
+
+
+_compression = _Compression()
+
+
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return arrays of numbers or truth values as bytes. Equal arrays give equal bytes."""
     contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
-    return zstandard.ZstdCompressor(level=LEVEL).compress(safetensors.numpy.save(contiguous))
+    return _compression.compressor.compress(safetensors.numpy.save(contiguous))
 
 
 def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
@@ -29,6 +41,6 @@ def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
         size = zstandard.frame_content_size(data)
         if not 0 <= size <= MAX_ARRAY_BYTES:
             raise ValueError(f"it declares an unpacked size of {size} bytes")  # noqa: TRY301
-        return safetensors.numpy.load(zstandard.ZstdDecompressor().decompress(data))
+        return safetensors.numpy.load(_compression.decompressor.decompress(data))
     except Exception as error:  # both libraries raise several kinds of errors for damaged data
         raise ValueError(" ".join(f"{type(error).__name__}: {error}".split())[:300]) from None

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.motion_bytes import pack_motion, unpack_motion
 from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
 from behavexplor.data.untrusted import read_arrays
 from behavexplor.errors import InputError
@@ -186,7 +187,7 @@ class Trace:
         """Return the trace as compressed bytes. Equal traces give equal bytes, and `from_bytes` restores them."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         for name in _MOTION:
-            arrays[name] = _pack(arrays[name])
+            arrays[name] = pack_motion(arrays[name], RESOLUTION)
         arrays |= {f"decisions.{name}": values for name, values in self.decisions.items()}
         arrays |= {f"signals.{name}": values for name, values in self.signals.items()}
         if self.present.size:
@@ -215,7 +216,7 @@ class Trace:
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
-            arrays[name] = _unpack(arrays[name], arrays["time"].size)
+            arrays[name] = unpack_motion(arrays[name], arrays["time"].size, RESOLUTION)
         return cls(
             **arrays,
             end=str(values["end"]) if is_npz else values["end"].tobytes().decode(errors="replace"),
@@ -298,22 +299,3 @@ def _check_shape(name: str, array: NDArray[np.generic], expected: tuple[int | No
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"{name}: every value must be finite")
-
-
-def _pack(motion: Floats) -> NDArray[np.uint8]:
-    """Pack motion as second differences over time in units of `RESOLUTION`, byte by byte: smooth motion becomes 0."""
-    steps = np.rint(motion / RESOLUTION).astype(np.int64)
-    for _ in range(2):
-        steps = np.diff(steps, axis=0, prepend=0)
-    planes = np.ascontiguousarray(np.moveaxis(steps, 0, -1))
-    return np.moveaxis(planes[..., None].view(np.uint8), -1, 0)
-
-
-def _unpack(planes: NDArray[np.uint8], frames: int) -> Floats:
-    if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] != 8 or planes.shape[-1] != frames:
-        raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
-    steps = np.ascontiguousarray(np.moveaxis(planes, 0, -1)).view(np.int64)[..., 0]
-    steps = np.moveaxis(steps, -1, 0)
-    for _ in range(2):
-        steps = np.cumsum(steps, axis=0)
-    return np.asarray(steps * RESOLUTION)
