@@ -7,7 +7,6 @@ import pytest
 from hypothesis import settings
 
 from behavexplor.envs.drawn.vehicle_classes import parameters, set_parameters
-from behavexplor.execution import pool
 from behavexplor.jit import drop_stale_code
 
 SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.drawn.vector_env"]
@@ -24,7 +23,8 @@ VEHICLES = parameters()
 def imports_of_workers():
     """Let the workers of all tests share what any of them imports; the process that they are forked from is one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "set_forkserver_preload", lambda names: set_forkserver_preload([*names, *SLOW_IMPORTS]))
+        preload = "behavexplor.execution.shared_imports.set_forkserver_preload"
+        patch.setattr(preload, lambda names: set_forkserver_preload([*names, *SLOW_IMPORTS]))
         yield
 
 

@@ -18,7 +18,7 @@ from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
-from behavexplor.execution.pool import share_imports
+from behavexplor.execution.shared_imports import share_imports
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
@@ -76,7 +76,7 @@ def opened(
     check_revision(stored_config(folder) if resume else config, str(folder))
     recipe = evaluator_recipe(config.target, config.batch)
     if workers and not cluster and driver is None:
-        share_imports(recipe)
+        share_imports(recipe.preload)
     logical = None if is_stock(config.env) else logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)

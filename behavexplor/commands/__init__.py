@@ -18,6 +18,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
+from behavexplor.commands.early_imports import begin_imports
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.errors import InputError, printable, sentence
 
@@ -84,11 +85,12 @@ def _notices(*, quiet: bool) -> Iterator[None]:
 
 def _run(given: Sequence[str]) -> int:
     """Run the command that the arguments name, and return the exit code."""
-    import tyro  # noqa: PLC0415 - only the command line needs it
-
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory
         sys.path.insert(0, "")
     try:
+        begin_imports(given)
+        import tyro  # noqa: PLC0415 - only the command line needs it
+
         if given and given[0] in COMMANDS:  # importing only this command is faster
             code: int = tyro.cli(_command(given[0]), prog=f"{program()} {given[0]}", args=given[1:])
         else:

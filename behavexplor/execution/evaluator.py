@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-import behavexplor
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import is_shipped
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
@@ -20,6 +19,7 @@ from behavexplor.execution.notices import collected_notices
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import ADSError, LockStep
 from behavexplor.execution.service import Recipe, Service
+from behavexplor.execution.shared_imports import slow_modules
 from behavexplor.execution.simulation import Simulation, compile_kernels
 from behavexplor.jit import keep_no_code
 
@@ -260,15 +260,8 @@ def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Rec
         f"{service.__module__}:{service.__qualname__}",
         {**target.to_dict(), **settings},
         batched=EXECUTE,
-        preload=(service.__module__, *_preloaded(target)),
+        preload=(service.__module__, *slow_modules(target.env, target.ads)),
     )
-
-
-def _preloaded(target: Target) -> list[str]:
-    """Return the slow modules that executing the scenarios of a target needs."""
-    entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(target.env, "behavexplor.envs.drawn.vector_env")
-    modules = [entry_point.partition(":")[0]]
-    return [*modules, "behavexplor.ads.sb3.policy"] if target.ads.endswith(".zip") else modules
 
 
 def needs_confinement(target: Target) -> bool:

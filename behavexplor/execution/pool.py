@@ -15,7 +15,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from multiprocessing.connection import Connection, wait
-from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from typing import Any, Final
@@ -26,26 +25,12 @@ from behavexplor.execution.executor import Executor
 from behavexplor.execution.messages import READY, SUSPECT, Request, settle, split_key
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.service import Recipe
+from behavexplor.execution.shared_imports import CAN_SHARE, GUARD, share_imports
 from behavexplor.execution.worker import CLOSED, serve
 
 BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
 CRASHES: Final = 2  # an ADS is blamed after this many worker crashes during the same single execution
-_SHARES: Final = "forkserver" in multiprocessing.get_all_start_methods()
-_GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
 ENDING_SECONDS: Final = 2.0  # time limit for the end of a worker that has closed its connection [s]
-
-
-def share_imports(recipe: Recipe) -> None:
-    """Begin to import, in the background, the modules that all processes of a service need, where they can be shared.
-
-    Raises:
-        InputError: if this process is a worker that is importing the user's script, and the script would start workers.
-    """
-    if getattr(multiprocessing.current_process(), "_inheriting", False):
-        raise InputError(f"This script starts worker processes when it is imported: {_GUARD}")
-    if _SHARES:
-        set_forkserver_preload(list(recipe.preload))
-        ensure_running()
 
 
 class WorkerDiedError(RuntimeError):
@@ -90,7 +75,7 @@ class WorkerPool(Executor):
     """
 
     def __init__(self, n_workers: int, recipe: Recipe, time_limit: float, memory_limit: float) -> None:
-        share_imports(recipe)
+        share_imports(recipe.preload)
         recipe.make().prepare()
         self._recipe = recipe
         self._folder = TemporaryDirectory(prefix="behavexplor-", ignore_cleanup_errors=True)
@@ -297,7 +282,7 @@ class _Worker:
     """
 
     def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
-        context: Any = multiprocessing.get_context("forkserver" if _SHARES else "spawn")
+        context: Any = multiprocessing.get_context("forkserver" if CAN_SHARE else "spawn")
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)
@@ -377,7 +362,7 @@ class _Worker:
 def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:
     """Return the exception for the calls of a lost worker."""
     if not worker.is_ready:
-        hint = f"; if a script has started it, {_GUARD}" if message.endswith("exit code 1") else ""
+        hint = f"; if a script has started it, {GUARD}" if message.endswith("exit code 1") else ""
         return InputError(f"The ADS cannot be loaded: {message}{hint}")
     return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
 

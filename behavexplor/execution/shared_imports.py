@@ -1,0 +1,38 @@
+"""Imports that all worker processes share: a server process imports the modules, and the workers are copies of it."""
+
+import multiprocessing
+from collections.abc import Sequence
+from multiprocessing.forkserver import ensure_running, set_forkserver_preload
+from typing import Final
+
+import behavexplor
+from behavexplor.errors import InputError
+
+CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
+GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
+_EVALUATOR: Final = "behavexplor.execution.evaluator"
+
+
+def share_imports(modules: Sequence[str]) -> None:
+    """Begin to import modules in the background, where the system can share them. Only the first call has an effect.
+
+    Raises:
+        InputError: if this process is a worker that is importing the user's script, and the script would start workers.
+    """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise InputError(f"This script starts worker processes when it is imported: {GUARD}")
+    if CAN_SHARE:
+        set_forkserver_preload(list(modules))
+        ensure_running()
+
+
+def slow_modules(env: str, ads: str) -> tuple[str, ...]:
+    """Return the slow modules that executing scenarios needs.
+
+    Args:
+        env: name of the environment.
+        ads: name of the driving system.
+    """
+    entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.drawn.vector_env")
+    policy = ("behavexplor.ads.sb3.policy",) if ads.endswith(".zip") else ()
+    return _EVALUATOR, entry_point.partition(":")[0], *policy
