@@ -18,7 +18,7 @@ def begin_imports(arguments: Sequence[str]) -> None:
         return
     if _value(arguments, "--workers", "") != "0":
         env, ads = _value(arguments, "--env", "intersection-straight"), _value(arguments, "--ads", "rule")
-        share_imports(slow_modules(env, ads))
+        share_imports(("behavexplor.execution.evaluator", *slow_modules(env, ads)))
 
 
 def _value(arguments: Sequence[str], name: str, default: str) -> str:

@@ -10,7 +10,6 @@ from behavexplor.errors import InputError
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
 GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
-_EVALUATOR: Final = "behavexplor.execution.evaluator"
 
 
 def share_imports(modules: Sequence[str]) -> None:
@@ -27,7 +26,7 @@ def share_imports(modules: Sequence[str]) -> None:
 
 
 def slow_modules(env: str, ads: str) -> tuple[str, ...]:
-    """Return the slow modules that executing scenarios needs.
+    """Return the slow modules of an environment and a driving system.
 
     Args:
         env: name of the environment.
@@ -35,4 +34,4 @@ def slow_modules(env: str, ads: str) -> tuple[str, ...]:
     """
     entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.drawn.vector_env")
     policy = ("behavexplor.ads.sb3.policy",) if ads.endswith(".zip") else ()
-    return _EVALUATOR, entry_point.partition(":")[0], *policy
+    return entry_point.partition(":")[0], *policy
