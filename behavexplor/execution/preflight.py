@@ -28,7 +28,7 @@ _WHERE_CONFIGURED: Final = MappingProxyType(
 
 
 class _Witness:
-    """An ADS that also records its observations and actions."""
+    """An ADS that also records its observations and actions, except those of absent egos, whose rows are zeros."""
 
     def __init__(self, ads: Any) -> None:
         self.ads = ads
@@ -38,9 +38,16 @@ class _Witness:
 
     def predict(self, observation: Observation, *arguments: Any, **keywords: Any) -> Any:
         answer = self.ads.predict(observation, *arguments, **keywords)
-        self.observations.append(mapped(np.array, observation))
-        self.actions.append(np.array(answer[0]))
+        is_there = _rows_with_values(observation)
+        self.observations.append(mapped(lambda array: np.array(array)[is_there], observation))
+        self.actions.append(np.array(answer[0])[is_there])
         return answer
+
+
+def _rows_with_values(observation: Observation) -> NDArray[np.bool_]:
+    """Return which rows of an observation have any value but 0, shape (B,); all, if none has."""
+    found = np.any([array.reshape(len(array), -1).any(axis=1) for array in arrays_of(observation)], axis=0)
+    return np.asarray(found | ~found.any())
 
 
 def preflight_warnings(simulation: Simulation) -> list[str]:
@@ -75,8 +82,8 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
 
 
 def _traces(simulation: Simulation, witness: _Witness, scenarios: list[Scenario]) -> list[Trace]:
-    """Drive scenarios one after the other, in the compiled form of a stock environment where there is one."""
-    envs = simulation.compiled(1)
+    """Drive scenarios in the compiled form of the environment where there is one, together if the ADS allows that."""
+    envs = simulation.compiled(len(scenarios))
     if envs is None:
         return [rollout(simulation.env, witness, scenario) for scenario in scenarios]
     return [trace for _, trace in rollout_all(envs, witness, scenarios)]

@@ -87,15 +87,20 @@ class LockStep:
         envs: vector environment with autoreset disabled that takes
             `reset(options={"scenarios": ..., "reset_mask": ...})`.
         ads: driving system, see `behavexplor.ads.interface.ADS`.
+
+    Attributes:
+        free: number of sub-environments without an episode.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any], ads: Any) -> None:
+        self.free = envs.num_envs
         self._envs = envs
         self._ads = ads
         self._scenarios: list[Scenario | None] = [None] * envs.num_envs
         self._keys: list[Any] = [None] * envs.num_envs
         self._running = np.zeros(envs.num_envs, dtype=bool)
         self._start = np.zeros(envs.num_envs, dtype=bool)
+        self._begins = False  # True if an episode begins with the next step
         self._observation: Observation | None = None
         self._state: Any = None
         self._log = _Log(ads)
@@ -108,12 +113,7 @@ class LockStep:
     @property
     def is_running(self) -> bool:
         """True if an episode has not ended."""
-        return bool(self._running.any())
-
-    @property
-    def free(self) -> int:
-        """Number of sub-environments without an episode."""
-        return len(self._running) - int(self._running.sum())
+        return self.free < len(self._running)
 
     def begin(self, key: Any, scenario: Scenario) -> None:
         """Add an episode, which begins with the next call of `step`. One of the sub-environments must be free.
@@ -124,12 +124,14 @@ class LockStep:
         """
         slot = int(self._running.argmin())
         self._keys[slot], self._scenarios[slot] = key, scenario
-        self._running[slot] = self._start[slot] = True
+        self._running[slot] = self._start[slot] = self._begins = True
+        self.free -= 1
 
     def give_up(self) -> list[Any]:
         """End all episodes, and return their keys."""
         keys = self.running
-        self._running[:] = self._start[:] = False
+        self._running[:] = self._start[:] = self._begins = False
+        self.free = len(self._running)
         self._observation = self._state = None
         return keys
 
@@ -143,23 +145,26 @@ class LockStep:
             ADSError: if the ADS fails, or its answer is not a valid action of the environment. It is unknown which
                 episode is to blame, and none of them can go on.
         """
-        if self._start.any() or self._observation is None:
+        if self._begins or self._observation is None:
             self._observation = self._reset()
             if self._start[self._running].all():  # no other episode goes on: some drivers look at the state alone
                 self._state = None
         observation, counts = mapped(np.asarray, self._observation), None
-        if not self._running.all():
+        if self.free:
             counts = self._running
             for array in arrays_of(observation):
                 array[~counts] = 0
         actions, self._state = _ask(
             self._ads, observation, self._state, self._start, self._envs.single_action_space, counts
         )
-        self._start = np.zeros(len(self._running), dtype=bool)
+        self._start, self._begins = np.zeros(len(self._running), dtype=bool), False
         self._observation, _, terminated, truncated, infos = self._envs.step(actions)
         self._log.add(self._state)
-        ended = np.flatnonzero(self._running & (terminated | truncated)).tolist()
+        ended = (self._running & (terminated | truncated)).nonzero()[0].tolist()
+        if not ended:
+            return []
         self._running[ended] = False
+        self.free += len(ended)
         return [(self._keys[slot], self._log.completed(infos["trace"][slot], slot)) for slot in ended]
 
     def _reset(self) -> Any:

@@ -38,7 +38,7 @@ def seen_by(driver):
 
     class Watching(Cruiser):
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            scenes.append(observation[0])
+            scenes.extend(scene for scene in observation if scene.any())
             return driver.predict(observation, state)
 
     warnings_about(Watching())
@@ -54,6 +54,18 @@ def test_a_constant_driver_is_named_and_so_is_one_that_never_moves():
     assert constant.startswith("The ADS is constant")
     assert f"in {SCENARIOS} scenarios" in constant
     assert motionless == f"The ego never moved in {SCENARIOS} scenarios"
+
+
+def test_answers_to_rows_without_an_ego_do_not_count():
+    """The scenarios end one after the other, so that some rows are zeros before all have ended."""
+
+    class Blind(Parked):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            actions, state = super().predict(observation, state)
+            actions[~observation.any(axis=(1, 2))] = 1.0
+            return actions, state
+
+    assert warnings_about(Blind())[0].startswith("The ADS is constant")
 
 
 def test_a_driver_that_answers_no_number_is_named():
