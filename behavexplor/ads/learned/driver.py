@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.learned.choosing import Decisions, decide, draw_decisions
-from behavexplor.ads.learned.mlp import as_network, evaluate_batch
+from behavexplor.ads.learned.mlp import DenseNetwork, as_network, evaluate
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
@@ -21,13 +21,14 @@ from behavexplor.ads.learned.tracker import (
     begin,
     track,
 )
-from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
+from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_memory, as_scenes
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.errors import InputError
-from behavexplor.jit import compiled_for, kernel_in_place
+from behavexplor.jit import compiled_for, kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 POLICY_FREQUENCY: Final = round(1 / PERIOD)
 
@@ -57,7 +58,8 @@ class LearnedDriver:
     noise: int = 1
 
     def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
-        self._kernels = CourseKernels(make_course(roadmap))
+        self._course = make_course(roadmap)
+        self._kernels = CourseKernels(self._course)
         widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
         shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
@@ -65,6 +67,11 @@ class LearnedDriver:
             raise InputError(f"Expected a network of {N_FEATURES} inputs and {N_ACTIONS} outputs, got {shapes}")
         self._network = as_network(network.layers)
         self._rule = network.rule
+        self._widest = max(widths)
+        rooms, rows = np.empty((2, 1, self._widest)), np.empty(1, dtype=np.int64)
+        scenes, memory, preferences = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros((1, N_ACTIONS))
+        arguments = (self._course, self._network, scenes, memory, rooms, rows, preferences)
+        self._prefer_all = compiled_for(_prefer_all, *arguments)
 
     def predict(
         self,
@@ -107,8 +114,10 @@ class LearnedDriver:
         """Return scenes, memory and preferences, shape (B, N_ACTIONS); those of an absent ego mean nothing."""
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        is_present = scenes[:, EGO, PRESENT] != 0.0
-        return scenes, memory, evaluate_batch(self._network, self._kernels.see(scenes, memory), is_present)
+        preferences = np.zeros((len(scenes), N_ACTIONS))
+        rooms, rows = np.empty((2, len(scenes), self._widest)), np.empty(len(scenes), dtype=np.int64)
+        self._prefer_all(self._course, self._network, scenes, memory, rooms, rows, preferences)
+        return scenes, memory, preferences
 
 
 class CourseKernels:
@@ -145,25 +154,59 @@ class CourseKernels:
             decisions: decisions of the policies.
             memory: memory of each ego, contiguous, shape (B, 3), changed in place.
         """
-        commands = np.zeros((len(scenes), 2))
-        self._track_all(self._course, scenes, decisions, memory, commands)
-        return as_actions(commands)
+        actions = np.zeros((len(scenes), 2))
+        self._track_all(self._course, scenes, decisions, memory, actions)
+        return actions
 
 
 @kernel_in_place
 def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> None:
     for i in range(len(scenes)):
-        if scenes[i, EGO, PRESENT] == 0.0:
-            continue
-        if memory[i, STARTED] == 0.0:
-            begin(course, scenes[i], memory[i])
-        see(course, scenes[i], memory[i, WANTED], seen[i])
+        if scenes[i, EGO, PRESENT] != 0.0:
+            _see(course, scenes[i], memory[i], seen[i])
 
 
 @kernel_in_place
-def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Floats, commands: Floats) -> None:
+def _prefer_all(
+    course: Course,
+    network: DenseNetwork,
+    scenes: Floats,
+    memory: Floats,
+    rooms: Floats,
+    rows: Ints,
+    preferences: Floats,
+) -> None:
+    """Fill in the preferences of the egos that are present. `rooms` and `rows` are for intermediate results."""
+    count = 0
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
-            commands[i, 0], commands[i, 1] = track(
-                course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i]
-            )
+            _see(course, scenes[i], memory[i], rooms[0, i, :N_FEATURES])
+            rows[count] = i
+            count += 1
+    outputs = evaluate(network, rooms, rows[:count])
+    for i in rows[:count]:
+        for j in range(N_ACTIONS):
+            preferences[i, j] = rooms[outputs, i, j]
+
+
+@kernel_inner
+def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
+    if memory[STARTED] == 0.0:
+        begin(course, scene, memory)
+    see(course, scene, memory[WANTED], seen)
+
+
+@kernel_in_place
+def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Floats, actions: Floats) -> None:
+    for i in range(len(scenes)):
+        if scenes[i, EGO, PRESENT] != 0.0:
+            wanted, lane = decisions.accelerations[i], decisions.lanes[i]
+            acceleration, steering = track(course, scenes[i], wanted, lane, memory[i])
+            actions[i, 0] = _as_action(acceleration, ACCELERATION_RANGE[0], ACCELERATION_RANGE[1])
+            actions[i, 1] = _as_action(steering, STEERING_RANGE[0], STEERING_RANGE[1])
+
+
+@kernel_inner
+def _as_action(command: float, low: float, high: float) -> float:
+    """Convert a command as `behavexplor.ads.scene_io.as_actions` does."""
+    return 2 * (command - low) / (high - low) - 1

@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.jit import kernel_in_place, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class DenseNetwork(NamedTuple):
@@ -39,25 +38,18 @@ def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
     )
 
 
-def evaluate_batch(network: DenseNetwork, seen: Floats, counts: Bools | None = None) -> Floats:
-    """Compute the outputs of a network for each row of inputs, shape (B, outputs).
+@kernel_inner
+def evaluate(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
+    """Compute the outputs of a network for some rows, and return the index of the outputs in `rooms`.
 
     The sums run over the inputs in their order, so that no row's last bits depend on the batch or on a library.
 
     Args:
         network: network to evaluate.
-        seen: inputs, shape (B, inputs).
-        counts: True for each row whose outputs are used, shape (B,); None if all are. The others are not computed.
+        rooms: the inputs in `rooms[0]`, and room for those of other layers, shape (2, B, greatest width); changed in
+            place.
+        rows: rows for which the outputs are computed, shape (n,).
     """
-    rows = np.arange(len(seen)) if counts is None else counts.nonzero()[0]
-    rooms = np.zeros((2, len(seen), int(network.widths.max())))
-    rooms[0, :, : seen.shape[1]] = seen
-    return rooms[_evaluate_all(network, rooms, rows), :, : network.widths[-1]].copy()
-
-
-@kernel_in_place
-def _evaluate_all(network: DenseNetwork, rooms: Floats, rows: Ints) -> int:
-    """Compute the outputs of the layers in turn, from inputs in `rooms[0]`. Return the index of the last outputs."""
     weight, bias, now = 0, 0, 0
     for layer in range(len(network.widths) - 1):
         before, width = network.widths[layer], network.widths[layer + 1]

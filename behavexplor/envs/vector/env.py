@@ -14,7 +14,7 @@ from behavexplor.data.npc_motion import SPEED
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
-from behavexplor.envs.driving import TERMINAL, DrivingEnv
+from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.values import COUNT, shown
@@ -32,7 +32,6 @@ from behavexplor.jit import compiled_for
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_TERMINAL = np.array([*(end in TERMINAL for end in ENDS), False])  # the last one is for `RUNNING`, which is -1
 _OPTIONS = ("scenario", "scenarios", "reset_mask")
 _MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 
@@ -146,32 +145,29 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         check_actions(self.action_space, actions)
         actions, end = np.asarray(actions), self._slots.numbers[:, END]
         values = np.ascontiguousarray(actions.reshape(self.num_envs, self._n_values), dtype=np.float64)
-        active = end == RUNNING
-        self._step_slots(self._world, self._slots, values, self._commands(actions), active)
+        active, ends = end == RUNNING, np.zeros((2, self.num_envs), dtype=bool)
+        n_ended = self._step_slots(self._world, self._slots, values, self._commands(actions), active, ends)
+        terminated, truncated = ends
         self._observe(active)
         terms, rewards = None, np.zeros(self.num_envs)
         if self.gives_rewards:
             terms = reward_terms(self._weights, self._slots, active)
             rewards = sum(terms, rewards)
-        done = active & (end != RUNNING)
         infos: dict[str, Any] = {}
-        if self._mode is AutoresetMode.SAME_STEP and done.any():
-            terminated, truncated = self._ends()
+        done = active & (end != RUNNING)
+        if self._mode is AutoresetMode.SAME_STEP and n_ended:
             infos = self._step_infos(active & ~done, terms) | self._final_infos(done, terms)
             infos |= self._begin(done)
             self._observe(done)
             return self._observations.copy(), rewards, terminated, truncated, infos
-        infos = self._step_infos(active, terms) | self._end_infos(done)
+        infos = self._step_infos(active, terms)
+        if n_ended:
+            infos |= self._end_infos(done)
         if self._mode is AutoresetMode.NEXT_STEP and not active.all():
             infos |= self._begin(~active)
             self._observe(~active)
-        return self._observations.copy(), rewards, *self._ends(), infos
-
-    def _ends(self) -> tuple[Bools, Bools]:
-        """Return which episodes are terminated, and which are truncated."""
-        end = self._slots.numbers[:, END]
-        terminated = _TERMINAL[end]
-        return terminated, (end != RUNNING) & ~terminated
+            ends[:, ~active] = False
+        return self._observations.copy(), rewards, terminated, truncated, infos
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
@@ -191,7 +187,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Compile the kernels for the types of this environment's arrays, or read them from the cache."""
         world, slots, mask = self._world, self._slots, np.zeros(self.num_envs, dtype=bool)
         values, commands = np.zeros((self.num_envs, self._n_values)), np.zeros((self.num_envs, 2))
-        self._step_slots = compiled_for(step, world, slots, values, commands, mask)
+        ends = np.zeros((2, self.num_envs), dtype=bool)
+        self._step_slots: Any = compiled_for(step, world, slots, values, commands, mask, ends)
         observe: Any = observe_scene if self._view is None else observe_kinematics
         self._seen = (slots,) if self._view is None else (world, slots, self._view)
         self._observe_slots = compiled_for(observe, *self._seen, mask, self._observations)
@@ -209,11 +206,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     def _end_infos(self, done: Bools) -> dict[str, Any]:
         """Return what that `info` has besides at the end of an episode, for the chosen slots."""
-        slots = done.nonzero()[0].tolist()
-        if not slots:
-            return {}
         ends, traces = np.full((2, self.num_envs), None, dtype=object)
-        for b in slots:
+        for b in done.nonzero()[0].tolist():
             ends[b], traces[b] = ENDS[self._slots.numbers[b, END]], self._trace(b)
         return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 

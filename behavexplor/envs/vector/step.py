@@ -62,8 +62,8 @@ _is_rear_end = kernel_inner(is_rear_end)
 
 
 @kernel
-def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools) -> None:
-    """Simulate until the next decision, or until an episode ends.
+def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools, ends: Bools) -> int:
+    """Simulate until the next decision, or until an episode ends. Return the number of episodes that have ended now.
 
     Args:
         world: the environment's map and rules.
@@ -72,10 +72,13 @@ def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: 
         commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the code
             of the maneuver.
         active: whether each slot is stepped, shape (B,).
+        ends: whether each episode is terminated, and whether it is truncated, shape (2, B); all False at first.
     """
+    ended = 0
     rules, ego, numbers, record = world.rules, slots.ego, slots.numbers, slots.record
     for b in range(len(active)):
         if not active[b]:
+            _note_end(world.terminal, numbers[b, END], b, ends)
             continue
         x, y, heading, speed = ego[b, X], ego[b, Y], ego[b, HEADING], ego[b, SPEED]
         acceleration, angle = commands[b, 0], commands[b, 1]
@@ -120,6 +123,15 @@ def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: 
         slots.outcome[b, TOUCHED] = 1.0 if numbers[b, LINE_FRAME] > decided else 0.0
         rear_end = end == COLLISION and _struck_from_behind(record, frame, slots.npc, slots.size, b, numbers[b, N_NPCS])
         slots.outcome[b, REAR_END] = 1.0 if rear_end else 0.0
+        _note_end(world.terminal, end, b, ends)
+        ended += end != RUNNING
+    return ended
+
+
+@kernel_inner
+def _note_end(terminal: Bools, end: int, b: int, ends: Bools) -> None:
+    if end >= 0:
+        ends[0, b], ends[1, b] = terminal[end], not terminal[end]
 
 
 @kernel_inner

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED, STANDSTILL_TIME
 from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.trace import ENDS
 from behavexplor.envs import driving
 from behavexplor.envs.network import MapNetwork, road_network
 from behavexplor.envs.vector.lanes import LaneNetwork, lane_row
@@ -71,6 +72,7 @@ class World(NamedTuple):
         start: x [m], y [m] and heading [rad] of the ego's start, shape (3,).
         is_meta: whether the ego takes meta-actions.
         target_speeds: target speeds of meta-actions, shape (speeds,) [m/s].
+        terminal: whether each end of `behavexplor.data.trace.ENDS` terminates an episode; others truncate it.
     """
 
     network: LaneNetwork
@@ -83,6 +85,7 @@ class World(NamedTuple):
     start: Floats
     is_meta: bool
     target_speeds: Floats
+    terminal: NDArray[np.bool_]
 
 
 def make_world(env: driving.DrivingEnv) -> World:
@@ -102,6 +105,7 @@ def make_world(env: driving.DrivingEnv) -> World:
         start=np.array(roadmap.start_pose, dtype=np.float64),
         is_meta=is_meta,
         target_speeds=np.array(action.target_speeds, dtype=np.float64) if is_meta else np.zeros(2),
+        terminal=np.array([end in driving.TERMINAL for end in ENDS]),
     )
 
 

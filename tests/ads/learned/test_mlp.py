@@ -5,11 +5,21 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from behavexplor.ads.learned.mlp import as_network, evaluate_batch
+from behavexplor.ads.learned.mlp import as_network, evaluate
+from tests.kernel_calls import called_alone
+
+evaluated = called_alone(evaluate)
 
 
 def layers_of(widths, rng):
     return [(rng.normal(size=(after, before)), rng.normal(size=after)) for before, after in pairwise(widths)]
+
+
+def evaluate_batch(network, inputs, rows=None):
+    rooms = np.full((2, len(inputs), network.widths.max()), np.nan)
+    rooms[0, :, : inputs.shape[1]] = inputs
+    last = evaluated(network, rooms, np.arange(len(inputs)) if rows is None else np.array(rows))
+    return rooms[last, :, : network.widths[-1]]
 
 
 def outputs(layers, rows):
@@ -36,3 +46,11 @@ def test_rows_are_not_mixed_up_and_not_changed():
     for i in range(50):
         np.testing.assert_array_equal(evaluate_batch(network, rows[i : i + 1])[0], together[i])
     assert evaluate_batch(network, rows[:0]).shape == (0, 7)
+
+
+def test_rows_that_are_not_asked_for_are_not_needed():
+    rng = np.random.default_rng(3)
+    network, rows = as_network(layers_of((5, 6, 6, 2), rng)), rng.normal(size=(4, 5))
+    whole = evaluate_batch(network, rows)
+    rows[[0, 3]] = np.nan
+    np.testing.assert_array_equal(evaluate_batch(network, rows, [1, 2])[1:3], whole[1:3])
