@@ -7,22 +7,22 @@ executed.
 Resuming a campaign means running it again with the stored traces in place of executions.
 """
 
-import re
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Any
 
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
+from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.stage_clock import ASKING, EXECUTING, JUDGING, MINING, STORING, WAITING, StageClock
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE
@@ -30,20 +30,33 @@ from behavexplor.execution.executor import Executor
 from behavexplor.execution.rollout import ADSError
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
-from behavexplor.judge.classes import violation_class
-from behavexplor.judge.events import REQUIREMENTS
-from behavexplor.judge.fault import collision_fault
-from behavexplor.judge.specs import SPECS, Spec, Verdict, judge
+from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
-_ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which differs from run to run
-
-
 class ExecutionError(Exception):
     """An execution could not be carried out for a reason other than the ADS, and does not count as its failure."""
+
+
+@dataclass
+class _Pending:
+    """A candidate whose result the method has not been told.
+
+    Attributes:
+        candidate: the candidate.
+        result: future for the trace as bytes, or the stored execution.
+        judgment: the judgment; None until it is made.
+    """
+
+    candidate: Candidate
+    result: Future[bytes] | Execution
+    judgment: Judgment | None = None
+
+    @property
+    def is_executed(self) -> bool:
+        return isinstance(self.result, Execution) or self.result.done()
 
 
 class Campaign:
@@ -88,7 +101,7 @@ class Campaign:
         self._failures = 0  # those that the method has been told, stored or not
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
-        self._pending: deque[tuple[Candidate, Future[bytes] | Execution]] = deque()
+        self._pending: deque[_Pending] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
@@ -121,7 +134,7 @@ class Campaign:
                 ended = self._ask_all()
                 if not self._pending:
                     break
-                self._tell(*self._pending.popleft())
+                self._tell(self._pending.popleft())
                 self._commit(observe, COMMIT_ROWS, COMMIT_SECONDS)
         finally:
             self._commit(observe, 1, 0.0)
@@ -145,7 +158,7 @@ class Campaign:
             except SearchExhausted as end:
                 return str(end)
             self._asked += 1
-            self._pending.append((candidate, self._execute(candidate)))
+            self._pending.append(_Pending(candidate, self._execute(candidate)))
         return None
 
     def _within_budget(self) -> bool:
@@ -171,73 +184,75 @@ class Campaign:
         except RuntimeError as error:  # the executor has been shut down
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
 
-    def _tell(self, candidate: Candidate, result: Future[bytes] | Execution) -> None:
+    def _tell(self, oldest: _Pending) -> None:
+        """Tell the method a result, and store the record unless it is already stored."""
+        self._judge_others_until(oldest)
+        judged = oldest.judgment or self._judgment(oldest)
+        record = self._record(oldest.candidate, judged)
+        self._failures += record.failed
+        if not isinstance(oldest.result, Execution):
+            self._store.add(Execution(record, judged.data, self.elapsed))
+        elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
+            raise InputError(
+                f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
+                f"the program has changed"
+            )
+        else:
+            self._count(oldest.result, resumed=1)
+
+    def _judge_others_until(self, oldest: _Pending) -> None:
+        """Judge candidates that have been executed early, until the oldest one has been executed as well."""
+        for other in self._pending:
+            if oldest.is_executed:
+                return
+            if other.is_executed and other.judgment is None:
+                with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
+                    other.judgment = self._judgment(other)
+
+    def _judgment(self, pending: _Pending) -> Judgment:
+        data, failure = self._outcome(pending)
+        with self._clock.during(JUDGING):
+            try:
+                return judgment(data, failure, self._specs)
+            except InputError as error:
+                place = f"in execution {pending.candidate.number} of {self._store.folder}"
+                raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
+
+    def _outcome(self, pending: _Pending) -> tuple[bytes, dict[str, str] | None]:
+        """Return the trace of a candidate as bytes, and how the ADS failed."""
+        candidate, result = pending.candidate, pending.result
         if isinstance(result, Execution):
-            self._told(candidate, result.trace, result.record.error, result)
-            return
-        data, failure = b"", None
+            return result.trace, result.record.error
         try:
             with self._clock.during(self._executing):
-                data = result.result()
+                return result.result(), None
         except ADSError as error:
-            failure = ads_failure(error)
-            data = self._logical.first_frame(candidate.scenario, ERROR).to_bytes()
+            return self._logical.first_frame(candidate.scenario, ERROR).to_bytes(), ads_failure(error)
         except Exception as error:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
-        self._told(candidate, data, failure, None)
 
-    def _told(
-        self, candidate: Candidate, data: bytes, failure: dict[str, str] | None, stored: Execution | None
-    ) -> None:
-        """Judge an execution, tell the method, and store the record unless it is already stored."""
-        with self._clock.during(JUDGING):
-            trace = Trace.from_bytes(data)
-        record = self._record(candidate, trace, failure)
-        self._failures += record.failed
-        if stored is None:
-            self._store.add(Execution(record, data, self.elapsed))
-        elif not stored.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
-            raise InputError(
-                f"The run cannot be resumed: execution {candidate.number} is now judged differently, so the "
-                f"configuration or the program has changed"
-            )
-        else:
-            self._count(stored, resumed=1)
-
-    def _record(self, candidate: Candidate, trace: Trace, failure: dict[str, str] | None) -> Record:
-        with self._clock.during(JUDGING):
-            verdict = self._judge(candidate, trace)
-            if failure is not None:
-                verdict = replace(verdict, violated=(ERROR,))
-            kind, fault = class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
+    def _record(self, candidate: Candidate, judged: Judgment) -> Record:
         with self._clock.during(MINING):
-            novelty = self._archive.observe(trace)
-            learned = self._method.tell(candidate, trace, verdict)
+            novelty = self._archive.observe(judged.trace)
+            learned = self._method.tell(candidate, judged.trace, judged.verdict)
         return Record(
             id=candidate.number,
             origin=candidate.origin,
             parent=candidate.parent,
-            end=trace.end,
-            error=failure,
-            duration=trace.duration,
-            violated=verdict.violated,
-            violation_class=kind,
-            fault=fault,
-            degree=verdict.degree,
-            degrees=dict(verdict.degrees),
+            end=judged.trace.end,
+            error=judged.failure,
+            duration=judged.trace.duration,
+            violated=judged.verdict.violated,
+            violation_class=judged.violation_class,
+            fault=judged.fault,
+            degree=judged.verdict.degree,
+            degrees=dict(judged.verdict.degrees),
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
             search=dict(learned),
             scenario=candidate.scenario.to_dict(),
         )
-
-    def _judge(self, candidate: Candidate, trace: Trace) -> Verdict:
-        try:
-            return judge(trace, self._specs)
-        except InputError as error:
-            place = f"in execution {candidate.number} of {self._store.folder}"
-            raise InputError(f"{error}, {place}: correct the spec, then continue with fuzz --resume") from error
 
     def _commit(self, observe: Callable[[Progress], None], rows: int, seconds: float) -> None:
         """Commit and count the pending executions if there are enough of them or enough time has passed."""
@@ -277,21 +292,6 @@ class Campaign:
 
 def _counted(counts: Mapping[str, int], name: str | None) -> Mapping[str, int]:
     return counts if name is None else {**counts, name: counts.get(name, 0) + 1}
-
-
-def class_id(trace: Trace, verdict: Verdict, failure: Mapping[str, str] | None) -> str | None:
-    """Return the id of a failure's class, as stored in its record; None for a passed execution."""
-    if failure is not None:
-        return f"{ERROR}/{failure['kind']}"
-    if not verdict.violated:
-        return None
-    first, kind = verdict.violated[0], violation_class(trace, verdict.violated)
-    return kind.id if kind else REQUIREMENTS.get(first, first)
-
-
-def ads_failure(error: ADSError) -> dict[str, str]:
-    """Return an ADS failure as stored in a record: without memory addresses, so that reproduced failures are equal."""
-    return {"kind": error.kind, "message": _ADDRESS.sub("0x...", error.message)}
 
 
 def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMethod:

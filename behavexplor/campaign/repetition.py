@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from behavexplor.campaign.campaign import ads_failure
+from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution
 from behavexplor.data.trace import Trace
 from behavexplor.errors import sentence

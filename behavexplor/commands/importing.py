@@ -10,21 +10,20 @@ from typing import Annotated, Any
 import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.campaign.campaign import ads_failure, class_id
+from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.export import check_libraries, road_of
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
-from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.exchange.restoring import restored
 from behavexplor.exchange.scenes import Scene
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import fewest_workers, start_executor
-from behavexplor.judge.specs import ERROR, judge
+from behavexplor.judge.specs import ERROR, SPECS
 from behavexplor.report.captions import outcome
 
 
@@ -112,7 +111,7 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
     """Execute a scenario, and print the outcome."""
     with start_executor(target, fewest_workers(target)) as executor:
         try:
-            trace = Trace.from_bytes(executor.submit(EXECUTE, scenario.to_json().encode()).result())
+            data = executor.submit(EXECUTE, scenario.to_json().encode()).result()
         except ADSError as error:
             print(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
             print(f"Class: {ERROR}/{error.kind}")
@@ -120,8 +119,9 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
         except RuntimeError as error:
             print(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
             return EXECUTION_FAILED
-    verdict = judge(trace)
-    print(f"{logical.describe(scenario)}: {outcome(verdict.violated, trace.end)} after {trace.duration:.2f} s")
-    if verdict.failed:
-        print(f"Class: {class_id(trace, verdict, None)}")
+    judged = judgment(data, None, SPECS)
+    trace, violated = judged.trace, judged.verdict.violated
+    print(f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s")
+    if judged.violation_class is not None:
+        print(f"Class: {judged.violation_class}")
     return OK

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from behavexplor.ads.interface import ADS
-from behavexplor.campaign.campaign import ads_failure
 from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError

@@ -1,0 +1,69 @@
+"""Judgment of one execution: its trace with the verdict on it, and the class and fault of its failure."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from behavexplor.campaign.record import ERROR
+from behavexplor.data.trace import Trace
+from behavexplor.execution.rollout import ADSError
+from behavexplor.judge.classes import violation_class
+from behavexplor.judge.events import REQUIREMENTS
+from behavexplor.judge.fault import collision_fault
+from behavexplor.judge.specs import Spec, Verdict, judge
+
+_ADDRESS = re.compile(r"0x[0-9a-f]{4,}")  # memory address of an object, which differs from run to run
+
+
+@dataclass(frozen=True)
+class Judgment:
+    """An execution with its judgment.
+
+    Attributes:
+        data: the trace as bytes.
+        trace: the trace.
+        verdict: the verdict of the specs.
+        violation_class: id of the failure's class; None for a passed execution.
+        fault: who was at fault in a collision, as stored in a record.
+        failure: how the ADS failed, as stored in a record; None if it did not.
+    """
+
+    data: bytes
+    trace: Trace
+    verdict: Verdict
+    violation_class: str | None
+    fault: str | None
+    failure: dict[str, str] | None
+
+
+def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
+    """Judge an execution.
+
+    Args:
+        data: the trace as bytes.
+        failure: how the ADS failed; None if it did not.
+        specs: requirements that judge the trace.
+
+    Raises:
+        InputError: if a spec cannot judge the trace.
+    """
+    trace = Trace.from_bytes(data)
+    verdict = judge(trace, specs)
+    if failure is not None:
+        verdict = replace(verdict, violated=(ERROR,))
+    kind, fault = _class_id(trace, verdict, failure), collision_fault(trace, verdict.violated)
+    return Judgment(data, trace, verdict, kind, fault, failure)
+
+
+def ads_failure(error: ADSError) -> dict[str, str]:
+    """Return an ADS failure as stored in a record: without memory addresses, so that reproduced failures are equal."""
+    return {"kind": error.kind, "message": _ADDRESS.sub("0x...", error.message)}
+
+
+def _class_id(trace: Trace, verdict: Verdict, failure: dict[str, str] | None) -> str | None:
+    if failure is not None:
+        return f"{ERROR}/{failure['kind']}"
+    if not verdict.violated:
+        return None
+    first, kind = verdict.violated[0], violation_class(trace, verdict.violated)
+    return kind.id if kind else REQUIREMENTS.get(first, first)
