@@ -11,6 +11,7 @@ from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.store import Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
@@ -53,6 +54,30 @@ class FakeThreads(ThreadPoolExecutor):
         return super().submit(lambda: simulate(ScriptedScenario.from_json(scenario.decode())).to_bytes())
 
 
+class OftenLate(FakeExecutor):
+    """Executes every fourth candidate only when its result is waited for."""
+
+    runs_here = False
+
+    def submit(self, evaluate, scenario):
+        number = len(self.executed)
+        future = super().submit(evaluate, scenario)
+        return Late(future) if number % 4 == 0 else future
+
+
+class Late(Future):
+    """A future that is done once its result has been asked for."""
+
+    def __init__(self, future):
+        super().__init__()
+        self.future = future
+
+    def result(self, timeout=None):
+        if not self.done():
+            self.set_result(self.future.result())
+        return super().result(timeout)
+
+
 def run(folder, executor=None, observe=lambda _: None, **config):
     config = CampaignConfig(**{"budget": "40", "seed": 3, **config})
     method = search_method(config, LOGICAL)
@@ -70,6 +95,26 @@ def run(folder, executor=None, observe=lambda _: None, **config):
 def recorded(tmp_path_factory):
     """The records of an uninterrupted campaign, by search method."""
     return cache(lambda method: run(tmp_path_factory.mktemp("whole") / "run", method=method))
+
+
+def test_candidates_are_judged_while_an_older_one_is_waited_for(tmp_path, monkeypatch, recorded):
+    waited, judged, expected = [], [], recorded("random")
+    result = Late.result
+    monkeypatch.setattr(Late, "result", lambda late: waited.append(len(judged)) or result(late))
+    monkeypatch.setattr(
+        "behavexplor.campaign.campaign.judgment", lambda *given: judged.append(given) or judgment(*given)
+    )
+    assert run(tmp_path / "run", OftenLate(), method="random") == expected
+    assert len(judged) == 40
+    assert waited[0] == 7  # the other seven in flight had been judged before the first one was waited for
+
+
+def test_an_error_of_a_candidate_that_was_executed_early_comes_in_its_turn(tmp_path):
+    with pytest.raises(ExecutionError, match="Execution 6 could not be carried out"):
+        run(tmp_path / "run", OftenLate(fail_at=6), method="random")
+    store = Store.reopen(tmp_path / "run")
+    assert len(store) == 6
+    store.close()
 
 
 @pytest.mark.parametrize("method", METHODS)
