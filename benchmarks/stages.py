@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.campaign.store import Store
-from benchmarks.startup import STOCK, trained_policy
+from benchmarks.startup import FIRST, STOCK, trained_policy
 
 Row = dict[str, Any]
-
-FIRST = "intersection-straight"
 
 
 def stage_rows(budget: int) -> list[Row]:
@@ -28,7 +26,7 @@ def stage_rows(budget: int) -> list[Row]:
             (policy, 0): ("--env", FIRST, "--ads", policy),
             (policy, 2): ("--env", FIRST, "--ads", policy),
             ("rule", 2): ("--env", FIRST, "--ads", "rule"),
-            (f"PPO in {STOCK}", 2): ("--env", STOCK, "--ads", trained_policy(Path(folder))),
+            (f"PPO in {STOCK}", 2): ("--env", STOCK, "--ads", trained_policy(Path(folder), STOCK)),
         }
         return [
             {"driver": driver, "workers": workers, "n": budget}

@@ -1,64 +1,77 @@
 """Waiting times of a user: for help, for the first execution with and without cached kernels, and for a campaign."""
 
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
 import highway_env  # noqa: F401 - registers highway-fast-v0
 from stable_baselines3 import PPO
 
-from behavexplor.envs.sb3_vec_env import HighwayVecEnv
+from behavexplor.envs.making import environment_id
+from behavexplor.envs.sb3_vec_env import DrivingVecEnv, HighwayVecEnv
 
+FIRST = "intersection-straight"
 STOCK = "highway-fast-v0"
-STEPS = 20_480  # of training
+STEPS = {STOCK: 20_480, FIRST: 40_960}  # of training
+RUNS = 5
 
 Row = dict[str, Any]
 
 
 def startup_rows(budget: int) -> list[Row]:
-    """Return the wall times of shell commands [s].
+    """Return the wall times of shell commands [s]; those of whole campaigns are medians of five runs.
 
     Args:
-        budget: number of executions of the campaign.
+        budget: number of executions of each campaign.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        cold = {"NUMBA_CACHE_DIR": str(Path(folder, "machine-code"))}
-        fuzz = ("fuzz", "--env", "intersection-straight", "--quiet")
-        once, whole = (*fuzz, "--budget", "1", "--out"), (*fuzz, "--budget", str(budget), "--out")
-        policy = ("--ads", "learned:intersection-straight")
-        stock = ("fuzz", "--env", STOCK, "--ads", trained_policy(Path(folder)), "--quiet", "--budget", str(budget))
-        commands = {
-            "fuzz --help": (("fuzz", "--help"), {}),
-            "first execution, machine code cached": ((*once, f"{folder}/1"), {}),
-            "first execution, nothing cached": ((*once, f"{folder}/2"), cold),
-            f"{budget} executions, BehAVExplor and rule": ((*whole, f"{folder}/3"), {}),
-            f"{budget} executions, BehAVExplor and a policy": ((*whole, f"{folder}/4", *policy), {}),
-            f"{budget} executions, BehAVExplor and PPO in {STOCK}": ((*stock, "--out", f"{folder}/5"), {}),
-            f"{budget} executions, uniform and PPO in {STOCK}": (
-                (*stock, "--out", f"{folder}/6", "--method", "uniform"),
-                {},
-            ),
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cold = {"NUMBA_CACHE_DIR": str(folder / "machine-code")}
+        fuzz = ("fuzz", "--quiet", "--env", FIRST)
+        policies = {env: ("--ads", trained_policy(folder, env)) for env in STEPS}
+        whole, stock = (*fuzz, "--budget", str(budget)), ("fuzz", "--quiet", "--env", STOCK, "--budget", str(budget))
+        campaigns = {
+            "BehAVExplor and a constant action": (*whole, "--ads", "constant"),
+            "BehAVExplor and a policy": (*whole, "--ads", f"learned:{FIRST}"),
+            f"BehAVExplor and PPO in {FIRST}": (*whole, *policies[FIRST]),
+            "BehAVExplor and rule": whole,
+            f"BehAVExplor and PPO in {STOCK}": (*stock, *policies[STOCK]),
+            f"uniform and PPO in {STOCK}": (*stock, *policies[STOCK], "--method", "uniform"),
         }
-        return [{"command": name, "seconds": _wall(*command)} for name, command in commands.items()]
+        seconds = {
+            "fuzz --help": _wall(("fuzz", "--help")),
+            "first execution, machine code cached": _wall((*fuzz, "--budget", "1", "--out", f"{folder}/1")),
+            "first execution, nothing cached": _wall((*fuzz, "--budget", "1", "--out", f"{folder}/2"), cold),
+        }
+        for title, command in campaigns.items():
+            runs = [_wall((*command, "--out", f"{folder}/{title}-{number}")) for number in range(RUNS)]
+            seconds[f"{budget} executions, {title}"] = statistics.median(runs)
+        return [{"command": command, "seconds": taken} for command, taken in seconds.items()]
 
 
-def trained_policy(folder: Path) -> str:
-    """Train a PPO model of 64 x 64 in highway-env's own environment, and return the path of its file."""
-    envs = HighwayVecEnv([lambda: gymnasium.make(STOCK, disable_env_checker=True)] * 16)
+def trained_policy(folder: Path, env: str) -> str:
+    """Train a PPO model of 64 x 64 in an environment, and return the path of its file."""
+    if env == STOCK:
+        envs: Any = HighwayVecEnv([lambda: gymnasium.make(STOCK, disable_env_checker=True)] * 16)
+    else:
+        envs = DrivingVecEnv(gymnasium.make_vec(environment_id(env), num_envs=32, autoreset_mode="SameStep"))
     options: dict[str, Any] = {"n_steps": 64, "batch_size": 256, "n_epochs": 5, "learning_rate": 5e-4, "gamma": 0.9}
     model = PPO("MlpPolicy", envs, seed=0, device="cpu", **options)
-    model.learn(STEPS)
-    path = folder / "highway.zip"
+    model.learn(STEPS[env])
+    path = folder / f"{env}.zip"
     model.save(path)
     return str(path)
 
 
-def _wall(arguments: tuple[str, ...], environment: dict[str, str]) -> float:
+def _wall(arguments: tuple[str, ...], environment: Mapping[str, str] = MappingProxyType({})) -> float:
     start = time.perf_counter()
     command = [sys.executable, "-m", "behavexplor", *arguments]
     subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment})
