@@ -32,8 +32,8 @@ def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], ch
     if beside is not None:
         numbers[SPEED:, beside] = flags[CRASHED, beside] = actions[beside] = 0
     rewards: dict[str, Any] = {}
-    for values, (name, mask_name, wanted) in zip(numbers[FIRST_TERM:], _KEYS[kind], strict=False):
-        rewards[name] = values if wanted is float else _typed(values, wanted, beside)
+    for k, (name, mask_name, wanted) in enumerate(_KEYS[kind], FIRST_TERM):
+        rewards[name] = numbers[k] if wanted is float else _typed(numbers[k], wanted, beside)
         rewards[mask_name] = chosen
     infos: dict[str, Any] = {
         "speed": numbers[SPEED],
@@ -62,8 +62,8 @@ def final_infos(observations: NDArray[Any], infos: dict[str, Any], ended: Bools)
         infos: the infos.
         ended: which episodes have ended, shape (B,).
     """
-    last = np.full(len(ended), None, dtype=object)
-    for b in np.flatnonzero(ended).tolist():
+    last = np.empty(len(ended), dtype=object)
+    for b in ended.nonzero()[0].tolist():
         last[b] = observations[b].copy()
     mask = ended.copy()
     return {"final_obs": last, "_final_obs": mask, "final_info": infos, "_final_info": mask}

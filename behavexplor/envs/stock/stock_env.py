@@ -124,8 +124,10 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
         self._observations = self._outcome.observations.reshape(self.observation_space.shape)
-        self._commands, self._table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._numbers, self._everywhere = np.arange(num_envs), np.ones(num_envs, dtype=bool)
+        self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
+        self._is_discrete = table is not None
+        self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, self._numbers.copy())
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._idle = set(range(num_envs))  # those that have not begun an episode
         self._advance_slots = self._compile()
@@ -223,7 +225,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             logs_start: whether the frame log shows the starts.
         """
         actions: NDArray[Any] = self._sampled_space.sample()
-        own, seen = mask.copy(), dict[int, NDArray[Any]]()
+        own = mask.copy()
+        seen: dict[int, NDArray[Any]] = {}
         for b, env in starts.items():
             own[b] = False
             copy_start(env, self._engine, self._slots, b, self._most_at_start)
@@ -244,8 +247,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
         state = (self._engine, self._slots, self._scratch, self._outcome)
-        actions = Actions(np.zeros((1, 2)), self._numbers)
-        return compiled_for(advance, *state, self._everywhere, actions, DECISION, False)
+        return compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
 
     def _advance(self, stage: int, mask: Bools, actions: NDArray[Any], *, logs_start: bool = False) -> int:
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended.
@@ -253,24 +255,26 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         Raises:
             InputError: if the actions are not in the action space.
         """
+        self._put(actions)
         state = (self._engine, self._slots, self._scratch, self._outcome)
-        n_ended = self._advance_slots(*state, mask, self._decoded(actions), stage, logs_start)
+        n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
         if n_ended == REFUSED:
             check_actions(self.action_space, actions)
         return n_ended
 
-    def _decoded(self, actions: NDArray[Any]) -> Actions:
-        """Return actions for the kernel, which itself refuses discrete actions that are out of range.
+    def _put(self, actions: NDArray[Any]) -> None:
+        """Hand actions to the kernel, which itself refuses discrete actions that are out of range.
 
         Raises:
             InputError: if the actions are not in the action space otherwise.
         """
-        if self._table is None:
+        if not self._is_discrete:
             check_actions(self.action_space, actions)
-            return Actions(self._commands(actions), self._numbers)
+            self._actions.commands[:] = self._commands(actions)
+            return
         if actions.dtype.kind not in "iu" or actions.shape != (self.num_envs,):
             check_actions(self.action_space, actions)
-        return Actions(self._table, np.ascontiguousarray(actions, dtype=np.int64))
+        self._actions.choices[:] = actions
 
     def _copy_starts(self, mask: Bools) -> dict[int, NDArray[Any]]:
         """Let highway-env begin episodes, copy them to the chosen slots, and return its observations by their slot."""
