@@ -124,10 +124,10 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
         self._observations = self._outcome.observations.reshape(self.observation_space.shape)
-        self._numbers, self._everywhere = np.arange(num_envs), np.ones(num_envs, dtype=bool)
+        self._everywhere = np.ones(num_envs, dtype=bool)
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
-        self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, self._numbers.copy())
+        self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._idle = set(range(num_envs))  # those that have not begun an episode
         self._advance_slots = self._compile()
@@ -236,7 +236,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         else:
             self._advance(BEGINNING, own, actions, logs_start=logs_start)
         if starts or seen:
-            copied = np.isin(self._numbers, (*starts, *seen))
+            copied = np.zeros(self.num_envs, dtype=bool)
+            copied[[*starts, *seen]] = True
             words = self._engine.words[copied]
             self._advance(LOOK, copied, actions, logs_start=logs_start)
             self._engine.words[copied] = words  # highway-env has drawn the order of this observation already
