@@ -13,19 +13,19 @@ from highway_env.utils import class_from_path
 
 from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.episodes import Engine, Outcome
+from behavexplor.envs.stock.episodes import N_FLAGS, N_NUMBERS, Engine, Outcome
 from behavexplor.envs.stock.frame_log import FrameLog
 from behavexplor.envs.stock.observing import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS
 from behavexplor.envs.stock.state import make_slots
 from behavexplor.envs.stock.stock_world import OTHER, make_world
-from behavexplor.envs.stock.task import INTERSECTION, MOST_TERMS, make_starts, make_task, no_starts
+from behavexplor.envs.stock.task import INTERSECTION, make_starts, make_task, no_starts
 
 _CHANGED_BY_INTERSECTION = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 _ROOM = 16  # more vehicles than in the first episode, for environments that place their own
 
 
-def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool) -> Engine:
+def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool, most_decisions: int | None) -> Engine:
     """Return what the episodes of an environment have in common.
 
     Args:
@@ -33,6 +33,7 @@ def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool)
         kind: its kind.
         num_envs: number of episodes in lock-step.
         places_own: whether it makes its own road or vehicles.
+        most_decisions: number of decisions after which an episode is truncated, if there is one.
     """
     world = make_world(env)
     if isinstance(env, HighwayEnvFast):
@@ -45,7 +46,7 @@ def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool)
     is_grid = isinstance(env.observation_type, TimeToCollisionObservation)
     return Engine(
         world=world,
-        task=make_task(env, kind, starts),
+        task=make_task(env, kind, starts, most_decisions),
         observed=grid_view() if is_grid else make_view(env.observation_type),
         words=np.zeros((num_envs, N_WORDS), dtype=np.uint64),
     )
@@ -74,12 +75,8 @@ def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog)
     return Outcome(
         observations=np.zeros((num_envs, math.prod(shape[:-1]), shape[-1]), dtype=np.float32),
         memory=make_memory(engine.world.network, len(engine.world.speeds), shape[-1]),
-        rewards=np.zeros(num_envs),
-        terms=np.zeros((num_envs, MOST_TERMS)),
-        speeds=np.zeros(num_envs),
-        crashed=np.zeros(num_envs, dtype=bool),
-        terminated=np.zeros(num_envs, dtype=bool),
-        truncated=np.zeros(num_envs, dtype=bool),
+        numbers=np.zeros((N_NUMBERS, num_envs)),
+        flags=np.zeros((N_FLAGS, num_envs), dtype=bool),
         log=log,
     )
 

@@ -1,51 +1,57 @@
 """Many episodes in lock-step: their beginnings and decisions, with observations, rewards and ends."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
 from behavexplor.envs.stock.frame_log import FrameLog, log_frame
-from behavexplor.envs.stock.frames import give_command, run_frames
+from behavexplor.envs.stock.frames import clear_vehicles, give_command, run_frames
+from behavexplor.envs.stock.intersections import NOT_CHALLENGER, enter_intersection, spawn_vehicle
+from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.observing import View, observe
 from behavexplor.envs.stock.pcg64 import Words
+from behavexplor.envs.stock.record_types import Records
+from behavexplor.envs.stock.resets import start
 from behavexplor.envs.stock.reward_terms import is_terminated, put_terms, reward_of
 from behavexplor.envs.stock.state import Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import World
-from behavexplor.envs.stock.task import Task
-from behavexplor.jit import kernel_in_place
+from behavexplor.envs.stock.task import INTERSECTION, MOST_TERMS, Task
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 
-DECISION, WARM_UP, FIRST_LOOK, LOGGED_LOOK = range(4)  # stages of `advance`
+DECISION, BEGINNING, LOOK = range(3)  # stages of `advance`
+REFUSED: Final = -1  # what `advance` returns if an action is none of the choices
+
+REWARD, SPEED, FIRST_TERM = range(3)  # rows of `Outcome.numbers`
+N_NUMBERS: Final = FIRST_TERM + MOST_TERMS
+N_FLAGS: Final = 4
+CRASHED, TERMINATED, TRUNCATED, STEPPED = range(N_FLAGS)  # rows of `Outcome.flags`
 
 
 class Outcome(NamedTuple):
     """What B egos observed and received in their latest decision.
 
+    Few arrays with many rows are copied faster than many arrays.
+
     Attributes:
         observations: shape (B, rows, columns): vehicles and features, or speeds times lanes and times.
         memory: for the observation TimeToCollision.
-        rewards: shape (B,).
-        terms: the terms of the rewards, shape (B, 5).
-        speeds: the egos' speeds, shape (B,) [m/s].
-        crashed: whether each ego has crashed, shape (B,).
-        terminated: whether each episode is terminated, shape (B,).
-        truncated: whether each episode is truncated, shape (B,).
+        numbers: the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B).
+        flags: whether each ego has crashed, whether its episode is terminated, whether it is truncated, and whether the
+            latest call of `advance` took an action in it, shape (N_FLAGS, B).
         log: the frames of the decision, or nothing if it has no room for them.
     """
 
     observations: Singles
     memory: GridMemory
-    rewards: Floats
-    terms: Floats
-    speeds: Floats
-    crashed: Bools
-    terminated: Bools
-    truncated: Bools
+    numbers: Floats
+    flags: Bools
     log: FrameLog
 
 
@@ -65,18 +71,31 @@ class Engine(NamedTuple):
     words: Words
 
 
+class Actions(NamedTuple):
+    """The actions of B egos, as a choice of commands.
+
+    Attributes:
+        commands: the commands; see `behavexplor.envs.stock.frames.step`, shape (n, 2). They are the same at all times
+            if the actions are discrete. Otherwise, each ego has its own.
+        choices: the number of each ego's command, shape (B,).
+    """
+
+    commands: Floats
+    choices: Ints
+
+
 @kernel_in_place
 def advance(
     engine: Engine,
     slots: Slots,
     scratch: Scratch,
-    chosen: Bools,
-    commands: Floats,
-    changes_lane: Bools,
     outcome: Outcome,
+    chosen: Bools,
+    actions: Actions,
     stage: int,
-) -> None:
-    """Simulate a decision in the chosen slots, observe the result and judge it; or a part of this.
+    logs_start: bool,
+) -> int:
+    """Simulate a decision in the chosen slots, or begin episodes in them; then observe the result and judge it.
 
     One kernel does all of this, because each function that is compiled on its own takes seconds more.
 
@@ -84,41 +103,103 @@ def advance(
         engine: the environment.
         slots: the episodes, changed in place.
         scratch: memory that is used within a frame.
-        chosen: whether each slot is advanced, shape (B,).
-        commands: see `behavexplor.envs.stock.frames.step`, shape (B, 2).
-        changes_lane: whether highway-env takes each action for a change of lane, shape (B,).
         outcome: changed in place.
-        stage: DECISION; WARM_UP simulates the traffic before an episode begins; FIRST_LOOK observes and judges only;
-            LOGGED_LOOK also logs the start as the first frame.
+        chosen: whether each slot is advanced, shape (B,).
+        actions: the egos' actions.
+        stage: DECISION, in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
+            those that have been begun elsewhere.
+        logs_start: whether the start is logged as the first frame.
+
+    Returns:
+        The number of these slots whose episode has ended, or REFUSED if a choice is none of the commands. Nothing has
+        changed then.
     """
-    world, task = engine.world, engine.task
+    if not _are_known(actions):
+        return REFUSED
+    world, task, is_decision, n_ended = engine.world, engine.task, stage == DECISION, 0
+    is_intersection = task.rules[0].kind == INTERSECTION
     for b in range(len(chosen)):
         if not chosen[b]:
             continue
-        scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-        n_frames = n_logged = 0
-        if stage == DECISION:
-            give_command(world, scene, commands[b, 0], commands[b, 1])
-            n_frames = n_logged = world.rules[0].n_frames
-        elif stage == WARM_UP:
-            n_frames = task.rules[0].n_warm_up
-        frames = outcome.log.frames[b, :n_logged]
-        run_frames(world.network, world.rules[0], scene, n_frames, frames, outcome.log.things[b])  # compiled once
-        if stage == WARM_UP:
+        words, numbers, flags = engine.words[b], outcome.numbers[:, b], outcome.flags[:, b]
+        frames, things = outcome.log.frames[b], outcome.log.things[b]
+        rests = is_decision and (flags[TERMINATED] or flags[TRUNCATED])
+        flags[STEPPED] = is_decision and not rests
+        if rests:
+            _rest(numbers, frames)
+            n_ended += 1
             continue
-        episode = scene.episode
-        ego = scene.vehicles[episode.ego]
-        if stage != DECISION:
-            episode.n_side_lanes = world.network.roads[world.network.lanes[ego.lane].road].n_lanes
-        if stage == LOGGED_LOOK:
-            log_frame(world.network, scene, outcome.log.frames[b, 0], outcome.log.things[b, 0])
-        if engine.observed.options[0].is_grid:
-            period = world.rules[0].policy_period
-            observe_times(world.network, scene, world.speeds, period, outcome.memory, outcome.observations[b])
-        else:
-            observe(world.network, engine.observed, scene, engine.words[b], outcome.observations[b])
-        put_terms(world, task, scene, changes_lane[b], outcome.terms[b])
-        outcome.speeds[b], outcome.crashed[b] = ego.speed, ego.crashed
-        outcome.rewards[b] = reward_of(task, outcome.terms[b])
-        outcome.terminated[b] = stage == DECISION and is_terminated(world, task, scene)
-        outcome.truncated[b] = stage == DECISION and episode.time >= task.rules[0].duration
+        scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+        choice = actions.choices[b]
+        n_frames = n_logged = 0
+        if is_decision:
+            scene.episode.n_decisions += 1
+            give_command(world, scene, actions.commands[choice, 0], actions.commands[choice, 1])
+            n_frames = n_logged = world.rules[0].n_frames
+        elif stage == BEGINNING:
+            start(world, task, scene, words)
+            n_frames = task.rules[0].n_warm_up
+        run_frames(world.network, world.rules[0], scene, n_frames, frames[:n_logged], things)  # compiled once
+        if stage == BEGINNING and is_intersection:
+            enter_intersection(world, task, scene, words)
+        if not is_decision:
+            _note_start(world.network, scene, frames[:logs_start], things)
+        _look(world, engine.observed, scene, words, outcome.memory, outcome.observations[b])
+        _judge(world, task, scene, choice, numbers, flags)
+        if is_decision and is_intersection:
+            _renew_traffic(world, task, scene, words)
+        n_ended += flags[TERMINATED] or flags[TRUNCATED]
+    return n_ended
+
+
+@kernel_inner
+def _are_known(actions: Actions) -> bool:
+    n_known = 0
+    for choice in actions.choices:
+        n_known += 0 <= choice < len(actions.commands)
+    return n_known == len(actions.choices)
+
+
+@kernel_inner
+def _rest(numbers: Floats, frames: Records) -> None:
+    numbers[REWARD] = 0.0
+    for k in range(len(frames)):
+        frames[k].n_things = 0
+
+
+@kernel_inner
+def _note_start(network: Network, scene: Scene, frames: Records, things: Records) -> None:
+    """Note that the episode has just begun, and where. If `frames` has a frame, it shows the start."""
+    lane = network.lanes[scene.vehicles[scene.episode.ego].lane]
+    scene.episode.n_side_lanes = network.roads[lane.road].n_lanes
+    scene.episode.n_decisions = 0
+    if len(frames) > 0:
+        log_frame(network, scene, frames[0], things[0])
+
+
+@kernel_inner
+def _look(world: World, observed: View, scene: Scene, words: Words, memory: GridMemory, observation: Singles) -> None:
+    if observed.options[0].is_grid:
+        observe_times(world.network, scene, world.speeds, world.rules[0].policy_period, memory, observation)
+    else:
+        observe(world.network, observed, scene, words, observation)
+
+
+@kernel_inner
+def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats, flags: Bools) -> None:
+    """Compute rewards and ends. An episode that has just begun has not ended."""
+    episode, rules, ego = scene.episode, task.rules[0], scene.vehicles[scene.episode.ego]
+    changes_lane = choice in (0, 2)  # highway-env looks at the number alone, also if it means another action
+    put_terms(world, task, scene, changes_lane, numbers[FIRST_TERM:])
+    numbers[REWARD], numbers[SPEED] = reward_of(task, numbers[FIRST_TERM:]), ego.speed
+    is_late = episode.time >= rules.duration or episode.n_decisions >= rules.most_decisions
+    flags[CRASHED] = ego.crashed
+    flags[TERMINATED] = flags[STEPPED] and is_terminated(world, task, scene)
+    flags[TRUNCATED] = flags[STEPPED] and is_late
+
+
+@kernel_inner
+def _renew_traffic(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Remove the vehicles that leave the intersection, and let a new one appear."""
+    clear_vehicles(world.network, scene)
+    spawn_vehicle(world, task, scene, words, 0.0, task.rules[0].spawn_probability, NOT_CHALLENGER)

@@ -1,46 +1,56 @@
 """The infos of vector environments in gymnasium's format: arrays, each with a mask that says for whom it is."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.episodes import Outcome
+from behavexplor.envs.stock.episodes import CRASHED, FIRST_TERM, REWARD, SPEED, STEPPED
 from behavexplor.envs.stock.task import EXIT, INTERSECTION, TERMS
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
 
-_GOAL = list(TERMS[EXIT]).index("goal_reward")
-_ARRIVED = list(TERMS[INTERSECTION]).index("arrived_reward")
+_GOAL: Final = FIRST_TERM + list(TERMS[EXIT]).index("goal_reward")
+_ARRIVED: Final = FIRST_TERM + list(TERMS[INTERSECTION]).index("arrived_reward")
+_KEYS: Final = {kind: [(name, f"_{name}", wanted) for name, wanted in terms.items()] for kind, terms in TERMS.items()}
 
 
-def infos_of(kind: int, outcome: Outcome, actions: NDArray[Any], chosen: Bools, stepped: Bools) -> dict[str, Any]:
+def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
+
+    The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
 
     Args:
         kind: the environment's kind.
-        outcome: what the egos observed and received.
-        actions: their actions, shape (B, ...).
+        numbers: a copy of `Outcome.numbers`.
+        flags: a copy of `Outcome.flags`.
+        actions: a copy of the egos' actions, shape (B, ...).
         chosen: which sub-environments have an info, shape (B,).
-        stepped: which of them have taken an action, while the others have been reset, shape (B,).
     """
-    mask = chosen.copy()
-    speeds, crashed, taken = outcome.speeds.copy(), outcome.crashed.copy(), actions.copy()
-    terms = outcome.terms.T.copy()
-    if not chosen.all():
-        beside = ~chosen
-        speeds[beside] = crashed[beside] = taken[beside] = terms[:, beside] = 0
+    beside = None if np.count_nonzero(chosen) == len(chosen) else ~chosen
+    if beside is not None:
+        numbers[SPEED:, beside] = flags[CRASHED, beside] = actions[beside] = 0
     rewards: dict[str, Any] = {}
-    for values, (name, wanted) in zip(terms, TERMS[kind].items(), strict=False):
-        rewards[name] = values if wanted is float else _typed(values, wanted, mask)
-        rewards[f"_{name}"] = mask
-    infos: dict[str, Any] = {"speed": speeds, "crashed": crashed, "action": taken, "rewards": rewards}
+    for k, (name, mask_name, wanted) in enumerate(_KEYS[kind], FIRST_TERM):
+        rewards[name] = numbers[k] if wanted is float else _typed(numbers[k], wanted, beside)
+        rewards[mask_name] = chosen
+    infos: dict[str, Any] = {
+        "speed": numbers[SPEED],
+        "_speed": chosen,
+        "crashed": flags[CRASHED],
+        "_crashed": chosen,
+        "action": actions,
+        "_action": chosen,
+        "rewards": rewards,
+        "_rewards": chosen,
+    }
     if kind == INTERSECTION:
-        ended = outcome.crashed | (outcome.terms[:, _ARRIVED] != 0)
-        infos |= {"agents_rewards": _tuples(outcome.rewards, mask), "agents_terminated": _tuples(ended, mask)}
-    infos |= {f"_{key}": mask for key in infos}
-    if kind == EXIT and (mask & stepped).any():
-        infos |= {"is_success": (outcome.terms[:, _GOAL] != 0) & mask & stepped, "_is_success": mask & stepped}
+        ended = flags[CRASHED] | numbers[_ARRIVED].astype(bool)
+        infos |= {"agents_rewards": _tuples(numbers[REWARD], beside), "_agents_rewards": chosen}
+        infos |= {"agents_terminated": _tuples(ended, beside), "_agents_terminated": chosen}
+    elif kind == EXIT:
+        infos |= _success(numbers[_GOAL].astype(bool), flags[STEPPED] & chosen)
     return infos
 
 
@@ -52,25 +62,30 @@ def final_infos(observations: NDArray[Any], infos: dict[str, Any], ended: Bools)
         infos: the infos.
         ended: which episodes have ended, shape (B,).
     """
-    last = np.full(len(ended), None, dtype=object)
-    for b in np.flatnonzero(ended).tolist():
+    last = np.empty(len(ended), dtype=object)
+    for b in ended.nonzero()[0].tolist():
         last[b] = observations[b].copy()
     mask = ended.copy()
     return {"final_obs": last, "_final_obs": mask, "final_info": infos, "_final_info": mask}
 
 
-def _typed(values: NDArray[Any], wanted: type, mask: Bools) -> NDArray[Any]:
+def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
+    """Return the info that highway-env's exit environment gives after a decision, but not after a reset."""
+    return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
+
+
+def _typed(values: Floats, wanted: type, beside: Bools | None) -> NDArray[Any]:
     if wanted is not np.bool_:
-        return values.astype(wanted, copy=False)
-    shown = np.full(len(values), None, dtype=object)
-    shown[mask] = values[mask] != 0
-    return shown
+        return values.astype(wanted)
+    return _without(values.astype(bool).astype(object), beside)
 
 
-def _tuples(values: NDArray[Any], mask: Bools) -> NDArray[np.object_]:
-    """Return each value as a tuple of one, as highway-env's multi-agent environments have it; None beside the mask."""
-    shown = np.full(len(values), None, dtype=object)
-    listed = values.tolist()
-    for b in np.flatnonzero(mask).tolist():
-        shown[b] = (listed[b],)
-    return shown
+def _tuples(values: NDArray[Any], beside: Bools | None) -> NDArray[np.object_]:
+    """Return each value as a tuple of one, as highway-env's multi-agent environments have it."""
+    return _without(np.fromiter(zip(values.tolist(), strict=True), dtype=object), beside)
+
+
+def _without(objects: NDArray[np.object_], beside: Bools | None) -> NDArray[np.object_]:
+    if beside is not None:
+        objects[beside] = None
+    return objects

@@ -2,15 +2,11 @@
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from behavexplor.envs.stock.frames import clear_vehicles
-from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, NOT_CHALLENGER, enter_intersection, spawn_vehicle
+from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, NOT_CHALLENGER, spawn_vehicle
 from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.stock.pcg64 import THREE, TWO, Words, integer, normal, uniform, weighted
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_on_lane, place_vehicle, plan_route
-from behavexplor.envs.stock.state import Scene, Scratch, Slots
+from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import BARRIER, World
 from behavexplor.envs.stock.task import (
     DRAWN,
@@ -22,51 +18,19 @@ from behavexplor.envs.stock.task import (
     U_TURN,
     Task,
 )
-from behavexplor.jit import kernel_in_place, kernel_inner
-
-Bools = NDArray[np.bool_]
-
-START, ENTER, SPAWN = range(3)  # stages of `populate`
+from behavexplor.jit import kernel_inner
 
 
-@kernel_in_place
-def populate(
-    world: World,
-    task: Task,
-    slots: Slots,
-    scratch: Scratch,
-    words: Words,
-    chosen: Bools,
-    stage: int,
-) -> None:
-    """Place the first vehicles of episodes, or new ones.
+@kernel_inner
+def start(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Place the first vehicles of an episode: `AbstractEnv._reset`, without the part of an intersection's ego.
 
     Args:
         world: the road and the vehicles' classes.
         task: the environment's starts.
-        slots: the episodes, changed in place.
-        scratch: memory.
-        words: their random generators, changed in place, shape (B, ...); see `behavexplor.envs.stock.pcg64`.
-        chosen: which slots are changed, shape (B,).
-        stage: START begins episodes; ENTER lets the ego enter the intersection after the traffic has driven for a
-            while; SPAWN removes the vehicles that leave the intersection, and lets a new one appear.
+        scene: the episode, changed in place.
+        words: its random generator, changed in place; see `behavexplor.envs.stock.pcg64`.
     """
-    for b in range(len(chosen)):
-        if not chosen[b]:
-            continue
-        scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-        if stage == START:
-            _start(world, task, scene, words[b])
-        elif stage == ENTER:
-            enter_intersection(world, task, scene, words[b])
-        else:
-            clear_vehicles(world.network, scene)
-            spawn_vehicle(world, task, scene, words[b], 0.0, task.rules[0].spawn_probability, NOT_CHALLENGER)
-
-
-@kernel_inner
-def _start(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Begin an episode: `AbstractEnv._reset`."""
     episode, kind = scene.episode, task.rules[0].kind
     episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0
     episode.ego = episode.frames = episode.road_frames = 0

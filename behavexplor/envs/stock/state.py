@@ -77,6 +77,7 @@ EPISODE: Final = record_type(
     frames=np.int64,  # since the reset: `AbstractEnv.steps`
     road_frames=np.int64,  # since the road was made: `RegulatedRoad.steps`
     time=np.float64,  # since the reset [s]
+    n_decisions=np.int64,  # since the start
     n_side_lanes=np.int64,  # of the ego's road when it was first observed
 )
 

@@ -1,7 +1,6 @@
 """highway-env's own environments as compiled vector environments."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -16,23 +15,28 @@ from numpy.typing import NDArray
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_at_start, most_new
-from behavexplor.envs.stock.episodes import DECISION, FIRST_LOOK, LOGGED_LOOK, WARM_UP, advance
+from behavexplor.envs.stock.episodes import (
+    BEGINNING,
+    DECISION,
+    LOOK,
+    REFUSED,
+    REWARD,
+    STEPPED,
+    TERMINATED,
+    TRUNCATED,
+    Actions,
+    advance,
+)
 from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.given_starts import chosen_draws, chosen_starts, copy_start, with_draws
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
 from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
-from behavexplor.envs.stock.resets import ENTER, SPAWN, START, populate
 from behavexplor.envs.stock.slot_state import SlotState, slot_state
 from behavexplor.envs.stock.state import make_scratch, make_slots
-from behavexplor.envs.stock.task import (
-    INTERSECTION,
-    KINDS,
-    MERGE,
-    ROUNDABOUT,
-)
+from behavexplor.envs.stock.task import KINDS
 from behavexplor.envs.values import COUNT, FLAG, optional
-from behavexplor.envs.vector.action_decoding import make_commands
+from behavexplor.envs.vector.action_decoding import command_table, make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for
@@ -97,11 +101,12 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         check_config(env_class, known, config)
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
-        self._max_steps = math.inf if max_episode_steps is None else max_episode_steps
         self.places_own = has_own_starts(env_class)
         with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
-            self._engine = make_engine(self._single, self._kind, num_envs, places_own=self.places_own)
+            self._engine = make_engine(
+                self._single, self._kind, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
+            )
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
@@ -118,13 +123,14 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
-        self._compile()
-        self._commands = make_commands(self._single.action_type)
-        self._no_lane_changes = np.zeros(num_envs, dtype=bool)
-        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._observations = self._outcome.observations.reshape(self.observation_space.shape)
+        self._everywhere = np.ones(num_envs, dtype=bool)
+        self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
+        self._is_discrete = table is not None
+        self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
         self._is_seeded = np.zeros(num_envs, dtype=bool)
-        self._ended = np.zeros(num_envs, dtype=bool)
-        self._has_begun = np.zeros(num_envs, dtype=bool)
+        self._idle = set(range(num_envs))  # those that have not begun an episode
+        self._advance_slots = self._compile()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -140,17 +146,16 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             InputError: if an option or a seed cannot be used.
         """
         options = chosen_options(options, ("reset_mask", "starts", "draws"))
-        mask = chosen_slots(options.get("reset_mask"), self.num_envs)
+        mask = np.ascontiguousarray(chosen_slots(options.get("reset_mask"), self.num_envs))
         starts = chosen_starts(options.get("starts"), type(self._single), self.config, mask)
         draws = chosen_draws(options.get("draws"), mask)
         for b, own_seed in enumerate(chosen_seeds(seed, self.num_envs)):
             if mask[b] and (own_seed is not None or not self._is_seeded[b]):
                 self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(own_seed)[0])
         self._is_seeded |= mask
-        look = LOGGED_LOOK if self.frame_log.frames.size else FIRST_LOOK
-        actions = self._begin(mask, starts, draws, look)
-        self._has_begun |= mask
-        return self._observations(), infos_of(self._kind, self._outcome, actions, mask, ~mask)
+        actions = self._begin(mask, starts, draws, logs_start=self.frame_log.frames.size > 0)
+        self._idle -= set(np.flatnonzero(mask).tolist())
+        return self._observations.copy(), self._infos(actions, mask.copy())
 
     def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment.
@@ -166,52 +171,50 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             Observations, shape (num_envs, ...); rewards, terminations and truncations, each of shape (num_envs,); and
             the infos of highway-env.
         """
-        if not self._has_begun.all():
+        if self._idle:
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
-        check_actions(self.action_space, actions)
-        actions, outcome = np.asarray(actions), self._outcome
-        rest, active = self._ended, ~self._ended
-        if self.frame_log.frames.size:
-            self.frame_log.frames[rest] = 0
-        self._advance(active, actions, DECISION)
-        if self._kind == INTERSECTION:
-            self._populate(active, SPAWN)
-        self._steps += active
-        outcome.truncated[self._steps >= self._max_steps] = True
-        rewards = np.where(rest, 0.0, outcome.rewards)
-        terminated, truncated = outcome.terminated.copy(), outcome.truncated.copy()
-        if self._mode is AutoresetMode.NEXT_STEP and rest.any():
-            actions = _merged(rest, self._begin(rest), actions)
-            terminated[rest] = truncated[rest] = False
-        self._ended = terminated | truncated
-        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
-            return self._reset_ended(actions, rewards, terminated, truncated)
-        chosen = active if self._mode is AutoresetMode.DISABLED else np.ones(self.num_envs, dtype=bool)
-        infos = infos_of(self._kind, outcome, actions, chosen, active)
-        return self._observations(), rewards, terminated, truncated, infos
+        actions = np.array(actions)
+        n_ended = self._advance(DECISION, self._everywhere, actions)
+        numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
+        rewards, terminated, truncated, stepped = numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED]
+        if self._mode is AutoresetMode.SAME_STEP and n_ended:
+            ended = terminated | truncated
+            infos = final_infos(self._observations, self._infos(actions.copy(), ended), ended)
+            infos |= self._begin_again(ended, actions)
+        elif self._mode is AutoresetMode.NEXT_STEP and np.count_nonzero(stepped) < self.num_envs:
+            rested = ~stepped
+            terminated[rested] = truncated[rested] = False
+            infos = self._begin_again(rested, actions)
+        else:
+            chosen = stepped if self._mode is AutoresetMode.DISABLED else self._everywhere.copy()
+            infos = infos_of(self._kind, numbers, flags, actions, chosen)
+        return self._observations.copy(), rewards, terminated, truncated, infos
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
         return slot_state(self._slots, b)
 
-    def _reset_ended(
-        self, actions: NDArray[Any], rewards: Floats, terminated: Bools, truncated: Bools
-    ) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
-        """Begin the next episodes in the same step, and return the results of the step."""
-        ended, self._ended = self._ended, np.zeros(self.num_envs, dtype=bool)
-        last = infos_of(self._kind, self._outcome, actions, ended, ended)
-        final = final_infos(self._observations(), last, ended)
-        actions = _merged(ended, self._begin(ended), actions)
-        everywhere = np.ones(self.num_envs, dtype=bool)
-        infos = infos_of(self._kind, self._outcome, actions, everywhere, ~ended) | final
-        return self._observations(), rewards, terminated, truncated, infos
+    def _begin_again(self, mask: Bools, actions: NDArray[Any]) -> dict[str, Any]:
+        """Begin the next episodes in the chosen slots, and return the infos of all slots.
+
+        Args:
+            mask: the chosen slots, shape (num_envs,).
+            actions: the actions of the step, shape (num_envs, ...); those of the chosen slots are overwritten.
+        """
+        actions[mask] = self._begin(mask)[mask]
+        return self._infos(actions, self._everywhere.copy())
+
+    def _infos(self, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
+        """Return the infos of the chosen slots, with the actions that they show. Both arrays become part of them."""
+        return infos_of(self._kind, self._outcome.numbers.copy(), self._outcome.flags.copy(), actions, chosen)
 
     def _begin(
         self,
         mask: Bools,
         starts: Mapping[int, AbstractEnv] = MappingProxyType({}),
         draws: Mapping[int, Floats] = MappingProxyType({}),
-        look: int = FIRST_LOOK,
+        *,
+        logs_start: bool = False,
     ) -> NDArray[Any]:
         """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...).
 
@@ -219,57 +222,60 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             mask: the chosen slots, shape (num_envs,).
             starts: the starts of some of them.
             draws: the draws of some of them.
-            look: FIRST_LOOK or LOGGED_LOOK.
+            logs_start: whether the frame log shows the starts.
         """
         actions: NDArray[Any] = self._sampled_space.sample()
-        own, seen = mask.copy(), dict[int, NDArray[Any]]()
+        own = mask.copy()
+        seen: dict[int, NDArray[Any]] = {}
         for b, env in starts.items():
             own[b] = False
             copy_start(env, self._engine, self._slots, b, self._most_at_start)
         self._engine = with_draws(self._engine, mask, draws)
         if self.places_own:
             seen = self._copy_starts(own)
-        elif own.any():
-            self._populate(own, START)
-            if self._kind == INTERSECTION:
-                self._advance(own, actions, WARM_UP)
-                self._populate(own, ENTER)
-        words = self._engine.words.copy()
-        self._advance(mask, actions, look)
-        for b in (*starts, *seen):  # highway-env has drawn the order of this observation already
-            self._engine.words[b] = words[b]
+        else:
+            self._advance(BEGINNING, own, actions, logs_start=logs_start)
+        if starts or seen:
+            copied = np.zeros(self.num_envs, dtype=bool)
+            copied[[*starts, *seen]] = True
+            words = self._engine.words[copied]
+            self._advance(LOOK, copied, actions, logs_start=logs_start)
+            self._engine.words[copied] = words  # highway-env has drawn the order of this observation already
         for b, observation in seen.items():
-            self._outcome.observations[b] = observation.reshape(self._outcome.observations[b].shape)
-        self._steps[mask] = 0
-        self._ended = self._ended & ~mask
+            self._observations[b] = observation
         return actions
 
-    def _compile(self) -> None:
-        """Compile the kernels for the types of this environment's arrays, or read them from the cache."""
-        world, task, _, words = self._engine
-        mask, commands = np.zeros(self.num_envs, dtype=bool), np.zeros((self.num_envs, 2))
-        self._advance_slots = compiled_for(
-            advance, self._engine, self._slots, self._scratch, mask, commands, mask, self._outcome, DECISION
-        )
-        self._populate_slots = compiled_for(populate, world, task, self._slots, self._scratch, words, mask, START)
+    def _compile(self) -> Callable[..., int]:
+        """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
+        state = (self._engine, self._slots, self._scratch, self._outcome)
+        return compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
 
-    def _advance(self, mask: Bools, actions: NDArray[Any], stage: int) -> None:
-        commands, lane_changes = self._commands(actions), self._lane_changes(actions)
-        self._advance_slots(
-            self._engine,
-            self._slots,
-            self._scratch,
-            np.ascontiguousarray(mask, dtype=np.bool_),
-            np.ascontiguousarray(commands, dtype=np.float64),
-            np.ascontiguousarray(lane_changes, dtype=np.bool_),
-            self._outcome,
-            stage,
-        )
+    def _advance(self, stage: int, mask: Bools, actions: NDArray[Any], *, logs_start: bool = False) -> int:
+        """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended.
 
-    def _populate(self, mask: Bools, stage: int) -> None:
-        world, task, _, words = self._engine
-        mask = np.ascontiguousarray(mask, dtype=np.bool_)
-        self._populate_slots(world, task, self._slots, self._scratch, words, mask, stage)
+        Raises:
+            InputError: if the actions are not in the action space.
+        """
+        self._put(actions)
+        state = (self._engine, self._slots, self._scratch, self._outcome)
+        n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
+        if n_ended == REFUSED:
+            check_actions(self.action_space, actions)
+        return n_ended
+
+    def _put(self, actions: NDArray[Any]) -> None:
+        """Hand actions to the kernel, which itself refuses discrete actions that are out of range.
+
+        Raises:
+            InputError: if the actions are not in the action space otherwise.
+        """
+        if not self._is_discrete:
+            check_actions(self.action_space, actions)
+            self._actions.commands[:] = self._commands(actions)
+            return
+        if actions.dtype.kind not in "iu" or actions.shape != (self.num_envs,):
+            check_actions(self.action_space, actions)
+        self._actions.choices[:] = actions
 
     def _copy_starts(self, mask: Bools) -> dict[int, NDArray[Any]]:
         """Let highway-env begin episodes, copy them to the chosen slots, and return its observations by their slot."""
@@ -280,17 +286,3 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 seen[b], _ = env.reset()
                 copy_start(env, self._engine, self._slots, b, self._most_at_start)
         return seen
-
-    def _lane_changes(self, actions: NDArray[Any]) -> Bools:
-        """Return which actions highway-env counts as changes of lane, by their number alone, shape (num_envs,)."""
-        if self._kind in (MERGE, ROUNDABOUT):  # the others do not ask
-            return np.asarray((actions == 0) | (actions == 2))
-        return self._no_lane_changes
-
-    def _observations(self) -> NDArray[Any]:
-        return self._outcome.observations.reshape(self.observation_space.shape).copy()
-
-
-def _merged(mask: Bools, chosen: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:
-    """Return actions, shape (B, ...): `chosen` where the mask is True, else `others`."""
-    return np.where(mask.reshape(-1, *[1] * (others.ndim - 1)), chosen, others).astype(others.dtype, copy=False)

@@ -120,6 +120,7 @@ TASK: Final = record_type(
     best=np.float64,
     arrived_reward=np.float64,
     duration=np.float64,  # [s]; infinite: the environment does not truncate
+    most_decisions=np.float64,  # after which an episode is truncated; infinite: no limit
     ends_off_road=np.bool_,
     n_others=np.int64,  # vehicles besides the ego
     n_warm_up=np.int64,  # frames before the ego enters the intersection
@@ -168,17 +169,18 @@ class Task(NamedTuple):
     starts: Starts
 
 
-def make_task(env: AbstractEnv, kind: int, starts: Starts) -> Task:
+def make_task(env: AbstractEnv, kind: int, starts: Starts, most_decisions: int | None) -> Task:
     """Return the starts, rewards and ends of an environment that has been reset.
 
     Args:
         env: an environment of a kind that is known.
         kind: HIGHWAY to INTERSECTION.
         starts: where its vehicles start.
+        most_decisions: number of decisions after which an episode is truncated, if there is one.
     """
     rules = np.zeros(1, TASK)
     row = rules.view(np.recarray)[0]
-    row.kind = kind
+    row.kind, row.most_decisions = kind, most_decisions or np.inf
     _put_rewards(row, env.config, kind)
     _put_starts(row, env.config, kind)
     weights = [env.config.get(name, 0) for name in TERMS[kind]]
@@ -240,8 +242,7 @@ def _put_starts(row: Any, config: Mapping[str, Any], kind: int) -> None:
 
 def no_starts() -> Starts:
     """Return the starts of an environment that makes its own."""
-    nothing = np.zeros(0, dtype=np.int64)
-    return Starts(nothing, np.zeros((1, 1, 1), dtype=np.int64), np.ones(1), np.zeros(0), np.zeros(0, VEHICLE))
+    return Starts(np.zeros(0, np.int64), np.zeros((1, 1, 1), np.int64), np.ones(1), np.zeros(0), np.zeros(0, VEHICLE))
 
 
 def make_starts(env: AbstractEnv, kind: int, obstacles: Records) -> Starts:

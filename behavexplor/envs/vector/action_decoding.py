@@ -17,16 +17,23 @@ Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shap
 
 def make_commands(action_type: ActionType) -> Commands:
     """Return the function that converts an environment's actions to commands."""
-    if isinstance(action_type, DiscreteMetaAction):
-        codes = [[MANEUVERS.index(name), 0.0] for _, name in sorted(action_type.actions.items())]
-        return partial(_looked_up, np.array(codes))
-    if isinstance(action_type, DiscreteAction):
-        return partial(_looked_up, _discrete_commands(action_type))
+    table = command_table(action_type)
+    if table is not None:
+        return partial(_looked_up, table)
     steered, driven = action_type.lateral, action_type.longitudinal
     ranges = [action_type.acceleration_range] * driven + [action_type.steering_range] * steered
     scales = np.array([(low, high - low) for low, high in ranges], dtype=np.float64).T
     columns = slice(0 if driven else 1, 2 if steered else 1)
     return partial(_continuous_commands, scales, columns, action_type.clip)
+
+
+def command_table(action_type: ActionType) -> Floats | None:
+    """Return the command of each discrete action, shape (actions, 2); None if the actions are continuous."""
+    if isinstance(action_type, DiscreteMetaAction):
+        return np.array([[MANEUVERS.index(name), 0.0] for _, name in sorted(action_type.actions.items())])
+    if isinstance(action_type, DiscreteAction):
+        return _discrete_commands(action_type)
+    return None
 
 
 def _looked_up(table: Floats, actions: NDArray[Any]) -> Floats:

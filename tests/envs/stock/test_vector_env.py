@@ -1,5 +1,6 @@
 """The compiled vector environments give what gymnasium's vector environments of the originals give, bit by bit."""
 
+import copy
 import os
 
 import gymnasium
@@ -254,6 +255,44 @@ def test_wrong_use_is_refused():
         StockVectorEnv(HighwayEnvFast, render_mode="rgb_array")
     with pytest.raises(InputError, match="num_envs: expected"):
         StockVectorEnv(HighwayEnvFast, 0)
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [
+        np.array([1, 5]),
+        np.array([1, -1]),
+        np.array([1, 2**63], dtype=np.uint64),
+        np.array([1.0, 1.0]),
+        np.array([True, True]),
+        np.ones(3, dtype=np.int64),
+        np.ones((2, 1), dtype=np.int64),
+    ],
+)
+def test_refused_actions_change_nothing(actions):
+    env = StockVectorEnv(HighwayEnvFast, 2, {"vehicles_count": 2}, max_episode_steps=1, autoreset_mode="Disabled")
+    env.reset(seed=0)
+    before = env.state(0)
+    with pytest.raises(InputError, match="actions: expected"):
+        env.step(actions)
+    assert all((one == other).all() for one, other in zip(before, env.state(0), strict=True))
+    assert env.step(np.ones(2, dtype=np.int8))[3].all()
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_later_steps_leave_earlier_results_alone(mode):
+    env = StockVectorEnv(IntersectionEnv, 2, {"duration": 2}, autoreset_mode=mode)
+    env.reset(seed=0)
+    actions = np.array([0, 2], dtype=np.int8)
+    shown = [env.step(actions) for _ in range(4)]
+    kept = copy.deepcopy(shown)
+    actions[:] = 1
+    env.step(actions)
+    env.reset()
+    for now, before in zip(shown, kept, strict=True):
+        assert all((one == other).all() for one, other in zip(now[:4], before[:4], strict=True))
+        assert now[4]["action"].dtype == np.int8
+        assert repr(now[4]) == repr(before[4])
 
 
 EPISODES = int(os.environ.get("EPISODES", "200"))  # of the slow comparison, by environment
