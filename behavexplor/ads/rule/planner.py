@@ -64,7 +64,7 @@ class RulePlanner:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: state returned by the last call, shape (B, 27); None at first.
+            state: state returned by the last call, shape (B, 29); None at first.
             episode_start: True for each row that begins an episode, shape (B,); None if no row does.
             deterministic: ignored; the planner is always deterministic.
 

@@ -58,11 +58,11 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
         if is_near(situation, k, s, ahead):
             clear, _, more_risk = meet(situation, k, s, ahead, 0.0, 0.0)
             if not clear:
-                return SpeedPlan(first, k, s, v, risk, inside, True)
+                return SpeedPlan(first, k, s, v, risk, inside, True, 0.0)
             risk += more_risk
         inside += INTERVAL if stops_inside(situation, v, after, ahead) else 0.0
         s, v = ahead, after
-    return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True)
+    return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True, 0.0)
 
 
 @kernel_inner
@@ -76,7 +76,7 @@ def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
         contact = _first_contact(situation, station, speed, a)
         if contact > latest:
             best, latest = a, contact
-    return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False)
+    return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False, 0.0)
 
 
 @kernel_inner

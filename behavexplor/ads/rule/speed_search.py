@@ -39,6 +39,10 @@ N_STATION_BINS: Final = 42
 N_SPEED_BINS: Final = 16
 N_BINS: Final = N_STATION_BINS * N_SPEED_BINS
 
+MOST_HURRY: Final = 1.5  # weight of the delay in the first interval
+MARGIN: Final = 0.1  # share by which the bound of the search exceeds the expected cost
+ROUNDING: Final = 1e-9  # share of the bound by which roundings may change a cost, and much more
+
 S, V, LAST, FIRST, TOTAL, RISK, INSIDE = range(7)  # columns of a node
 
 # Where the rows of the motions of a stage begin. They are one array with constant offsets, so that the compiler knows
@@ -60,6 +64,7 @@ class SpeedPlan(NamedTuple):
         risk: cost of coming too close to other vehicles.
         inside: time of stopping inside the junction [s].
         free: True if the motion is that on a free road.
+        cost: cost of the motion, 0 if the search did not find it.
     """
 
     acceleration: float
@@ -69,6 +74,7 @@ class SpeedPlan(NamedTuple):
     risk: float
     inside: float
     free: bool
+    cost: float
 
 
 class Situation(NamedTuple):
@@ -80,6 +86,7 @@ class Situation(NamedTuple):
         half_length: half the length of the ego [m].
         wall: station that must not be passed [m], infinite for none.
         caution: share of the cost of coming too close to other vehicles that counts.
+        expected: cost that the best motion probably has; it makes the search faster, and does not change its result.
         p: parameters of the planner.
     """
 
@@ -88,6 +95,7 @@ class Situation(NamedTuple):
     half_length: float
     wall: float
     caution: float
+    expected: float
     p: Numbers
 
 
@@ -130,27 +138,56 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
 
     The arguments are those of `behavexplor.ads.rule.speed.plan_speed`.
     """
+    plan, is_sure = _search_below(_bound(situation), situation, station, speed, acceleration, nodes)
+    if is_sure:
+        return plan
+    return _search_below(math.inf, situation, station, speed, acceleration, nodes)[0]
+
+
+@kernel_inner
+def _bound(situation: Situation) -> float:
+    """Return a cost that the cheapest motion probably does not exceed."""
+    p = situation.p
+    grows = p.overspeed_cost >= MOST_HURRY * p.delay_cost  # else, driving above the limit would lower the cost
+    return (1.0 + MARGIN) * situation.expected if grows else math.inf
+
+
+@kernel_inner
+def _search_below(
+    bound: float, situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes
+) -> tuple[SpeedPlan, bool]:
+    """Search among the motions whose cost does not exceed a bound.
+
+    Costs never fall along a motion. So what is left out does not change which motions within the bound are the cheapest
+    in their bins, but it changes their order, which decides between motions of equal cost.
+
+    Returns:
+        The plan, and whether it is surely that of a search without a bound.
+    """
     now, following, count = nodes.stages[0], nodes.stages[1], 1
     now[0, S], now[0, V], now[0, LAST], now[0, FIRST] = station, speed, acceleration, 0.0
     now[0, TOTAL], now[0, RISK], now[0, INSIDE] = 0.0, 0.0, 0.0
-    survived = 0
+    survived, tied = 0, False
     for stage in range(len(STAGES)):
         n = _choose(now, count, stage, nodes)
         for k in range(survived, survived + STAGES[stage]):
             _drive(situation, k, n, nodes.motions)
-        _compare(situation, station, n, nodes)
-        found = _keep_cheapest(now, following, n, stage == 0, nodes)
+        _compare(situation, station, bound, n, nodes)
+        found, more_tied = _keep_cheapest(now, following, n, stage == 0, nodes)
         if found == 0:
             break
         survived += STAGES[stage]
+        tied = tied or more_tied
         now, following, count = following, now, found
     best, least = 0, math.inf
     for i in range(count):
         total = now[i, TOTAL] + _debt(situation, now[i, S], now[i, V], survived)
+        tied = tied or total == least
         if total < least:
             best, least = i, total
     node = now[best]
-    return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False)
+    is_sure = survived == N_INTERVALS and not tied and least < (1.0 - ROUNDING) * bound
+    return SpeedPlan(node[FIRST], survived, node[S], node[V], node[RISK], node[INSIDE], False, least), is_sure
 
 
 @kernel_inner
@@ -236,14 +273,17 @@ def _plus_effort(cost: float, v: float, after: float, limit: float, k: int, p: N
     achieved = (after - v) / INTERVAL
     eases = (achieved > 0.0) & (achieved <= p.comfortable_acceleration)
     effort = p.acceleration_cost if eases else p.braking_cost
-    hurry = 1.5 - k / N_INTERVALS  # meters count more now than later, or the ego would always start later
+    hurry = MOST_HURRY - k / N_INTERVALS  # meters count more now than later, or the ego would always start later
     cost += (p.delay_cost * hurry * (limit - after) + effort * achieved * achieved) * INTERVAL
     return cost + (p.overspeed_cost * (after - limit) * INTERVAL if after > limit else 0.0)
 
 
 @kernel_inner
-def _compare(situation: Situation, station: float, n: int, nodes: Nodes) -> None:
-    """Compute the bin in which each motion ends, and its cost since the start of the plan, infinite after a contact."""
+def _compare(situation: Situation, station: float, bound: float, n: int, nodes: Nodes) -> None:
+    """Compute the bin in which each motion ends, and its cost since the start of the plan.
+
+    The cost is infinite after a contact, and beyond the bound.
+    """
     motions, jerk_cost = nodes.motions, situation.p.jerk_cost
     for j in range(n):
         row = min(int(FINENESS * math.sqrt(motions[STATION + j] - station)), N_STATION_BINS - 1)
@@ -252,17 +292,24 @@ def _compare(situation: Situation, station: float, n: int, nodes: Nodes) -> None
     for j in range(n):
         change = motions[CHOSEN + j] - motions[BEFORE + j]
         total = motions[TOTAL_SPENT + j] + motions[SPENT + j] + jerk_cost * change * change
-        motions[TOTAL_SPENT + j] = total if motions[CLEAR + j] == 1.0 else math.inf
+        motions[TOTAL_SPENT + j] = total if motions[CLEAR + j] == 1.0 and total <= bound else math.inf
 
 
 @kernel_inner
-def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes: Nodes) -> int:
-    """Keep the cheapest motion in each bin as a node of the next stage, and return the number of nodes."""
-    motions, bins, cheapest, found = nodes.motions, nodes.bins, nodes.cheapest, 0
+def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes: Nodes) -> tuple[int, bool]:
+    """Keep the cheapest motion in each bin as a node of the next stage.
+
+    Returns:
+        The number of nodes, and whether motions from several nodes had equal costs, so that their order decided.
+    """
+    motions, bins, cheapest, found, tied = nodes.motions, nodes.bins, nodes.cheapest, 0, False
     cheapest[:] = -1
     for j in range(n):
         best = cheapest[bins[j]]
-        if motions[TOTAL_SPENT + j] < (math.inf if best < 0 else motions[TOTAL_SPENT + best]):
+        least = math.inf if best < 0 else motions[TOTAL_SPENT + best]
+        if motions[TOTAL_SPENT + j] == least < math.inf:
+            tied = tied or nodes.parents[j] != nodes.parents[best]
+        if motions[TOTAL_SPENT + j] < least:
             if best < 0:
                 nodes.filled[found] = bins[j]
                 found += 1
@@ -278,7 +325,7 @@ def _keep_cheapest(now: Floats, following: Floats, n: int, is_first: bool, nodes
         )
         node[FIRST] = a if is_first else before[FIRST]
         node[RISK], node[INSIDE] = before[RISK] + motions[RISKED + j], before[INSIDE] + motions[STOPPED + j]
-    return found
+    return found, tied
 
 
 @kernel_inner

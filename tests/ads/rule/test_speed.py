@@ -34,7 +34,7 @@ def situation(*spans, wall=math.inf, path=ROAD):
             room.spans[k, room.counts[k]] = span
             room.counts[k] += 1
             room.reaches[k] = min(room.reaches[k, 0], span[2]), max(room.reaches[k, 1], span[3])
-    return Situation(path, room, HALF_LENGTH, wall, 1.0, NUMBERS)
+    return Situation(path, room, HALF_LENGTH, wall, 1.0, 0.0, NUMBERS)
 
 
 def plan(world, station, speed, acceleration=0.0):
