@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.path import Path, project_on_path
+from behavexplor.ads.rule.beside import is_beside
 from behavexplor.ads.rule.boxes import Box, box_on_path
 from behavexplor.ads.rule.lateral import LateralProfile
 from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
@@ -214,11 +215,11 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
             lane = graph.tails[tail, depth]
             station = start + i * STEP
         low, high = math.inf, -math.inf
-        if graph.near[lane]:
+        straight = graph.lanes[lane, CURVATURE] == 0.0
+        length = motion.length if straight else motion.turning_length
+        width = motion.width if straight else motion.turning_width
+        if not is_beside(graph.beside[lane, int(station)], view.profile, length, width, strip):
             x, y, cos, sin = direction_on_lane(graph.lanes, lane, station)
-            straight = graph.lanes[lane, CURVATURE] == 0.0
-            length = motion.length if straight else motion.turning_length
-            width = motion.width if straight else motion.turning_width
             low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), strip)
         occupied[i, 0], occupied[i, 1] = low, high
         if low <= high:
