@@ -1,6 +1,7 @@
 """Occlusion: the share of a vehicle that other vehicles hide from the ego (weakness R1-1)."""
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from behavexplor.jit import kernel_inner
 Floats = NDArray[np.float64]
 
 TWO_PI = 2 * math.pi
+MARGIN: Final = 1e-6  # much more than the share by which roundings change a product
+NARROW: Final = 0.7  # sine of half the angular width below which vehicles in opposite half-planes do not overlap
 
 
 @kernel_inner
@@ -19,19 +22,38 @@ def hidden_share(scene: Floats, row: int) -> float:
 
     It is the largest share that a single nearer vehicle covers.
     """
-    bearing, low, high = bearings(scene, row)
-    distance = math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
     most = 0.0
     for other in range(EGO + 1, len(scene)):
-        if other == row or scene[other, PRESENT] == 0.0:
-            continue
-        if math.hypot(scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]) >= distance:
-            continue
-        middle, other_low, other_high = bearings(scene, other)
-        away = (middle - bearing + math.pi) % TWO_PI - math.pi
-        covered = min(high, away + other_high) - max(low, away + other_low)
-        most = max(most, covered / (high - low))
+        if other != row and scene[other, PRESENT] != 0.0 and _may_hide(scene, row, other):
+            most = max(most, _covered_share(scene, row, other))
     return most
+
+
+@kernel_inner
+def _may_hide(scene: Floats, row: int, other: int) -> bool:
+    """Return whether a vehicle is nearer to the ego than another and not surely in a different direction."""
+    x, y = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
+    other_x, other_y = scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]
+    distance, other_distance = math.hypot(x, y), math.hypot(other_x, other_y)
+    if other_distance >= distance:
+        return False
+    radius = (scene[row, LENGTH] + scene[row, WIDTH]) / 2  # an upper bound of half the diagonal
+    other_radius = (scene[other, LENGTH] + scene[other, WIDTH]) / 2
+    aside = abs(x * other_y - y * other_x)
+    if aside > (1.0 + MARGIN) * (radius * other_distance + other_radius * distance):
+        return False
+    narrow = radius < NARROW * distance and other_radius < NARROW * other_distance
+    return not (narrow and x * other_x + y * other_y < 0.0)
+
+
+@kernel_inner
+def _covered_share(scene: Floats, row: int, other: int) -> float:
+    """Return the share of a vehicle's angular width that another one covers, negative with a gap between them."""
+    bearing, low, high = bearings(scene, row)
+    middle, other_low, other_high = bearings(scene, other)
+    away = (middle - bearing + math.pi) % TWO_PI - math.pi
+    covered = min(high, away + other_high) - max(low, away + other_low)
+    return covered / (high - low)
 
 
 @kernel_inner
