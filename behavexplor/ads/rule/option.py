@@ -29,7 +29,8 @@ from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed import plan_speed
-from behavexplor.ads.rule.speed_search import Nodes, Situation, SpeedPlan
+from behavexplor.ads.rule.speed_motions import Situation
+from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
 from behavexplor.ads.rule.weaknesses import R1_5, note
 from behavexplor.jit import kernel_inner

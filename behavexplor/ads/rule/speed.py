@@ -4,17 +4,9 @@ from typing import Final
 
 from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed_search import (
-    ACCELERATIONS,
-    Nodes,
-    Situation,
-    SpeedPlan,
-    is_near,
-    meet,
-    moved,
-    search,
-    stops_inside,
-)
+from behavexplor.ads.rule.speed_grid import ACCELERATIONS
+from behavexplor.ads.rule.speed_motions import Situation, is_near, meet, moved, stops_inside
+from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan, search
 from behavexplor.ads.rule.station_time import HARD_HIGH, HARD_LOW, INTERVAL, N_INTERVALS
 from behavexplor.jit import kernel_inner
 

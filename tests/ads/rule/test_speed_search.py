@@ -7,19 +7,17 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path, limit_at
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.speed_search import (
+from behavexplor.ads.rule.speed_grid import (
     ACCELERATIONS,
     FINENESS,
     HARDEST,
-    MARGIN,
     N_SPEED_BINS,
     N_STATION_BINS,
     STAGES,
     STRONGEST,
-    Situation,
-    empty_nodes,
-    search,
 )
+from behavexplor.ads.rule.speed_motions import Situation
+from behavexplor.ads.rule.speed_search import MARGIN, empty_nodes, search
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.envs.roads import crossing, straight_road
 from tests.kernel_calls import called_alone
