@@ -22,28 +22,36 @@ def hidden_share(scene: Floats, row: int) -> float:
 
     It is the largest share that a single nearer vehicle covers.
     """
-    most = 0.0
+    most, distance = 0.0, _distance(scene, row)
     for other in range(EGO + 1, len(scene)):
-        if other != row and scene[other, PRESENT] != 0.0 and _may_hide(scene, row, other):
+        if other == row or scene[other, PRESENT] == 0.0 or _is_apart(scene, row, other):
+            continue
+        if _distance(scene, other) < distance:
             most = max(most, _covered_share(scene, row, other))
     return most
 
 
 @kernel_inner
-def _may_hide(scene: Floats, row: int, other: int) -> bool:
-    """Return whether a vehicle is nearer to the ego than another and not surely in a different direction."""
+def _distance(scene: Floats, row: int) -> float:
+    return math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
+
+
+@kernel_inner
+def _is_apart(scene: Floats, row: int, other: int) -> bool:
+    """Return whether two vehicles are surely in different directions from the ego. It takes no slow functions."""
     x, y = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
     other_x, other_y = scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]
-    distance, other_distance = math.hypot(x, y), math.hypot(other_x, other_y)
-    if other_distance >= distance:
-        return False
     radius = (scene[row, LENGTH] + scene[row, WIDTH]) / 2  # an upper bound of half the diagonal
     other_radius = (scene[other, LENGTH] + scene[other, WIDTH]) / 2
-    aside = abs(x * other_y - y * other_x)
-    if aside > (1.0 + MARGIN) * (radius * other_distance + other_radius * distance):
+    widths = radius * (abs(other_x) + abs(other_y)) + other_radius * (abs(x) + abs(y))
+    if abs(x * other_y - y * other_x) > (1.0 + MARGIN) * widths:
+        return True
+    if x * other_x + y * other_y >= 0.0:
         return False
-    narrow = radius < NARROW * distance and other_radius < NARROW * other_distance
-    return not (narrow and x * other_x + y * other_y < 0.0)
+    widest = max(
+        radius * radius / (x * x + y * y), other_radius * other_radius / (other_x * other_x + other_y * other_y)
+    )
+    return bool(widest < NARROW * NARROW)
 
 
 @kernel_inner

@@ -39,7 +39,7 @@ from behavexplor.jit import kernel, kernel_inner
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-MARGIN: Final = 0.1  # share by which the bound of the search exceeds the expected cost
+CLOSE, WIDE = 1.1, 1.5  # the first two bounds of the search, in multiples of the expected cost
 ROUNDING: Final = 1e-9  # much more than the share by which roundings change a cost
 
 S, V, LAST, FIRST, TOTAL, RISK, INSIDE = range(7)  # columns of a node
@@ -108,18 +108,14 @@ def search(situation: Situation, station: float, speed: float, acceleration: flo
 
     The arguments are those of `behavexplor.ads.rule.speed.plan_speed`.
     """
-    plan, is_sure = _search_below(_bound(situation), situation, station, speed, acceleration, nodes)
-    if is_sure:
-        return plan
-    return _search_below(math.inf, situation, station, speed, acceleration, nodes)[0]
-
-
-@kernel_inner
-def _bound(situation: Situation) -> float:
-    """Return a cost that the cheapest motion probably does not exceed."""
-    p = situation.p
-    grows = p.overspeed_cost >= MOST_HURRY * p.delay_cost  # else, driving above the limit would lower the cost
-    return (1.0 + MARGIN) * situation.expected if grows else math.inf
+    p, expected = situation.p, situation.expected
+    if p.overspeed_cost < MOST_HURRY * p.delay_cost:  # then driving above the limit lowers the cost
+        expected = math.inf
+    for bound in (CLOSE * expected, WIDE * expected, math.inf):
+        plan, is_sure = _search_below(bound, situation, station, speed, acceleration, nodes)
+        if is_sure:
+            break
+    return plan
 
 
 @kernel_inner

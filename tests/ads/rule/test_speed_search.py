@@ -17,7 +17,7 @@ from behavexplor.ads.rule.speed_grid import (
     STRONGEST,
 )
 from behavexplor.ads.rule.speed_motions import Situation
-from behavexplor.ads.rule.speed_search import MARGIN, empty_nodes, search
+from behavexplor.ads.rule.speed_search import CLOSE, empty_nodes, search
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.envs.roads import crossing, straight_road
 from tests.kernel_calls import called_alone
@@ -135,5 +135,5 @@ def test_an_expected_cost_does_not_change_the_plan(path):
         speed, last = rng.choice([0.0, 2.0, rng.uniform(0, 11)]), rng.choice([0.0, 1.0, rng.uniform(-3, 2)])
         station = rng.uniform(20, 110)
         plan = search(world, station, speed, last, space)
-        expected = plan.cost * rng.choice([rng.uniform(0.5, 1.5), 1 / (1 + MARGIN)])
+        expected = plan.cost * rng.choice([rng.uniform(0.4, 1.5), 1 / CLOSE])
         assert search(world._replace(expected=expected), station, speed, last, space) == plan
