@@ -105,26 +105,6 @@ def moved(s: float, v: float, a: float, limit: float) -> tuple[float, float]:
 
 
 @kernel_inner
-def is_near(situation: Situation, k: int, s: float, ahead: float) -> bool:
-    """Return whether driving from one station to another meets a vehicle or the wall, or comes close to a vehicle."""
-    reaches = situation.graph.reaches
-    return ahead > situation.wall or (ahead > reaches[k, 0] and s < reaches[k, 1])
-
-
-@kernel_inner
-def meet(situation: Situation, k: int, s: float, ahead: float, cost: float, risk: float) -> tuple[bool, float, float]:
-    """Return whether an interval is free of contact, and the cost and risk with those of coming too close added."""
-    spans = situation.graph.spans
-    for i in range(situation.graph.counts[k]):
-        if ahead > spans[k, i, HARD_LOW] and s < spans[k, i, HARD_HIGH]:
-            return False, cost, risk
-        if ahead > spans[k, i, SOFT_LOW] and s < spans[k, i, SOFT_HIGH]:
-            cost += situation.caution * spans[k, i, COST] * INTERVAL
-            risk += spans[k, i, COST] * INTERVAL
-    return ahead <= situation.wall, cost, risk
-
-
-@kernel_inner
 def stops_inside(situation: Situation, v: float, after: float, ahead: float) -> bool:
     """Return whether the ego hardly moves, and does not speed up, inside the junction."""
     begin = situation.path.junction_start - situation.half_length

@@ -216,7 +216,7 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
 def _occupy_lane(
     view: Projection, lane: int, start: float, step: int, steps: int, is_last: bool, motion: Motion
 ) -> tuple[int, int, int]:
-    """Do the same on one lane of the way.
+    """Compute the stretches that an NPC's box occupies at its steps on one lane of its way.
 
     Args:
         view: input of the projection.
