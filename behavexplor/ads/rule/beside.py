@@ -10,7 +10,7 @@ from behavexplor.ads.road.lane_arrays import COS, CURVATURE, LENGTH, SIN, pose_o
 from behavexplor.ads.road.path import Path, is_straight, locate_on_path
 from behavexplor.ads.rule.boxes import SLACK
 from behavexplor.ads.rule.lateral import LateralProfile
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -22,7 +22,6 @@ BEYOND: Final = 130  # length for which lanes are continued beyond their ends [m
 AROUND: Final = 15.0  # half the longest vehicle's length and width, with some margin [m]
 
 
-@kernel
 def beside_route(path: Path, lanes: Floats, near: Bools) -> Floats:
     """Compute where each meter of each lane is on the ego's route.
 
@@ -34,24 +33,24 @@ def beside_route(path: Path, lanes: Floats, near: Bools) -> Floats:
     Returns:
         The columns above, shape (lanes, meters, 3). Offsets are infinite on lanes that are not near.
     """
-    meters = int(lanes[:, LENGTH].max()) + BEYOND
-    table = np.empty((len(lanes), meters, 3))
-    table[:, :, LEAST], table[:, :, GREATEST], table[:, :, SKEW] = -math.inf, math.inf, 1.0
-    for lane in range(len(lanes) - 1):
-        for meter in range(meters):
-            _fill(path, lanes, lane, meter, table[lane, meter])
-        if not near[lane]:
-            table[lane, :, LEAST] = math.inf
+    table = np.empty((len(lanes), int(lanes[:, LENGTH].max()) + BEYOND, 3))
+    _fill(path, lanes, table)
+    table[~near, :, LEAST] = math.inf
+    table[-1] = -math.inf, math.inf, 1.0
     return table
 
 
-@kernel_inner
-def _fill(path: Path, lanes: Floats, lane: int, meter: int, row: Floats) -> None:
-    first, first_skew = _offset(path, lanes, lane, meter)
-    last, last_skew = _offset(path, lanes, lane, meter + 1)
-    row[SKEW] = max(first_skew, last_skew)
-    between = 0.5 if row[SKEW] == 1.0 else 0.0  # an offset changes by a meter in each meter at most
-    row[LEAST], row[GREATEST] = min(first, last) - between, max(first, last) + between
+@kernel_in_place
+def _fill(path: Path, lanes: Floats, table: Floats) -> None:
+    for lane in range(len(lanes) - 1):
+        last, last_skew = _offset(path, lanes, lane, 0.0)
+        for meter in range(table.shape[1]):
+            first, first_skew = last, last_skew
+            last, last_skew = _offset(path, lanes, lane, meter + 1.0)
+            skew = max(first_skew, last_skew)
+            between = 0.5 if skew == 1.0 else 0.0  # an offset changes by a meter in each meter at most
+            row = table[lane, meter]
+            row[LEAST], row[GREATEST], row[SKEW] = min(first, last) - between, max(first, last) + between, skew
 
 
 @kernel_inner

@@ -172,7 +172,7 @@ def _choose(now: Floats, count: int, stage: int, bound: float, p: Numbers, nodes
             change, braking = a - now[i, LAST], min(max(a, hardest), 0.0)
             cost = now[i, TOTAL] + p.jerk_cost * change * change + p.braking_cost * braking * braking * duration
             nodes.parents[n], nodes.motions[CHOSEN + n] = i, a
-            n += int((cost <= bound) & ((a >= 0.0) | (now[i, V] > 0.0)))  # no branch, which would be hard to predict
+            n += (cost <= bound) & ((a >= 0.0) | (now[i, V] > 0.0))  # no branch, which would be hard to predict
     return n
 
 
