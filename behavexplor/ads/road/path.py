@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.lane_arrays import (
     CURVATURE,
     LENGTH,
+    is_far_from_arc,
     lane_array,
-    offset_on_lane,
     pose_on_lane,
     project_on_lane,
 )
@@ -178,7 +178,7 @@ def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
         for i in range(last + 1):
             if (path.lanes[i, CURVATURE] != 0.0) != curved:
                 continue
-            if curved and offset_on_lane(path.lanes, i, x, y) ** 2 > nearest:
+            if curved and is_far_from_arc(path.lanes, i, x, y, math.sqrt(nearest)):
                 continue
             station, offset = project_on_lane(path.lanes, i, x, y)
             gap = offset * offset + _outside(path, i, station) ** 2

@@ -36,6 +36,8 @@ MEMORY: Final = np.dtype(
             ("sharp", np.float64),  # 1 during a lane change that is too short (R2-2), and for some meters after it
             ("slow_turn", np.float64),  # 1 after the ego turned left slowly (R2-4), until it steers straight
             ("weakened", np.float64),  # time left of limited braking after a sudden change of speed (R1-4) [s]
+            ("cost", np.float64),  # cost of the last plan of the speed, which the next one probably has, too
+            ("waiting_cost", np.float64),  # the same for waiting before the junction
             ("reached", np.float64),  # bits of the weaknesses with open gates, see `behavexplor.ads.rule.weaknesses`
             ("triggered", np.float64),  # bits of the weaknesses that changed the output of a module
         ],

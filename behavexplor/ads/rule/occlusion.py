@@ -1,6 +1,7 @@
 """Occlusion: the share of a vehicle that other vehicles hide from the ego (weakness R1-1)."""
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from behavexplor.jit import kernel_inner
 Floats = NDArray[np.float64]
 
 TWO_PI = 2 * math.pi
+MARGIN: Final = 1e-6  # much more than the share by which roundings change a product
+NARROW: Final = 0.7  # sine of half the angular width below which vehicles in opposite half-planes do not overlap
 
 
 @kernel_inner
@@ -19,19 +22,46 @@ def hidden_share(scene: Floats, row: int) -> float:
 
     It is the largest share that a single nearer vehicle covers.
     """
-    bearing, low, high = bearings(scene, row)
-    distance = math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
-    most = 0.0
+    most, distance = 0.0, _distance(scene, row)
     for other in range(EGO + 1, len(scene)):
-        if other == row or scene[other, PRESENT] == 0.0:
+        if other == row or scene[other, PRESENT] == 0.0 or _is_apart(scene, row, other):
             continue
-        if math.hypot(scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]) >= distance:
-            continue
-        middle, other_low, other_high = bearings(scene, other)
-        away = (middle - bearing + math.pi) % TWO_PI - math.pi
-        covered = min(high, away + other_high) - max(low, away + other_low)
-        most = max(most, covered / (high - low))
+        if _distance(scene, other) < distance:
+            most = max(most, _covered_share(scene, row, other))
     return most
+
+
+@kernel_inner
+def _distance(scene: Floats, row: int) -> float:
+    return math.hypot(scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y])
+
+
+@kernel_inner
+def _is_apart(scene: Floats, row: int, other: int) -> bool:
+    """Return whether two vehicles are surely in different directions from the ego. It takes no slow functions."""
+    x, y = scene[row, X] - scene[EGO, X], scene[row, Y] - scene[EGO, Y]
+    other_x, other_y = scene[other, X] - scene[EGO, X], scene[other, Y] - scene[EGO, Y]
+    radius = (scene[row, LENGTH] + scene[row, WIDTH]) / 2  # an upper bound of half the diagonal
+    other_radius = (scene[other, LENGTH] + scene[other, WIDTH]) / 2
+    widths = radius * (abs(other_x) + abs(other_y)) + other_radius * (abs(x) + abs(y))
+    if abs(x * other_y - y * other_x) > (1.0 + MARGIN) * widths:
+        return True
+    if x * other_x + y * other_y >= 0.0:
+        return False
+    widest = max(
+        radius * radius / (x * x + y * y), other_radius * other_radius / (other_x * other_x + other_y * other_y)
+    )
+    return bool(widest < NARROW * NARROW)
+
+
+@kernel_inner
+def _covered_share(scene: Floats, row: int, other: int) -> float:
+    """Return the share of a vehicle's angular width that another one covers, negative with a gap between them."""
+    bearing, low, high = bearings(scene, row)
+    middle, other_low, other_high = bearings(scene, other)
+    away = (middle - bearing + math.pi) % TWO_PI - math.pi
+    covered = min(high, away + other_high) - max(low, away + other_low)
+    return covered / (high - low)
 
 
 @kernel_inner

@@ -29,7 +29,8 @@ from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed import plan_speed
-from behavexplor.ads.rule.speed_search import Nodes, Situation, SpeedPlan
+from behavexplor.ads.rule.speed_motions import Situation
+from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
 from behavexplor.ads.rule.weaknesses import R1_5, note
 from behavexplor.jit import kernel_inner
@@ -94,8 +95,9 @@ def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lan
     waits = can_wait(path, ego.station, ego.speed, ego.half_length, p)
     caution = 1.0 if waits or passed(path, ego.station, ego.half_length) else p.committed_caution
     last = memory.last_acceleration
-    situation = Situation(path, room, ego.half_length, wall, caution, p)
+    situation = Situation(path, room, ego.half_length, wall, caution, memory.cost, p)
     plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
+    memory.cost = plan.cost
     if not waits:
         return Option(profile, plan, False, True, wall)
     crosses = crosses_freely(path, room, plan, ego.half_length)
@@ -110,8 +112,9 @@ def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lan
     yields = not crosses or (memory.decision == YIELD and clear < p.clear_time)
     if yields:
         line = min(wall, waiting_station(path, ego.station, ego.speed, ego.half_length, p))
-        waiting = Situation(path, room, ego.half_length, line, caution, p)
+        waiting = Situation(path, room, ego.half_length, line, caution, memory.waiting_cost, p)
         wait = plan_speed(waiting, ego.station, ego.speed, last, world.nodes)
+        memory.waiting_cost = wait.cost
         if wait.survived >= plan.survived:
             plan = wait
     return Option(profile, plan, yields, crosses, limit)

@@ -50,7 +50,7 @@ class RulePlanner:
         self.roadmap = roadmap
         self.parameters = parameters
         self._path = ego_path(roadmap, parameters.lateral_acceleration, parameters.approach_braking)
-        self._graph = lane_graph(roadmap.npc_routes, roadmap.ego_route)
+        self._graph = lane_graph(roadmap, self._path)
         self._numbers = numbers(parameters)
 
     def predict(
@@ -64,7 +64,7 @@ class RulePlanner:
 
         Args:
             observation: scenes, shape (B, 1 + n, 8), see `behavexplor.data.scene`.
-            state: state returned by the last call, shape (B, 27); None at first.
+            state: state returned by the last call, shape (B, 29); None at first.
             episode_start: True for each row that begins an episode, shape (B,); None if no row does.
             deterministic: ignored; the planner is always deterministic.
 
@@ -96,7 +96,7 @@ class RulePlanner:
 
 @kernel
 def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers) -> None:
-    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.near)  # the spare lane is overwritten
+    graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.around, graph.beside)  # the spare lane is overwritten
     n_npcs = scenes.shape[1] - 1
     room, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))

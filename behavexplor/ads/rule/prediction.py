@@ -1,7 +1,6 @@
 """Prediction: the ways that an NPC may go, and its possible positions along them at a later time."""
 
 import math
-from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,15 +19,17 @@ from behavexplor.ads.road.lane_arrays import (
     offset_on_lane,
     project_on_lane,
 )
+from behavexplor.ads.road.path import Path
+from behavexplor.ads.rule.beside import beside_route
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.data.roadmap import Lane, Route
+from behavexplor.data.roadmap import RoadMap
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 TWO_PI = 2 * math.pi
+SAGITTA: Final = 0.5  # more than the distance between an arc and a chord of 1 m [m]
 NEAR: Final = 7.0  # half the longest vehicle's diagonal plus half the ego's width, with some margin [m]
 
 
@@ -40,17 +41,24 @@ class LaneGraph(NamedTuple):
     Attributes:
         lanes: lanes of the map, shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`.
         tails: distinct sequences of lanes that routes end with, shape (tails + 1, depth), -1 after the last lane.
-        near: True for each lane on which a vehicle can be in the ego's way, shape (lanes + 1,).
+        around: least x and y and greatest x and y of each lane's center line [m], shape (lanes + 1, 4).
+        beside: where each meter of each lane is on the ego's route, see `behavexplor.ads.rule.beside`.
     """
 
     lanes: Floats
     tails: Ints
-    near: Bools
+    around: Floats
+    beside: Floats
 
 
-def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
-    """Make the lane graph of routes, the ego's included: their lanes, and every distinct rest of a route."""
-    routes = (*routes, ego_route)
+def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:
+    """Make the lane graph of all routes, the ego's included: their lanes, and every distinct rest of a route.
+
+    Args:
+        roadmap: road map with the routes.
+        path: path of the ego on this map.
+    """
+    routes, ego_route = (*roadmap.npc_routes, roadmap.ego_route), roadmap.ego_route
     lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
     index = {lane.name: i for i, lane in enumerate(lanes)}
     sequences = [tuple(index[lane.name] for lane in route.lanes) for route in routes]
@@ -58,18 +66,20 @@ def lane_graph(routes: Iterable[Route], ego_route: Route) -> LaneGraph:
     depth = max(map(len, tails))
     padded = [tail + (-1,) * (depth - len(tail)) for tail in tails]
     way = ego_route.polyline(0.0, ego_route.length)
-    reach = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
+    near = NEAR + ego_route.lanes[0].width  # the ego may overtake in the next lane; straight roads have no more lanes
+    lines = [lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2] for lane in lanes]
+    rows = np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)])
     return LaneGraph(
-        lanes=np.vstack([lane_array(lanes), np.zeros(N_COLUMNS)]),
+        lanes=rows,
         tails=np.array(padded, dtype=np.int64),
-        near=np.array([*(_distance(lane, way) <= reach for lane in lanes), True]),
+        around=np.array([[*line.min(axis=0), *line.max(axis=0)] for line in lines] + [[0.0] * 4]),
+        beside=beside_route(path, rows, np.array([*(_distance(line, way) <= near for line in lines), True])),
     )
 
 
-def _distance(lane: Lane, way: Floats) -> float:
-    """Return the least distance of a lane's center line from a polyline [m]."""
-    points = lane.pose(np.linspace(0.0, lane.length, math.ceil(lane.length) + 1))[:, :2]
-    gaps = points[:, None] - way
+def _distance(line: Floats, way: Floats) -> float:
+    """Return the least distance between the points of two lines [m]."""
+    gaps = line[:, None] - way
     return float(np.hypot(gaps[..., 0], gaps[..., 1]).min())
 
 
@@ -99,7 +109,7 @@ def find_tails(
     for tail in range(spare):
         if graph.tails[tail, 0] != lane:
             lane = graph.tails[tail, 0]
-            fits, station = _fits(lanes, lane, x, y, heading, p)
+            fits, station = _fits(graph, lane, x, y, heading, p)
         if not fits or count + overlooked == len(tails):
             continue
         if p.branch_turn > 0.0 and speed > p.branch_speed and _overlooked(graph, tail, heading, p):
@@ -118,8 +128,13 @@ def find_tails(
 
 
 @kernel_inner
-def _fits(lanes: Floats, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
+def _fits(graph: LaneGraph, lane: int, x: float, y: float, heading: float, p: Numbers) -> tuple[bool, float]:
     """Return whether a vehicle may be driving on a lane, and its station there [m], 0 if it is far from the lane."""
+    lanes, around, margin = graph.lanes, graph.around, p.match_offset + SAGITTA
+    if x < around[lane, 0] - margin or x > around[lane, 2] + margin:
+        return False, 0.0
+    if y < around[lane, 1] - margin or y > around[lane, 3] + margin:
+        return False, 0.0
     if abs(offset_on_lane(lanes, lane, x, y)) > p.match_offset:
         return False, 0.0
     station, _ = project_on_lane(lanes, lane, x, y)

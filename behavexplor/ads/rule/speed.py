@@ -4,18 +4,10 @@ from typing import Final
 
 from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed_search import (
-    ACCELERATIONS,
-    Nodes,
-    Situation,
-    SpeedPlan,
-    is_near,
-    meet,
-    moved,
-    search,
-    stops_inside,
-)
-from behavexplor.ads.rule.station_time import HARD_HIGH, HARD_LOW, INTERVAL, N_INTERVALS
+from behavexplor.ads.rule.speed_grid import ACCELERATIONS
+from behavexplor.ads.rule.speed_motions import Situation, moved, stops_inside
+from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan, search
+from behavexplor.ads.rule.station_time import COST, HARD_HIGH, HARD_LOW, INTERVAL, N_INTERVALS, SOFT_HIGH, SOFT_LOW
 from behavexplor.jit import kernel_inner
 
 RESPONSE: Final = 0.3  # time in which the free speed is reached [s]
@@ -55,14 +47,33 @@ def _drive_freely(situation: Situation, station: float, speed: float) -> SpeedPl
     s, v, risk, inside = station, speed, 0.0, 0.0
     for k in range(N_INTERVALS):
         ahead, after = moved(s, v, free_acceleration(path, s, v, p), limit_at(path, s))
-        if is_near(situation, k, s, ahead):
-            clear, _, more_risk = meet(situation, k, s, ahead, 0.0, 0.0)
+        if _is_near(situation, k, s, ahead):
+            clear, more_risk = _meet(situation, k, s, ahead)
             if not clear:
-                return SpeedPlan(first, k, s, v, risk, inside, True)
+                return SpeedPlan(first, k, s, v, risk, inside, True, 0.0)
             risk += more_risk
         inside += INTERVAL if stops_inside(situation, v, after, ahead) else 0.0
         s, v = ahead, after
-    return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True)
+    return SpeedPlan(first, N_INTERVALS, s, v, risk, inside, True, 0.0)
+
+
+@kernel_inner
+def _is_near(situation: Situation, k: int, s: float, ahead: float) -> bool:
+    """Return whether driving from one station to another meets a vehicle or the wall, or comes close to a vehicle."""
+    reaches = situation.graph.reaches
+    return ahead > situation.wall or (ahead > reaches[k, 0] and s < reaches[k, 1])
+
+
+@kernel_inner
+def _meet(situation: Situation, k: int, s: float, ahead: float) -> tuple[bool, float]:
+    """Return whether an interval is free of contact, and the cost of coming too close to other vehicles."""
+    spans, risk = situation.graph.spans, 0.0
+    for i in range(situation.graph.counts[k]):
+        if ahead > spans[k, i, HARD_LOW] and s < spans[k, i, HARD_HIGH]:
+            return False, risk
+        if ahead > spans[k, i, SOFT_LOW] and s < spans[k, i, SOFT_HIGH]:
+            risk += spans[k, i, COST] * INTERVAL
+    return ahead <= situation.wall, risk
 
 
 @kernel_inner
@@ -76,7 +87,7 @@ def _escape(situation: Situation, station: float, speed: float) -> SpeedPlan:
         contact = _first_contact(situation, station, speed, a)
         if contact > latest:
             best, latest = a, contact
-    return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False)
+    return SpeedPlan(best, 0, station, speed, 0.0, 0.0, False, 0.0)
 
 
 @kernel_inner

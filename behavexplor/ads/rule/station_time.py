@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.path import Path, project_on_path
+from behavexplor.ads.rule.beside import is_beside
 from behavexplor.ads.rule.boxes import Box, box_on_path
 from behavexplor.ads.rule.lateral import LateralProfile
 from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
@@ -199,31 +200,52 @@ def _occupy(view: Projection, way: int, motion: Motion) -> tuple[int, int]:
         The first and the last step at which the box is on the path, -1 for none.
     """
     graph, room = view.graph, view.room
-    tail, start, occupied = room.tails[way], room.stations[way], room.occupied
-    strip, steps = view.scene[EGO, WIDTH] / 2 + view.p.side_gap, _steps(motion, view.p)
-    depth = 0
-    lane = graph.tails[tail, 0]
-    first, last = -1, -1
-    for i in range(steps):
-        station = start + i * STEP
-        while depth + 1 < graph.tails.shape[1] and graph.tails[tail, depth + 1] >= 0:
-            if station <= graph.lanes[lane, LANE_LENGTH]:
-                break
-            start -= graph.lanes[lane, LANE_LENGTH]
-            depth += 1
-            lane = graph.tails[tail, depth]
-            station = start + i * STEP
-        low, high = math.inf, -math.inf
-        if graph.near[lane]:
-            x, y, cos, sin = direction_on_lane(graph.lanes, lane, station)
-            straight = graph.lanes[lane, CURVATURE] == 0.0
-            length = motion.length if straight else motion.turning_length
-            width = motion.width if straight else motion.turning_width
-            low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), strip)
-        occupied[i, 0], occupied[i, 1] = low, high
-        if low <= high:
-            first, last = (i if first < 0 else first), i
+    tail, start, steps = graph.tails[room.tails[way]], room.stations[way], _steps(motion, view.p)
+    first, last, step = -1, -1, 0
+    for depth in range(len(tail)):
+        if tail[depth] < 0:
+            break
+        is_last = depth + 1 == len(tail) or tail[depth + 1] < 0
+        begin, end, step = _occupy_lane(view, tail[depth], start, step, steps, is_last, motion)
+        first, last = (first if first >= 0 else begin), max(last, end)
+        start -= graph.lanes[tail[depth], LANE_LENGTH]
     return first, last
+
+
+@kernel_inner
+def _occupy_lane(
+    view: Projection, lane: int, start: float, step: int, steps: int, is_last: bool, motion: Motion
+) -> tuple[int, int, int]:
+    """Compute the stretches that an NPC's box occupies at its steps on one lane of its way.
+
+    Args:
+        view: input of the projection.
+        lane: the lane.
+        start: station at step 0, relative to the start of the lane [m].
+        step: first step on the lane.
+        steps: number of steps.
+        is_last: True if the way goes straight on beyond the end of the lane.
+        motion: motion of the NPC.
+
+    Returns:
+        The first and the last step at which the box is on the path, -1 for none, and the first step beyond the lane.
+    """
+    lanes, places, occupied = view.graph.lanes, view.graph.beside[lane], view.room.occupied
+    straight = lanes[lane, CURVATURE] == 0.0
+    length = motion.length if straight else motion.turning_length
+    width = motion.width if straight else motion.turning_width
+    strip, end = view.scene[EGO, WIDTH] / 2 + view.p.side_gap, math.inf if is_last else lanes[lane, LANE_LENGTH]
+    first, last = -1, -1
+    while step < steps and start + step * STEP <= end:
+        station, low, high = start + step * STEP, math.inf, -math.inf
+        if not is_beside(places[int(station)], view.profile, length, width, strip):
+            x, y, cos, sin = direction_on_lane(lanes, lane, station)
+            low, high = box_on_path(view.path, view.profile, Box(x, y, cos, sin, length, width), strip)
+        occupied[step, 0], occupied[step, 1] = low, high
+        if low <= high:
+            first, last = (step if first < 0 else first), step
+        step += 1
+    return first, last, step
 
 
 @kernel_inner

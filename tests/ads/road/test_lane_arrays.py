@@ -1,10 +1,18 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.road.lane_arrays import lane_array, offset_on_lane, pose_on_lane, project_on_lane
+from behavexplor.ads.road.lane_arrays import (
+    CURVATURE,
+    is_far_from_arc,
+    lane_array,
+    offset_on_lane,
+    pose_on_lane,
+    project_on_lane,
+)
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from tests.kernel_calls import called_alone
 
+is_far_from_arc = called_alone(is_far_from_arc)
 offset_on_lane = called_alone(offset_on_lane)
 pose_on_lane = called_alone(pose_on_lane)
 project_on_lane = called_alone(project_on_lane)
@@ -34,3 +42,12 @@ def test_projection_is_the_inverse_of_the_pose_with_an_offset_to_the_right(index
 def test_the_offset_alone_is_that_of_the_projection_to_the_last_bit(index):
     for x, y in np.random.default_rng(index).uniform(-60, 60, size=(50, 2)):
         assert offset_on_lane(ARRAY, index, x, y) == project_on_lane(ARRAY, index, x, y)[1]
+
+
+@pytest.mark.parametrize("index", np.flatnonzero(ARRAY[:, CURVATURE]))
+def test_a_point_is_far_from_an_arc_if_its_offset_is_large(index):
+    rng = np.random.default_rng(index)
+    for x, y in rng.uniform(-60, 60, size=(50, 2)):
+        offset = abs(offset_on_lane(ARRAY, index, x, y))
+        for gap in (offset, offset - 1e-5, offset + 1e-5, rng.uniform(0, 60)):
+            assert is_far_from_arc(ARRAY, index, x, y, gap) == (offset > gap + 1e-6)

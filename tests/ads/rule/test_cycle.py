@@ -108,7 +108,7 @@ def test_a_road_without_a_junction_is_passed():
     ],
 )
 def test_the_log_says_what_a_plan_amounts_to(station, survived, free, yields, code):
-    plan = SpeedPlan(0.0, survived, station + 40.0, 5.0, 0.0, 0.0, free)
+    plan = SpeedPlan(0.0, survived, station + 40.0, 5.0, 0.0, 0.0, free, 0.0)
     assert decision_code(JUNCTION, plan, station, HALF, yields) == code
 
 

@@ -1,9 +1,13 @@
+import math
+
+import numpy as np
 import pytest
 
-from behavexplor.ads.rule.occlusion import hidden_share
+from behavexplor.ads.rule.occlusion import bearings, hidden_share
 from tests.ads.rule.world import scene
 from tests.kernel_calls import called_alone
 
+bearings = called_alone(bearings)
 hidden_share = called_alone(hidden_share)
 
 EGO = (0.0, 0.0, 0.0, 5.0)
@@ -37,3 +41,28 @@ def test_absent_vehicles_hide_nobody():
     view = scene(EGO, [car(40, 0), car(20, 0)])
     view[2, 0] = 0.0
     assert hidden_share(view, 1) == 0.0
+
+
+def plain_hidden_share(view, row):
+    """The hidden share by the bearings of all vehicles that are nearer."""
+    distances = np.hypot(view[:, 1] - view[0, 1], view[:, 2] - view[0, 2])
+    bearing, low, high = bearings(view, row)
+    shares = [0.0]
+    for other in range(1, len(view)):
+        if other != row and distances[other] < distances[row]:
+            middle, other_low, other_high = bearings(view, other)
+            away = (middle - bearing + math.pi) % (2 * math.pi) - math.pi
+            shares.append((min(high, away + other_high) - max(low, away + other_low)) / (high - low))
+    return max(shares)
+
+
+def test_it_is_the_share_by_the_bearings_of_all_nearer_vehicles_bit_by_bit():
+    rng, hidden = np.random.default_rng(0), 0
+    for _ in range(2000):
+        reach = rng.choice([8.0, 60.0])
+        cars = [car(*rng.uniform(-reach, reach, 2), rng.uniform(-4, 4)) for _ in range(5)]
+        view = scene(EGO, cars)
+        share = hidden_share(view, 1)
+        assert share == plain_hidden_share(view, 1)
+        hidden += share > 0.0
+    assert hidden > 200

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.road.lane_arrays import pose_on_lane
+from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, traveled
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
@@ -14,7 +15,7 @@ traveled = called_alone(traveled)
 LOGICAL = IntersectionStraightEnv.logical
 
 ROADMAP = LOGICAL.roadmap
-GRAPH = lane_graph(ROADMAP.npc_routes, ROADMAP.ego_route)
+GRAPH = lane_graph(ROADMAP, ego_path(ROADMAP))
 CAREFUL = Parameters()
 NAMES = list({lane.name: 0 for route in ROADMAP.npc_routes for lane in route.lanes})
 

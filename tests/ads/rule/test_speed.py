@@ -8,7 +8,9 @@ import pytest
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.speed import free_acceleration, plan_speed
-from behavexplor.ads.rule.speed_search import ACCELERATIONS, Situation, empty_nodes
+from behavexplor.ads.rule.speed_grid import ACCELERATIONS
+from behavexplor.ads.rule.speed_motions import Situation
+from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
 from behavexplor.envs.roads import crossing, straight_road
 from tests.kernel_calls import called_alone
@@ -34,7 +36,7 @@ def situation(*spans, wall=math.inf, path=ROAD):
             room.spans[k, room.counts[k]] = span
             room.counts[k] += 1
             room.reaches[k] = min(room.reaches[k, 0], span[2]), max(room.reaches[k, 1], span[3])
-    return Situation(path, room, HALF_LENGTH, wall, 1.0, NUMBERS)
+    return Situation(path, room, HALF_LENGTH, wall, 1.0, 0.0, NUMBERS)
 
 
 def plan(world, station, speed, acceleration=0.0):

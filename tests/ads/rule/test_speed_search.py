@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path, limit_at
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.speed_search import (
+from behavexplor.ads.rule.speed_grid import (
     ACCELERATIONS,
     FINENESS,
     HARDEST,
@@ -15,10 +15,9 @@ from behavexplor.ads.rule.speed_search import (
     N_STATION_BINS,
     STAGES,
     STRONGEST,
-    Situation,
-    empty_nodes,
-    search,
 )
+from behavexplor.ads.rule.speed_motions import Situation
+from behavexplor.ads.rule.speed_search import CLOSE, empty_nodes, search
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.envs.roads import crossing, straight_road
 from tests.kernel_calls import called_alone
@@ -46,7 +45,7 @@ def random_situation(path, rng):
             room.counts[k] += 1
             room.reaches[k] = min(room.reaches[k, 0], row[2]), max(room.reaches[k, 1], row[3])
     wall = rng.choice([math.inf, rng.uniform(30, 150)])
-    return Situation(path, room, HALF_LENGTH, wall, rng.choice([1.0, 0.3]), P)
+    return Situation(path, room, HALF_LENGTH, wall, rng.choice([1.0, 0.3]), 0.0, P)
 
 
 def driven(world, s, v, a, first, intervals):
@@ -122,7 +121,19 @@ def test_it_finds_the_plan_of_a_plain_search_bit_by_bit(path):
         world = random_situation(PATHS[path], rng)
         station, speed, last = rng.uniform(20, 110), rng.choice([0.0, rng.uniform(0, 11), 14.0]), rng.uniform(-3, 2)
         plan = search(world, station, speed, last, space)
-        assert tuple(plan)[:-1] == plain_search(world, station, speed, last)
+        assert tuple(plan)[:-2] == plain_search(world, station, speed, last)
         lengths.add(plan.survived)
     assert len(lengths) > 1
     assert N_INTERVALS in lengths
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_an_expected_cost_does_not_change_the_plan(path):
+    rng, space = np.random.default_rng(1), empty_nodes()
+    for _ in range(300):
+        world = random_situation(PATHS[path], rng)
+        speed, last = rng.choice([0.0, 2.0, rng.uniform(0, 11)]), rng.choice([0.0, 1.0, rng.uniform(-3, 2)])
+        station = rng.uniform(20, 110)
+        plan = search(world, station, speed, last, space)
+        expected = plan.cost * rng.choice([rng.uniform(0.4, 1.5), 1 / CLOSE])
+        assert search(world._replace(expected=expected), station, speed, last, space) == plan

@@ -41,7 +41,7 @@ path_of = cache(ego_path)
 
 @cache
 def lanes_of(roadmap):
-    return lane_graph(roadmap.npc_routes, roadmap.ego_route)
+    return lane_graph(roadmap, path_of(roadmap))
 
 
 def graph_of(roadmap, npcs, station=20.0):

@@ -1,0 +1,80 @@
+"""Lanes beside the ego's route: where on them a vehicle is too far from the ego's path to be in its way."""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.ads.road.lane_arrays import COS, CURVATURE, LENGTH, SIN, pose_on_lane
+from behavexplor.ads.road.path import Path, is_straight, locate_on_path
+from behavexplor.ads.rule.boxes import SLACK
+from behavexplor.ads.rule.lateral import LateralProfile
+from behavexplor.jit import kernel_in_place, kernel_inner
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+LEAST, GREATEST = 0, 1  # offsets from the route within a meter of a lane [m]
+SKEW = 2  # greatest sine of the angle to the route there; 1 on curves and beside them
+
+BEYOND: Final = 130  # length for which lanes are continued beyond their ends [m]
+AROUND: Final = 15.0  # half the longest vehicle's length and width, with some margin [m]
+
+
+def beside_route(path: Path, lanes: Floats, near: Bools) -> Floats:
+    """Compute where each meter of each lane is on the ego's route.
+
+    Args:
+        path: path of the ego.
+        lanes: lanes, the last of which can be anywhere, see `behavexplor.ads.road.lane_arrays`.
+        near: False for each lane on which no vehicle can be in the ego's way, shape (lanes,).
+
+    Returns:
+        The columns above, shape (lanes, meters, 3). Offsets are infinite on lanes that are not near.
+    """
+    table = np.empty((len(lanes), int(lanes[:, LENGTH].max()) + BEYOND, 3))
+    _fill(path, lanes, table)
+    table[~near, :, LEAST] = math.inf
+    table[-1] = -math.inf, math.inf, 1.0
+    return table
+
+
+@kernel_in_place
+def _fill(path: Path, lanes: Floats, table: Floats) -> None:
+    for lane in range(len(lanes) - 1):
+        last, last_skew = _offset(path, lanes, lane, 0.0)
+        for meter in range(table.shape[1]):
+            first, first_skew = last, last_skew
+            last, last_skew = _offset(path, lanes, lane, meter + 1.0)
+            skew = max(first_skew, last_skew)
+            between = 0.5 if skew == 1.0 else 0.0  # an offset changes by a meter in each meter at most
+            row = table[lane, meter]
+            row[LEAST], row[GREATEST], row[SKEW] = min(first, last) - between, max(first, last) + between, skew
+
+
+@kernel_inner
+def _offset(path: Path, lanes: Floats, lane: int, station: float) -> tuple[float, float]:
+    """Return the offset of a station of a lane from the route [m], and the sine of the angle there, 1 on curves."""
+    x, y, _ = pose_on_lane(lanes, lane, station)
+    nearest, there, offset = locate_on_path(path, x, y)
+    if lanes[lane, CURVATURE] != 0.0 or not is_straight(path, nearest, there - AROUND, there + AROUND):
+        return offset, 1.0
+    along, across = path.lanes[nearest, COS], path.lanes[nearest, SIN]
+    return offset, abs(lanes[lane, SIN] * along - lanes[lane, COS] * across)
+
+
+@kernel_inner
+def is_beside(place: Floats, profile: LateralProfile, length: float, width: float, strip: float) -> bool:
+    """Return whether a vehicle on a lane is surely beside the strip along the path.
+
+    Args:
+        place: where its center is, shape (3,), see `beside_route`.
+        profile: offset of the planned path from the route.
+        length: length of the vehicle [m].
+        width: width of the vehicle [m].
+        strip: half the width of the strip [m].
+    """
+    reach = strip + (length * place[SKEW] + width) / 2 + (SLACK if profile.length > 0.0 else 0.0)
+    away = max(place[LEAST] - max(profile.first, profile.last), min(profile.first, profile.last) - place[GREATEST])
+    return bool(away > reach and (length + width) / 2 < AROUND)
