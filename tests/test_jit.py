@@ -167,7 +167,7 @@ def test_a_kernel_compiled_for_some_types_does_the_same_for_other_values():
 
 
 def test_what_holds_machine_code_can_be_pickled():
-    values = np.arange(6.0).reshape(3, 2)
+    values = np.arange(6.0).reshape(2, 3)  # two attributes, and so two windows of 16 features
     code = compiled.compiled_for(fill_statistics, values, 2, 0.1, np.zeros((2, 16)))
     results = [np.zeros((2, 16)), np.zeros((2, 16))]
     for again, result in zip((code, pickle.loads(pickle.dumps(code))), results, strict=True):

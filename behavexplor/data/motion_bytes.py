@@ -38,11 +38,11 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     Raises:
         InputError: if the bytes have another shape.
     """
-    from behavexplor.data.motion_kernels import fill_motion  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.motion_kernels import fill_values  # noqa: PLC0415 - numba is slow to import
 
     if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] != 8 or planes.shape[-1] != frames:
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
     motion = np.empty((frames, *planes.shape[1:-1]))
     rows = np.array(planes, order="C").reshape(8, -1, frames)
-    fill_motion(rows, resolution, motion.reshape(frames, -1))
+    fill_values(rows, resolution, motion.reshape(frames, -1))
     return motion

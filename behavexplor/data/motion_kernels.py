@@ -23,8 +23,8 @@ def fill_bytes(motion: Floats, resolution: float, planes: Bytes) -> None:
 
 
 @kernel_in_place
-def fill_motion(planes: Bytes, resolution: float, motion: Floats) -> None:
-    """Fill in the motion, shape (T, n), from bytes of shape (8, n, T)."""
+def fill_values(planes: Bytes, resolution: float, motion: Floats) -> None:
+    """Fill in motion, shape (T, n), from bytes of shape (8, n, T)."""
     for i in range(motion.shape[1]):
         now, step = np.int64(0), np.int64(0)
         for t in range(len(motion)):

@@ -188,9 +188,14 @@ def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> F
 
 def _overlap(pose: Pose, size: tuple[float, float], other_pose: Pose, other_size: tuple[float, float]) -> bool:
     """Return whether two boxes touch."""
-    if math.dist(pose[:2], other_pose[:2]) > (math.hypot(*size) + math.hypot(*other_size)) / 2 + 1e-9:
+    if math.dist(pose[:2], other_pose[:2]) > _radius(size) + _radius(other_size) + 1e-9:
         return False  # the circles around the boxes do not touch, which decides most pairs of vehicles
     return bool(boxes_overlap(_corners(pose, size), _corners(other_pose, other_size)))
+
+
+@lru_cache
+def _radius(size: tuple[float, float]) -> float:
+    return math.hypot(*size) / 2
 
 
 def _corners(pose: Pose, size: tuple[float, float]) -> Floats:

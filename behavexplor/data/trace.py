@@ -183,6 +183,19 @@ class Trace:
         changed._validate_decisions()
         return changed
 
+    @classmethod
+    def of_valid(cls, *, end: str, **arrays: NDArray[Any]) -> Self:
+        """Return a trace of arrays that are known to be valid, without the time that checking and copying them takes.
+
+        Args:
+            end: kind of end.
+            arrays: all fields but the optional ones, as this class keeps them: contiguous and read-only, motion in
+                multiples of `RESOLUTION`.
+        """
+        trace = object.__new__(cls)
+        trace.__dict__.update(arrays, end=end, **_NOTHING_MORE)
+        return trace
+
     def to_bytes(self) -> bytes:
         """Return the trace as compressed bytes. Equal traces give equal bytes, and `from_bytes` restores them."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
@@ -240,6 +253,10 @@ class Trace:
         return cls.from_bytes(path.read_bytes())
 
 
+_NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
+_ALL_PRESENT = np.ones((0, 0), dtype=bool)
+_ALL_PRESENT.setflags(write=False)
+_NOTHING_MORE = {"decisions": _NO_ARRAYS, "signals": _NO_ARRAYS, "present": _ALL_PRESENT, "partner": -1}
 _OTHERS = ("end", "decisions", "signals", "present", "partner")
 _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in _OTHERS)
 

@@ -1,11 +1,15 @@
 """Build the trace of an episode from its record."""
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import RESOLUTION, Trace
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -34,22 +38,73 @@ def episode_trace(
         action_frames: frame at which each command was given, shape (D,).
         end: kind of end, one of `behavexplor.data.trace.ENDS`.
     """
-    moved = np.empty((len(time), len(sizes), ego.shape[1]))  # the columns of `ego`, for every vehicle
-    moved[:, 0] = ego
-    for column, moving in enumerate((X, Y, HEADING)):
-        moved[:, 1:, column] = motion[..., moving]
-    moved[:, 1:, 3] = motion[..., SPEED] * np.cos(motion[..., HEADING])
-    moved[:, 1:, 4] = motion[..., SPEED] * np.sin(motion[..., HEADING])
-    return Trace(
-        time=time,
-        position=moved[..., :2],
-        heading=moved[..., 2],
-        velocity=moved[..., 3:],
-        size=sizes,
-        actions=actions,
-        action_frame=action_frames,
+    shape = len(time), len(sizes)
+    position, heading, velocity = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape, 2))
+    turned = motion[..., HEADING]
+    directions = np.stack([np.cos(turned), np.sin(turned)])  # numpy's own functions, whose last bits differ from C's
+    is_finite = fill_record(np.ascontiguousarray(ego), motion, directions, RESOLUTION, position, heading, velocity)
+    made = Trace.of_valid if is_finite else Trace  # which refuses it
+    return made(
+        time=_read_only(time),
+        position=_read_only(position),
+        heading=_read_only(heading),
+        velocity=_read_only(velocity),
+        size=_read_only(np.array(sizes)),
+        actions=_read_only(np.array(actions, dtype=np.float64)),
+        action_frame=_read_only(action_frames),
         route=roadmap.ego_line,
         destination=roadmap.destination_point,
         illegal_lines=roadmap.illegal_lines,
         end=end,
     )
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    array.setflags(write=False)
+    return array
+
+
+@kernel_in_place
+def fill_record(
+    ego: Floats,
+    motion: Floats,
+    directions: Floats,
+    resolution: float,
+    position: Floats,
+    heading: Floats,
+    velocity: Floats,
+) -> bool:
+    """Fill in the motion of all vehicles, the ego first, in multiples of the resolution of traces.
+
+    Args:
+        ego: x, y, heading and velocity of the ego, shape (T, 5).
+        motion: the NPCs' motion table, shape (T, n_npcs, 5).
+        directions: cosine and sine of the NPCs' headings, shape (2, T, n_npcs).
+        resolution: resolution of traces.
+        position: positions, shape (T, 1 + n_npcs, 2).
+        heading: headings, shape (T, 1 + n_npcs).
+        velocity: velocities, shape (T, 1 + n_npcs, 2).
+
+    Returns:
+        Whether the ego's motion is finite.
+    """
+    is_finite = True
+    for t in range(len(ego)):
+        position[t, 0, 0], position[t, 0, 1] = _rounded(ego[t, 0], resolution), _rounded(ego[t, 1], resolution)
+        heading[t, 0] = _rounded(ego[t, 2], resolution)
+        velocity[t, 0, 0], velocity[t, 0, 1] = _rounded(ego[t, 3], resolution), _rounded(ego[t, 4], resolution)
+        for k in range(ego.shape[1]):
+            is_finite = is_finite and math.isfinite(ego[t, k])
+        for i in range(motion.shape[1]):
+            position[t, 1 + i, 0] = _rounded(motion[t, i, X], resolution)
+            position[t, 1 + i, 1] = _rounded(motion[t, i, Y], resolution)
+            heading[t, 1 + i] = _rounded(motion[t, i, HEADING], resolution)
+            velocity[t, 1 + i, 0] = _rounded(motion[t, i, SPEED] * directions[0, t, i], resolution)
+            velocity[t, 1 + i, 1] = _rounded(motion[t, i, SPEED] * directions[1, t, i], resolution)
+    return is_finite
+
+
+@kernel_inner
+def _rounded(value: float, step: float) -> float:
+    rounded: float = np.rint(value / step) * step
+    return rounded
