@@ -7,18 +7,20 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.roadmap import RoadMap, Route
+from behavexplor.data.roadmap import Lane, RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 
 Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m] and heading [rad]
+Size = tuple[float, float]  # length and width [m]
 
 
 @dataclass(frozen=True)
@@ -71,12 +73,14 @@ class ScriptedRanges:
             raise InputError(f"functional: this is a scenario of {scenario.functional!r}, not of {self.name!r}")
         if len(scenario.npcs) > self.n_npcs:
             raise InputError(f"npcs: {len(scenario.npcs)} are too many; {self.name!r} has at most {self.n_npcs}")
+        placed: list[_Placed] = []
         for i, npc in enumerate(scenario.npcs):
             try:
                 self._check_npc(npc)
             except InputError as error:
                 raise InputError(f"npcs[{i}].{error}") from None
-            conflict = self.spawn_conflict(npc, scenario.npcs[:i])
+            placed.append(self._placed(npc))
+            conflict = self._conflict(placed[i], placed[:i])
             if conflict is not None:
                 raise InputError(f"npcs[{i}].waypoints[0].position: the vehicle starts {conflict}")
 
@@ -107,21 +111,25 @@ class ScriptedRanges:
         Returns:
             The broken rule as the end of the sentence "the vehicle starts ...", or None.
         """
-        start, size, ego = self._start_of(npc), VEHICLE_SIZES[npc.type], self._ego_start
-        ego_gap = math.dist(start[:2], ego[:2])
+        return self._conflict(self._placed(npc), list(map(self._placed, others)))
+
+    def _conflict(self, placed: "_Placed", others: Sequence["_Placed"]) -> str | None:
+        (x, y, _), (ego_x, ego_y, _) = placed.pose, self._ego_start
+        ego_gap = math.hypot(x - ego_x, y - ego_y)
         if ego_gap < self.ego_gap:
             return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
-        if _overlap(start, size, ego, EGO_SIZE):
+        if _overlap(placed.pose, placed.size, self._ego_start, EGO_SIZE, ego_gap):
             return "where the ego stands"
-        lane = self.roadmap.routes[npc.route].lanes[0]
         for i, other in enumerate(others):
-            pose = self._start_of(other)
-            gap = math.dist(start[:2], pose[:2])
-            if lane is self.roadmap.routes[other.route].lanes[0] and gap < self.npc_gap:
+            gap = math.hypot(x - other.pose[0], y - other.pose[1])
+            if placed.lane is other.lane and gap < self.npc_gap:
                 return f"{gap:.2f} m from NPC {i} in the same lane, closer than {self.npc_gap:g} m"
-            if _overlap(start, size, pose, VEHICLE_SIZES[other.type]):
+            if _overlap(placed.pose, placed.size, other.pose, other.size, gap):
                 return f"where NPC {i} stands"
         return None
+
+    def _placed(self, npc: NPC) -> "_Placed":
+        return _Placed(self._start_of(npc), VEHICLE_SIZES[npc.type], self.roadmap.routes[npc.route].lanes[0])
 
     def start_pose_of(self, npc: NPC) -> Floats:
         """Return the pose at which a vehicle starts: x, y [m] and heading [rad], shape (3,)."""
@@ -186,17 +194,25 @@ def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> F
     return ranges
 
 
-def _overlap(pose: Pose, size: tuple[float, float], other_pose: Pose, other_size: tuple[float, float]) -> bool:
-    """Return whether two boxes touch."""
-    if math.dist(pose[:2], other_pose[:2]) > _radius(size) + _radius(other_size) + 1e-9:
+class _Placed(NamedTuple):
+    """Where a vehicle starts."""
+
+    pose: Pose
+    size: Size
+    lane: Lane
+
+
+def _overlap(pose: Pose, size: Size, other_pose: Pose, other_size: Size, gap: float) -> bool:
+    """Return whether two boxes touch whose centers lie a gap apart [m]."""
+    if gap > _radius(size) + _radius(other_size) + 1e-9:
         return False  # the circles around the boxes do not touch, which decides most pairs of vehicles
     return bool(boxes_overlap(_corners(pose, size), _corners(other_pose, other_size)))
 
 
 @lru_cache
-def _radius(size: tuple[float, float]) -> float:
+def _radius(size: Size) -> float:
     return math.hypot(*size) / 2
 
 
-def _corners(pose: Pose, size: tuple[float, float]) -> Floats:
+def _corners(pose: Pose, size: Size) -> Floats:
     return box_corners(np.array(pose[:2]), np.array(pose[2]), np.array(size))

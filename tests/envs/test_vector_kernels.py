@@ -25,7 +25,16 @@ from behavexplor.envs.reward import reward_terms as terms_of_one
 from behavexplor.envs.vector import meta, slots, step
 from behavexplor.envs.vector.contact import boxes_touch, corners, line_distance, line_meets_box, touches_line
 from behavexplor.envs.vector.rewards import TERMS, reward_terms
-from behavexplor.envs.vector.slots import END, LINE_FRAME, N_NPCS, RUNNING, make_slots, move_npcs, put_scenario
+from behavexplor.envs.vector.slots import (
+    END,
+    LINE_FRAME,
+    N_NPCS,
+    RUNNING,
+    begin_episode,
+    make_slots,
+    move_npcs,
+    npc_arrays,
+)
 from behavexplor.envs.vector.world import make_world
 from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
 from tests.kernel_calls import called_alone
@@ -192,6 +201,10 @@ def test_ends_come_in_their_order(frame, standing, ahead, aside, expected):
     x, y = roadmap.destination_point + ahead * along + aside * np.array([-along[1], along[0]])
     end = find_end(rules, frame, standing, x, y)
     assert (None if end == RUNNING else ENDS[end]) == expected
+
+
+def put_scenario(world, state, b, scenario, roadmap):
+    begin_episode(world, state, b, *npc_arrays(scenario, roadmap, state.phases.shape[2] - 1))
 
 
 def test_a_slot_forgets_the_episode_before():

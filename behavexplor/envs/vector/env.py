@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from behavexplor.data.npc_motion import SPEED
+from behavexplor.data.npc_motion import N_COLUMNS, SPEED
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
@@ -22,7 +22,17 @@ from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import TERMS, reward_terms
-from behavexplor.envs.vector.slots import END, FRAME, IDLE, N_NPCS, RUNNING, make_slots, motion_of, put_scenario
+from behavexplor.envs.vector.slots import (
+    END,
+    FRAME,
+    IDLE,
+    N_NPCS,
+    RUNNING,
+    begin_episode,
+    fill_table,
+    make_slots,
+    npc_arrays,
+)
 from behavexplor.envs.vector.step import step
 from behavexplor.envs.vector.support import check_supported
 from behavexplor.envs.vector.world import make_world
@@ -93,6 +103,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._view = make_view(single.observation_type) if isinstance(single.observation_type, Kinematics) else None
         space = self.single_observation_space
         self._observations = np.zeros((num_envs, *(space.shape or ())), dtype=space.dtype)
+        self._n_waypoints = self._slots.phases.shape[2] - 1
         self._compile()
         self._has_idle = True
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
@@ -120,7 +131,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         if isinstance(seed, int | np.integer):
             super().reset(seed=seeds[0])
         for b, own_seed in enumerate(seeds):
-            if mask[b] and (own_seed is not None or self._generators[b] is None):
+            if mask[b] and own_seed is not None:
                 self._generators[b], _ = seeding.np_random(own_seed)
         infos = self._begin(mask, scenarios)
         self._observe(mask)
@@ -175,10 +186,10 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None
             if scenario is None:
-                generator = self._generators[b]
-                assert generator is not None  # noqa: S101 - reset made it
+                generator = self._generators[b] = self._generators[b] or seeding.np_random()[0]
                 scenario = self.logical.sample(generator)
-            put_scenario(self._world, self._slots, b, scenario, self.logical.roadmap)
+            npcs = npc_arrays(scenario, self.logical.roadmap, self._n_waypoints)
+            self._begin_slot(self._world, self._slots, b, *npcs)
             self.scenarios[b] = infos[b] = scenario
         self._has_idle = bool((self._slots.numbers[:, END] == IDLE).any())
         return {"scenario": infos, "_scenario": mask.copy()}
@@ -192,6 +203,10 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         observe: Any = observe_scene if self._view is None else observe_kinematics
         self._seen = (slots,) if self._view is None else (world, slots, self._view)
         self._observe_slots = compiled_for(observe, *self._seen, mask, self._observations)
+        npcs = npc_arrays(ScriptedScenario(self.logical.name, ()), self.logical.roadmap, self._n_waypoints)
+        self._begin_slot = compiled_for(begin_episode, world, slots, 0, *npcs)
+        table = np.empty((1, 1, N_COLUMNS))
+        self._fill_table: Any = compiled_for(fill_table, *self._motion_of(0), self._time[:1], table)
 
     def _observe(self, mask: Bools) -> None:
         self._observe_slots(*self._seen, mask, self._observations)
@@ -222,17 +237,23 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return the trace of the episode that has ended in slot b."""
         slots, roadmap = self._slots, self.logical.roadmap
         frames = int(slots.numbers[b, FRAME]) + 1
-        decisions = np.arange(0, frames - 1, self._world.rules.substeps)
+        decisions, n_npcs = np.arange(0, frames - 1, self._world.rules.substeps), slots.numbers[b, N_NPCS]
+        motion = np.empty((frames, n_npcs, N_COLUMNS))
+        self._fill_table(*self._motion_of(b), self._time[:frames], motion)
         return episode_trace(
             roadmap,
             time=self._time[:frames],
             ego=slots.record[b, :frames],
-            motion=motion_of(self._world, slots, b, self._time[:frames]),
-            sizes=slots.size[b, : 1 + slots.numbers[b, N_NPCS]],
+            motion=motion,
+            sizes=slots.size[b, : 1 + n_npcs],
             actions=slots.actions[b, : len(decisions)],
             action_frames=decisions,
             end=ENDS[slots.numbers[b, END]],
         )
+
+    def _motion_of(self, b: int) -> tuple[Any, ...]:
+        """Return what determines the motion of the NPCs in slot b."""
+        return self._world.npc_routes, self._slots.npc_numbers[b], self._slots.phases[b]
 
     def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[ScriptedScenario | None]:
         given = options.get("scenarios")

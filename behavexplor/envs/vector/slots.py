@@ -165,27 +165,35 @@ def move_npcs(
         npc[b, i, ACCELERATION] = phases[b, i, n, PHASE_ACCELERATION]
 
 
-def motion_of(world: World, slots: Slots, b: int, time: Floats) -> Floats:
-    """Return the NPCs' motion table in slot b at given times; see `behavexplor.data.npc_motion.motion_table`."""
-    table = np.empty((len(time), slots.numbers[b, N_NPCS], N_COLUMNS))
-    _fill_table(world.npc_routes, slots.npc_numbers[b], slots.phases[b], time, table)
-    return table
-
-
 @kernel
-def _fill_table(routes: Routes, npc_numbers: Ints, phases: Floats, time: Floats, table: Floats) -> None:
+def fill_table(routes: Routes, npc_numbers: Ints, phases: Floats, time: Floats, table: Floats) -> None:
+    """Fill in the NPCs' motion table of a slot at given times; see `behavexplor.data.npc_motion.motion_table`.
+
+    Args:
+        routes: routes of NPCs.
+        npc_numbers: numbers of the slot's NPCs, shape (N, 3).
+        phases: their phases, shape (N, phases, 4).
+        time: times [s], shape (T,).
+        table: table of the NPCs that are there, shape (T, n_npcs, 5); changed in place.
+    """
     for i in range(table.shape[1]):
         fill_frames(routes, npc_numbers[i, ROUTE], phases[i], npc_numbers[i, N_PHASES], time, table[:, i])
 
 
-def put_scenario(world: World, slots: Slots, b: int, scenario: ScriptedScenario, roadmap: RoadMap) -> None:
-    """Begin an episode of a scenario in slot b. Changes `slots` in place."""
+class NPCArrays(NamedTuple):
+    """The NPCs of a scenario, as `begin_episode` takes them."""
+
+    routes: Ints
+    sizes: Floats
+    waypoints: Floats
+
+
+def npc_arrays(scenario: ScriptedScenario, roadmap: RoadMap, n_waypoints: int) -> NPCArrays:
+    """Return the NPCs of a scenario as arrays, with room for a number of waypoints."""
     index = route_index(roadmap)
-    n_waypoints = slots.phases.shape[2] - 1
-    waypoints = np.empty((len(scenario.npcs), n_waypoints, 2))
-    for i, npc in enumerate(scenario.npcs):
-        own = [(waypoint.position, waypoint.speed) for waypoint in npc.waypoints]
-        waypoints[i] = own + own[-1:] * (n_waypoints - len(own))
+    padded = [npc.waypoints + npc.waypoints[-1:] * (n_waypoints - len(npc.waypoints)) for npc in scenario.npcs]
+    values = [(waypoint.position, waypoint.speed) for waypoints in padded for waypoint in waypoints]
+    waypoints = np.array(values, dtype=np.float64).reshape(len(padded), n_waypoints, 2)
     routes = np.array([index[npc.route] for npc in scenario.npcs], dtype=np.int64)
-    sizes = np.array([VEHICLE_SIZES[npc.type] for npc in scenario.npcs]).reshape(-1, 2)
-    begin_episode(world, slots, b, routes, sizes, waypoints)
+    sizes = np.array([VEHICLE_SIZES[npc.type] for npc in scenario.npcs], dtype=np.float64).reshape(-1, 2)
+    return NPCArrays(routes, sizes, waypoints)
