@@ -29,6 +29,38 @@ def fill_box_segment_distances(boxes: Floats, segments: Floats, gaps: Floats) ->
                 gaps[i] = min(gaps[i], _to_segment(box[k], segment[0], segment[1]))
 
 
+@kernel_in_place
+def fill_gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats, lower: Floats) -> float:
+    """Fill in the lower bounds, and return the upper one; see `behavexplor.data.geometry.gap_bounds`."""
+    upper = math.inf
+    for t in range(len(position)):
+        if t > 0 and _is_still(position[t], position[t - 1], heading[t], heading[t - 1]):
+            lower[t] = math.inf
+            continue
+        for i in range(1, position.shape[1]):
+            centers = math.hypot(position[t, i, 0] - position[t, 0, 0], position[t, i, 1] - position[t, 0, 1])
+            lower[t, i - 1] = centers - (outer[0] + outer[i])
+            upper = min(upper, max(centers - (inner[0] + inner[i]), 0.0))
+    return upper
+
+
+@kernel_in_place
+def fill_point_segment_distances(points: Floats, segments: Floats, gaps: Floats) -> None:
+    """Fill in the distances of points, shape (n, 2), from segments, shape (m, 2, 2); distances of shape (n, m)."""
+    for i in range(len(points)):
+        for k in range(len(segments)):
+            gaps[i, k] = _to_segment(points[i], segments[k, 0], segments[k, 1])
+
+
+@kernel_inner
+def _is_still(position: Floats, before: Floats, heading: Floats, heading_before: Floats) -> bool:
+    """Return whether no vehicle has moved or turned."""
+    for i in range(len(heading)):
+        if heading[i] != heading_before[i] or position[i, 0] != before[i, 0] or position[i, 1] != before[i, 1]:
+            return False
+    return True
+
+
 @kernel_inner
 def _corners_to_edges(points: Floats, box: Floats) -> float:
     """Return the least distance of points, shape (n, 2), from the edges of a box, shape (4, 2)."""

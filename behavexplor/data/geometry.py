@@ -52,13 +52,13 @@ def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
     return ~separated
 
 
-def point_segment_distance(point: Floats, start: Floats, end: Floats) -> Floats:
-    """Compute the distance from points to segments, shape (...). Arguments of shape (..., 2) are broadcast."""
-    along = end - start
-    squared = np.einsum("...i,...i->...", along, along)
-    share = np.einsum("...i,...i->...", point - start, along) / np.where(squared > 0, squared, 1.0)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-    return np.asarray(np.hypot(point[..., 0] - nearest[..., 0], point[..., 1] - nearest[..., 1]))
+def point_segment_distances(points: Floats, segments: Floats) -> Floats:
+    """Compute the distances of points, shape (n, 2), from segments, shape (m, 2, 2); distances of shape (n, m)."""
+    from behavexplor.data.box_kernels import fill_point_segment_distances  # noqa: PLC0415 - numba is slow to import
+
+    gaps = np.empty((len(points), len(segments)))
+    fill_point_segment_distances(np.array(points, order="C"), np.array(segments, order="C"), gaps)
+    return gaps
 
 
 def point_box_distance(point: Floats, position: Floats, heading: Floats, size: Floats) -> Floats:
@@ -96,6 +96,26 @@ def box_distance(a: Floats, b: Floats) -> Floats:
     gaps = np.empty(a.shape[:-2])
     fill_box_distances(_flat(a, 4), _flat(b, 4), gaps.reshape(-1))
     return gaps
+
+
+def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) -> tuple[Floats, float]:
+    """Bound the distances between the first vehicle and the others by circles, in each frame in which a vehicle moves.
+
+    Args:
+        position: centers, shape (T, N, 2) [m].
+        heading: headings, shape (T, N) [rad].
+        outer: radii of circles around the vehicles, shape (N,) [m].
+        inner: radii of circles inside the vehicles, shape (N,) [m].
+
+    Returns:
+        Lower bounds, infinite in a frame that equals the one before, shape (T, N - 1); and an upper bound of the least
+        distance [m].
+    """
+    from behavexplor.data.box_kernels import fill_gap_bounds  # noqa: PLC0415 - numba is slow to import
+
+    lower = np.empty((len(position), len(outer) - 1))
+    upper = fill_gap_bounds(np.ascontiguousarray(position), np.ascontiguousarray(heading), outer, inner, lower)
+    return lower, upper
 
 
 def box_segment_distance(box: Floats, segment: Floats) -> Floats:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from behavexplor.data.geometry import point_segment_distance
+from behavexplor.data.geometry import point_segment_distances
 from behavexplor.data.roadmap import Lane, RoadMap
 
 Floats = NDArray[np.float64]
@@ -86,7 +86,7 @@ def _edge(lane: Lane, roadmap: RoadMap, share: float) -> str:
     side = share * lane.width
     point = np.array([x - side * np.sin(heading), y + side * np.cos(heading)])
     lines = roadmap.illegal_lines
-    gaps = point_segment_distance(point[None], lines[:, 0], lines[:, 1]).ravel()
+    gaps = point_segment_distances(point[None], lines)[0]
     kinds = [kind for gap, kind in zip(gaps, roadmap.line_kinds, strict=True) if gap <= _ON_LINE and not lane.junction]
     return kinds[0] if kinds else NO_LINE
 

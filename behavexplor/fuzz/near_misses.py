@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import EPISODE_TIME, STANDING_SPEED, STANDSTILL_TIME
-from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
+from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distances
 from behavexplor.data.trace import Trace
 from behavexplor.fuzz.aiming import Drive
 from behavexplor.judge.classes import ViolationClass, event_class
@@ -86,7 +86,7 @@ def _near_lines(trace: Trace, drive: Drive) -> Iterator[NearMiss]:
     lines = trace.illegal_lines
     if not len(lines):
         return
-    gap = point_segment_distance(drive.pose[:, None, :2], lines[:, 0], lines[:, 1])
+    gap = point_segment_distances(drive.pose[:, :2], lines)
     to_right = _is_right_of(drive.pose, lines)
     for phase in (np.abs(drive.drift) <= DRIFT, drive.drift > DRIFT, drive.drift < -DRIFT):
         for side in (to_right, ~to_right):

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.geometry import box_corners, box_segment_distance, point_segment_distance
+from behavexplor.data.geometry import box_corners, box_segment_distance, point_segment_distances
 from behavexplor.data.trace import OFF_ROAD, RESOLUTION, Trace
 from behavexplor.judge.fault import touched_npc
 from behavexplor.judge.specs import ERROR, Collision, Destination, Lines, gap_across
@@ -70,10 +70,10 @@ def first_line_touch(trace: Trace) -> ViolationEvent | None:
     first = np.arange(0, len(position), _BLOCK)
     stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
     reach = np.hypot(*trace.size[0]) / 2 + np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
-    block, line = np.nonzero(point_segment_distance(position[first, None], lines[:, 0], lines[:, 1]) <= reach[:, None])
+    block, line = np.nonzero(point_segment_distances(position[first], lines) <= reach[:, None])
     frame = np.minimum(first[block, None] + np.arange(_BLOCK), len(position) - 1).ravel()
     line = np.repeat(line, _BLOCK)
-    near = gap_across(position[frame], heading[frame], trace.size[0], lines[line]) <= RESOLUTION
+    near = gap_across(position[frame], heading[frame], trace.size[0], lines, line) <= RESOLUTION
     frame, line = frame[near], line[near]
     box = box_corners(position[frame], heading[frame], trace.size[0])
     touching = np.flatnonzero(box_segment_distance(box, lines[line]) <= RESOLUTION)

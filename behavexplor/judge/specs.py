@@ -19,7 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
-from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distance
+from behavexplor.data.geometry import (
+    box_corners,
+    box_distance,
+    box_segment_distance,
+    gap_bounds,
+    point_segment_distances,
+)
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, RESOLUTION, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.arrival import final_distance, poses_until_arrival
@@ -182,15 +188,9 @@ def _npc_distance(trace: Trace) -> float:
     if len(trace.size) == 1:
         return NOTHING_NEAR
     position, heading = poses_until_arrival(trace)
-    pose = np.concatenate([position, heading[..., None]], axis=2)
-    frames = _changes(pose.reshape(len(pose), -1))
-    position, heading = position[frames], heading[frames]
     reach = np.hypot(trace.size[:, 0], trace.size[:, 1]) / 2
     within = trace.size.min(1) / 2
-    apart = position[:, 1:] - position[:, :1]
-    centers = np.hypot(apart[..., 0], apart[..., 1])
-    lower = centers - (reach[0] + reach[1:])
-    upper = np.maximum(centers - (within[0] + within[1:]), 0.0)
+    lower, upper = gap_bounds(position, heading, reach, within)
 
     def exact(pairs: Ints) -> Floats:
         frame, npc = np.divmod(pairs, len(trace.size) - 1)
@@ -198,7 +198,7 @@ def _npc_distance(trace: Trace) -> float:
         npc_box = box_corners(position[frame, npc + 1], heading[frame, npc + 1], trace.size[npc + 1])
         return box_distance(ego_box, npc_box)
 
-    return _least(lower.ravel(), float(upper.min()), exact)
+    return _least(lower.ravel(), upper, exact)
 
 
 @lru_cache(maxsize=2)
@@ -215,13 +215,13 @@ def _line_distance(trace: Trace) -> float:
     first = np.arange(0, len(frames), _BLOCK)  # all positions of a block lie within `spread` of its first one
     stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
     spread = np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
-    gap = point_segment_distance(position[first, None], lines[:, 0], lines[:, 1])
+    gap = point_segment_distances(position[first], lines)
     upper = max(float(gap.min() - within), 0.0)
     block, line = np.nonzero(gap - spread[:, None] - reach - _TOLERANCE <= upper)
     frame = (first[block, None] + np.arange(_BLOCK)).ravel()
     line = np.repeat(line, _BLOCK)[frame < len(frames)]
     frame = frame[frame < len(frames)]
-    lower = gap_across(position[frame], heading[frame], trace.size[0], lines[line])
+    lower = gap_across(position[frame], heading[frame], trace.size[0], lines, line)
 
     def exact(pairs: Ints) -> Floats:
         at = frame[pairs]
@@ -231,14 +231,22 @@ def _line_distance(trace: Trace) -> float:
     return _least(lower, upper, exact)
 
 
-def gap_across(position: Floats, heading: Floats, size: Floats, line: Floats) -> Floats:
-    """Return the gaps between n boxes and the infinite lines through n segments, negative where they meet [m]."""
-    along = line[:, 1] - line[:, 0]
+def gap_across(position: Floats, heading: Floats, size: Floats, lines: Floats, line: Ints) -> Floats:
+    """Return the gaps between boxes and the infinite lines through segments, negative where they meet [m].
+
+    Args:
+        position: centers of the boxes, shape (n, 2) [m].
+        heading: headings of the boxes, shape (n,) [rad].
+        size: length and width of the boxes [m], shape (2,).
+        lines: end points of the segments, shape (m, 2, 2) [m].
+        line: index of each box's segment, shape (n,).
+    """
+    along = lines[:, 1] - lines[:, 0]
     angle = np.arctan2(along[:, 1], along[:, 0])
-    cos, sin = np.cos(angle), np.sin(angle)
-    offset = position - line[:, 0]
+    cos, sin = np.cos(angle)[line], np.sin(angle)[line]
+    offset = position - lines[line, 0]
     across = np.abs(offset[:, 1] * cos - offset[:, 0] * sin)
-    turned = heading - angle
+    turned = heading - angle[line]
     return np.asarray(across - (np.abs(np.sin(turned)) * size[0] + np.abs(np.cos(turned)) * size[1]) / 2)
 
 

@@ -12,7 +12,7 @@ from behavexplor.data.geometry import (
     box_segment_distance,
     boxes_overlap,
     point_box_distance,
-    point_segment_distance,
+    point_segment_distances,
     project_on_polyline,
 )
 
@@ -57,7 +57,8 @@ def test_box_segment_distance_is_shapelys(box, start, end):
 @given(points, points, points)
 def test_point_segment_distance_is_shapelys(point, start, end):
     expected = shapely.Point(point).distance(shapely.LineString([start, end]))
-    assert float(point_segment_distance(*map(np.array, (point, start, end)))) == pytest.approx(expected, abs=1e-9)
+    found = point_segment_distances(np.array([point]), np.array([[start, end]]))
+    assert found.item() == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_box_inside_another_is_at_distance_zero():
