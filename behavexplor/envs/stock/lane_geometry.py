@@ -66,8 +66,7 @@ def lane_point(lane: Lane, station: float) -> tuple[float, float]:
 @kernel_inner
 def lane_distance(lane: Lane, x: float, y: float) -> float:
     """Compute the distance of a point: its offset plus its distance beyond either end [m]: `distance`."""
-    station, offset = lane_coordinates(lane, x, y)
-    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+    return _distance(lane, *lane_coordinates(lane, x, y))
 
 
 @kernel_inner
@@ -128,6 +127,8 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         heading: heading [rad].
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
+    if _is_alone(network, likely, x, y, _distance(network.lanes[likely], *place) + math.pi):  # whatever the heading
+        return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
     for i in range(len(network.lanes)):
         lane = network.lanes[i]
@@ -141,9 +142,23 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
 
 
 @kernel_inner
+def _is_alone(network: Network, lane: int, x: float, y: float, limit: float) -> bool:
+    """Return whether all other lanes are certainly farther from a point than a limit [m]."""
+    for i in range(len(network.lanes)):
+        if i == lane or is_farther(network.lanes[i], x, y, limit):
+            continue
+        return False
+    return True
+
+
+@kernel_inner
+def _distance(lane: Lane, station: float, offset: float) -> float:
+    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+
+
+@kernel_inner
 def _distance_with_heading(lane: Lane, station: float, offset: float, heading: float) -> float:
-    angle = abs(wrap_to_pi(heading - lane_heading(lane, station)))
-    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0) + 1.0 * angle)
+    return _distance(lane, station, offset) + abs(wrap_to_pi(heading - lane_heading(lane, station)))
 
 
 @kernel_inner
