@@ -30,8 +30,8 @@ REFUSED: Final = -1  # what `advance` returns if an action is none of the choice
 
 REWARD, SPEED, FIRST_TERM = range(3)  # rows of `Outcome.numbers`
 N_NUMBERS: Final = FIRST_TERM + MOST_TERMS
-N_FLAGS: Final = 4
-CRASHED, TERMINATED, TRUNCATED, STEPPED = range(N_FLAGS)  # rows of `Outcome.flags`
+TERMINATED, TRUNCATED, STEPPED, CRASHED, FIRST_FLAG = range(5)  # rows of `Outcome.flags`
+N_FLAGS: Final = FIRST_FLAG + MOST_TERMS
 
 
 class Outcome(NamedTuple):
@@ -43,8 +43,8 @@ class Outcome(NamedTuple):
         observations: shape (B, rows, columns): vehicles and features, or speeds times lanes and times.
         memory: for the observation TimeToCollision.
         numbers: the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B).
-        flags: whether each ego has crashed, whether its episode is terminated, whether it is truncated, and whether the
-            latest call of `advance` took an action in it, shape (N_FLAGS, B).
+        flags: whether each episode is terminated, whether it is truncated, whether the latest call of `advance` took an
+            action in it, whether the ego has crashed, and whether each term is other than 0, shape (N_FLAGS, B).
         log: the frames of the decision, or nothing if it has no room for them.
     """
 
@@ -192,6 +192,8 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
     changes_lane = choice in (0, 2)  # highway-env looks at the number alone, also if it means another action
     put_terms(world, task, scene, changes_lane, numbers[FIRST_TERM:])
     numbers[REWARD], numbers[SPEED] = reward_of(task, numbers[FIRST_TERM:]), ego.speed
+    for k in range(MOST_TERMS):
+        flags[FIRST_FLAG + k] = numbers[FIRST_TERM + k] != 0.0
     is_late = episode.time >= rules.duration or episode.n_decisions >= rules.most_decisions
     flags[CRASHED] = ego.crashed
     flags[TERMINATED] = flags[STEPPED] and is_terminated(world, task, scene)

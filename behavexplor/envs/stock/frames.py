@@ -6,10 +6,11 @@ from numpy.typing import NDArray
 from behavexplor.envs.stock.bicycle import move
 from behavexplor.envs.stock.collisions import collide
 from behavexplor.envs.stock.frame_log import FrameLog, log_frame
-from behavexplor.envs.stock.lane_geometry import closest_lane, lane_coordinates
+from behavexplor.envs.stock.lane_geometry import lane_coordinates
 from behavexplor.envs.stock.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.neighbors import UNKNOWN
+from behavexplor.envs.stock.places import note_places, update_lane
 from behavexplor.envs.stock.reactive_traffic import drive
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.regulation import enforce_rules
@@ -74,12 +75,13 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, fram
         things: row of `FrameLog.things`.
     """
     episode = scene.episode
+    note_places(network, scene)
     for k in range(n_frames):
         scene.scratch.n_on_lane[:] = UNKNOWN
         for i in range(episode.n_vehicles):
             kind, vehicle = scene.traits[i].kind, scene.vehicles[i]
             if kind == MDP:
-                keep_lane_and_speed(network, vehicle, scene.routes[i], scene.traits[i].length)
+                keep_lane_and_speed(network, scene, i)
             elif kind != PLAIN and not vehicle.crashed:
                 drive(network, scene, i)
         if rules.regulation_period > 0:
@@ -91,7 +93,7 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, fram
             if traits.kind in (IDM, LINEAR):
                 vehicle.timer += rules.dt
             move(vehicle, traits, rules.dt)
-            vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)
+            update_lane(network, scene, i)
         collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt, scene.scratch.xs)
         if k < len(frames):
             log_frame(network, scene, frames[k], things[k])

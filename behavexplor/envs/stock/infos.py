@@ -5,14 +5,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.episodes import CRASHED, FIRST_TERM, REWARD, SPEED, STEPPED
+from behavexplor.envs.stock.episodes import CRASHED, FIRST_FLAG, FIRST_TERM, REWARD, SPEED, STEPPED
 from behavexplor.envs.stock.task import EXIT, INTERSECTION, TERMS
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_GOAL: Final = FIRST_TERM + list(TERMS[EXIT]).index("goal_reward")
-_ARRIVED: Final = FIRST_TERM + list(TERMS[INTERSECTION]).index("arrived_reward")
+_GOAL: Final = FIRST_FLAG + list(TERMS[EXIT]).index("goal_reward")
+_ARRIVED: Final = FIRST_FLAG + list(TERMS[INTERSECTION]).index("arrived_reward")
 _KEYS: Final = {kind: [(name, f"_{name}", wanted) for name, wanted in terms.items()] for kind, terms in TERMS.items()}
 
 
@@ -28,12 +28,17 @@ def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], ch
         actions: a copy of the egos' actions, shape (B, ...).
         chosen: which sub-environments have an info, shape (B,).
     """
-    beside = None if np.count_nonzero(chosen) == len(chosen) else ~chosen
+    beside = None if all(chosen.tolist()) else ~chosen
     if beside is not None:
-        numbers[SPEED:, beside] = flags[CRASHED, beside] = actions[beside] = 0
+        numbers[SPEED:, beside] = flags[CRASHED:, beside] = actions[beside] = 0
     rewards: dict[str, Any] = {}
-    for k, (name, mask_name, wanted) in enumerate(_KEYS[kind], FIRST_TERM):
-        rewards[name] = numbers[k] if wanted is float else _typed(numbers[k], wanted, beside)
+    for k, (name, mask_name, wanted) in enumerate(_KEYS[kind]):
+        if wanted is float:
+            rewards[name] = numbers[FIRST_TERM + k]
+        elif wanted is int:
+            rewards[name] = numbers[FIRST_TERM + k].astype(int)
+        else:
+            rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, beside)
         rewards[mask_name] = chosen
     infos: dict[str, Any] = {
         "speed": numbers[SPEED],
@@ -46,11 +51,11 @@ def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], ch
         "_rewards": chosen,
     }
     if kind == INTERSECTION:
-        ended = flags[CRASHED] | numbers[_ARRIVED].astype(bool)
+        ended = flags[CRASHED] | flags[_ARRIVED]
         infos |= {"agents_rewards": _tuples(numbers[REWARD], beside), "_agents_rewards": chosen}
         infos |= {"agents_terminated": _tuples(ended, beside), "_agents_terminated": chosen}
     elif kind == EXIT:
-        infos |= _success(numbers[_GOAL].astype(bool), flags[STEPPED] & chosen)
+        infos |= _success(flags[_GOAL], flags[STEPPED] & chosen)
     return infos
 
 
@@ -74,10 +79,8 @@ def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
     return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
 
 
-def _typed(values: Floats, wanted: type, beside: Bools | None) -> NDArray[Any]:
-    if wanted is not np.bool_:
-        return values.astype(wanted)
-    return _without(values.astype(bool).astype(object), beside)
+def _flag(values: Bools, wanted: type, beside: Bools | None) -> NDArray[Any]:
+    return values if wanted is bool else _without(values.astype(object), beside)
 
 
 def _tuples(values: NDArray[Any], beside: Bools | None) -> NDArray[np.object_]:

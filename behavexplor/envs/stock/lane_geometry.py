@@ -66,8 +66,7 @@ def lane_point(lane: Lane, station: float) -> tuple[float, float]:
 @kernel_inner
 def lane_distance(lane: Lane, x: float, y: float) -> float:
     """Compute the distance of a point: its offset plus its distance beyond either end [m]: `distance`."""
-    station, offset = lane_coordinates(lane, x, y)
-    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+    return _distance(lane, *lane_coordinates(lane, x, y))
 
 
 @kernel_inner
@@ -83,12 +82,12 @@ def may_be_on_lane(lane: Lane, x: float, y: float, margin: float) -> bool:
     if lane.kind == STRAIGHT:  # its exact coordinates take no longer
         return True
     dx, dy = x - lane.x, y - lane.y
-    reach = lane.width / 2 + margin + SLACK
+    reach = lane.width / 2 + margin
     if lane.kind == SINE:
-        return bool(abs(dx * -lane.sin + dy * lane.cos) - abs(lane.amplitude) <= reach)
-    distance = math.sqrt(dx * dx + dy * dy)
-    is_between = _least_distance_from_arc(lane, dx, dy, distance) <= VEHICLE_LENGTH + SLACK
-    return bool(is_between and abs(lane.radius - distance) <= reach)
+        return bool(abs(dx * -lane.sin + dy * lane.cos) - abs(lane.amplitude) <= reach + SLACK)
+    if _is_off_circle(lane, dx, dy, reach):
+        return False
+    return _least_distance_beyond_arc(lane, dx, dy, math.sqrt(dx * dx + dy * dy)) <= VEHICLE_LENGTH + SLACK
 
 
 @kernel_inner
@@ -115,8 +114,10 @@ def is_after_end(lane: Lane, station: float) -> bool:
 
 
 @kernel_inner
-def closest_lane(network: Network, likely: int, x: float, y: float, heading: float) -> int:
-    """Return the lane that is closest in position and heading: `RoadNetwork.get_closest_lane_index`.
+def closest_lane(network: Network, likely: int, x: float, y: float, heading: float) -> tuple[int, float, float]:
+    """Return the lane that is closest in position and heading, and the coordinates on it [m].
+
+    The lane is that of `RoadNetwork.get_closest_lane_index`.
 
     Args:
         network: the lanes. Of two equally close ones, the first is chosen.
@@ -125,38 +126,77 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         y: position [m].
         heading: heading [rad].
     """
-    best, nearest = likely, _distance_with_heading(network.lanes[likely], x, y, heading)
+    best, place = likely, lane_coordinates(network.lanes[likely], x, y)
+    if _is_alone(network, likely, x, y, _distance(network.lanes[likely], *place) + math.pi):  # whatever the heading
+        return best, *place
+    nearest = _distance_with_heading(network.lanes[likely], *place, heading)
     for i in range(len(network.lanes)):
         lane = network.lanes[i]
-        if i == likely or least_distance(lane, x, y) > nearest + SLACK:
+        if i == likely or is_farther(lane, x, y, nearest):
             continue
-        distance = _distance_with_heading(lane, x, y, heading)
+        found = lane_coordinates(lane, x, y)
+        distance = _distance_with_heading(lane, *found, heading)
         if distance < nearest or (distance == nearest and i < best):
-            best, nearest = i, distance
-    return best
+            best, nearest, place = i, distance, found
+    return best, *place
 
 
 @kernel_inner
-def _distance_with_heading(lane: Lane, x: float, y: float, heading: float) -> float:
-    station, offset = lane_coordinates(lane, x, y)
-    angle = abs(wrap_to_pi(heading - lane_heading(lane, station)))
-    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0) + 1.0 * angle)
+def _is_alone(network: Network, lane: int, x: float, y: float, limit: float) -> bool:
+    """Return whether all other lanes are certainly farther from a point than a limit [m]."""
+    for i in range(len(network.lanes)):
+        if i == lane or is_farther(network.lanes[i], x, y, limit):
+            continue
+        return False
+    return True
 
 
 @kernel_inner
-def least_distance(lane: Lane, x: float, y: float) -> float:
-    """Compute a lower bound of the distance that is cheap to compute [m]."""
+def _distance(lane: Lane, station: float, offset: float) -> float:
+    return float(abs(offset) + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+
+
+@kernel_inner
+def _distance_with_heading(lane: Lane, station: float, offset: float, heading: float) -> float:
+    return _distance(lane, station, offset) + abs(wrap_to_pi(heading - lane_heading(lane, station)))
+
+
+@kernel_inner
+def is_farther(lane: Lane, x: float, y: float, limit: float) -> bool:
+    """Return whether the distance of a point is certainly greater than a limit [m]. False is not certain."""
     dx, dy = x - lane.x, y - lane.y
     if lane.kind == CIRCULAR:
-        distance = math.sqrt(dx * dx + dy * dy)
-        return float(abs(lane.radius - distance) + _least_distance_from_arc(lane, dx, dy, distance))
-    station = dx * lane.cos + dy * lane.sin
+        return _is_off_circle(lane, dx, dy, limit) or _is_farther_from_arc(lane, dx, dy, limit)
     offset = abs(dx * -lane.sin + dy * lane.cos) - abs(lane.amplitude)
-    return float(offset + max(station - lane.length, 0.0) + max(0 - station, 0.0))
+    station = dx * lane.cos + dy * lane.sin
+    return bool(offset + max(station - lane.length, 0.0) + max(0 - station, 0.0) > limit + SLACK)
 
 
 @kernel_inner
-def _least_distance_from_arc(lane: Lane, dx: float, dy: float, distance: float) -> float:
+def _is_off_circle(lane: Lane, dx: float, dy: float, limit: float) -> bool:
+    """Return whether a point is certainly farther than a limit from an arc's circle. It takes no square root.
+
+    Args:
+        lane: a circular lane.
+        dx: distance of the point from the center along x [m].
+        dy: distance along y [m].
+        limit: the limit [m].
+    """
+    square = dx * dx + dy * dy
+    outer, inner = lane.radius + limit + SLACK, max(lane.radius - limit - SLACK, 0.0)
+    return bool(square > outer * outer or square < inner * inner)
+
+
+@kernel_inner
+def _is_farther_from_arc(lane: Lane, dx: float, dy: float, limit: float) -> bool:
+    """Return whether a point is certainly farther than a limit from an arc; the arguments are `_is_off_circle`'s."""
+    distance = math.sqrt(dx * dx + dy * dy)
+    beyond = _least_distance_beyond_arc(lane, dx, dy, distance)
+    return bool(abs(lane.radius - distance) + beyond > limit + SLACK)
+
+
+@kernel_inner
+def _least_distance_beyond_arc(lane: Lane, dx: float, dy: float, distance: float) -> float:
     """Compute a lower bound of the distance beyond an arc's ends, measured along its circle [m].
 
     The angle between two directions is at least the difference of their cosines.

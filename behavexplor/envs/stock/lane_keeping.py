@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_geometry import is_reachable, lane_coordinates, lane_heading
 from behavexplor.envs.stock.lane_network import Lane, Network
+from behavexplor.envs.stock.places import coordinates_on
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.routing import follow_road
-from behavexplor.envs.stock.state import Traits, Vehicle
+from behavexplor.envs.stock.state import Scene, Traits, Vehicle
 from behavexplor.envs.vector.lanes import wrap_to_pi
 from behavexplor.envs.vector.meta import (
     FASTER,
@@ -58,7 +59,8 @@ def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Rec
         index = nearest_speed(speeds, vehicle.speed) + (1 if maneuver == FASTER else -1)
         vehicle.speed_index = min(max(index, 0), len(speeds) - 1)
         vehicle.target_speed = speeds[vehicle.speed_index]
-    follow_road(network, vehicle, route)
+    station, _ = lane_coordinates(network.lanes[vehicle.target_lane], vehicle.x, vehicle.y)
+    follow_road(network, vehicle, route, station)
     if maneuver in (LANE_LEFT, LANE_RIGHT):
         road = network.roads[network.lanes[vehicle.target_lane].road]
         wanted: int = vehicle.target_lane + (1 if maneuver == LANE_RIGHT else -1)
@@ -68,19 +70,21 @@ def take_maneuver(network: Network, speeds: Floats, vehicle: Vehicle, route: Rec
 
 
 @kernel_inner
-def keep_lane_and_speed(network: Network, vehicle: Vehicle, route: Records, length: float) -> None:
+def keep_lane_and_speed(network: Network, scene: Scene, i: int) -> None:
     """Steer toward the target lane and accelerate toward the target speed: `ControlledVehicle.act` without an action.
 
     Args:
         network: the road network.
-        vehicle: the vehicle, changed in place.
-        route: its route.
-        length: its length [m].
+        scene: the episode. Vehicle i is changed in place.
+        i: the vehicle.
     """
-    follow_road(network, vehicle, route)
+    vehicle, former = scene.vehicles[i], scene.vehicles[i].target_lane
+    station, offset = coordinates_on(network, scene, i, former)
+    follow_road(network, vehicle, scene.routes[i], station)
+    if vehicle.target_lane != former:
+        station, offset = coordinates_on(network, scene, i, vehicle.target_lane)
     lane = network.lanes[vehicle.target_lane]
-    station, offset = lane_coordinates(lane, vehicle.x, vehicle.y)
-    vehicle.steering = steering(lane, vehicle, station, offset, length)
+    vehicle.steering = steering(lane, vehicle, station, offset, scene.traits[i].length)
     vehicle.acceleration = throttle(vehicle.target_speed, vehicle.speed)
 
 

@@ -6,8 +6,9 @@ for in a frame.
 
 from typing import Final
 
-from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, lane_coordinates, may_be_on_lane
+from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, may_be_on_lane
 from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
+from behavexplor.envs.stock.places import coordinates_on
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import Scene
 from behavexplor.jit import kernel_inner
@@ -30,8 +31,7 @@ def neighbors(network: Network, scene: Scene, i: int, lane: int, station: float)
     """
     on_lane = scene.scratch.on_lane[lane]
     if scene.scratch.n_on_lane[lane] == UNKNOWN:
-        count = scene.episode.n_vehicles + scene.episode.n_obstacles
-        scene.scratch.n_on_lane[lane] = _find_on_lane(network, scene.vehicles, count, lane, on_lane)
+        scene.scratch.n_on_lane[lane] = _find_on_lane(network, scene, lane, on_lane)
     return _nearest(on_lane, scene.scratch.n_on_lane[lane], i, station)
 
 
@@ -52,9 +52,10 @@ def _nearest(on_lane: Records, count: int, i: int, station: float) -> tuple[int,
 
 
 @kernel_inner
-def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on_lane: Records) -> int:
+def _find_on_lane(network: Network, scene: Scene, lane: int, on_lane: Records) -> int:
     """List the vehicles and obstacles on a lane and on those that it is linked to, each once; return their number."""
-    found = 0
+    found, vehicles = 0, scene.vehicles
+    count = scene.episode.n_vehicles + scene.episode.n_obstacles
     first = network.lanes[lane].first_link
     if network.lanes[lane].kind == STRAIGHT and network.lanes[lane].n_links == 1:
         return _find_on_straight_lane(network.lanes[lane], vehicles, count, on_lane)
@@ -62,9 +63,9 @@ def _find_on_lane(network: Network, vehicles: Records, count: int, lane: int, on
         for k in range(first, first + network.lanes[lane].n_links):
             link = network.links[k]
             searched = network.lanes[link.lane]
-            if not may_be_on_lane(searched, vehicles[j].x, vehicles[j].y, MARGIN):
+            if link.lane != vehicles[j].lane and not may_be_on_lane(searched, vehicles[j].x, vehicles[j].y, MARGIN):
                 continue
-            station, offset = lane_coordinates(searched, vehicles[j].x, vehicles[j].y)
+            station, offset = coordinates_on(network, scene, j, link.lane)
             if is_on_lane(searched, station, offset, MARGIN):
                 on_lane[found].vehicle = j
                 on_lane[found].station = station + link.offset

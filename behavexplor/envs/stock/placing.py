@@ -52,7 +52,7 @@ def place_vehicle(world: World, scene: Scene, template: int, x: float, y: float,
     vehicle.has_impact = vehicle.crashed = vehicle.is_yielding = False
     vehicle.speed_index = vehicle.route_position = 0
     vehicle.route_length = NO_ROUTE
-    vehicle.lane = closest_lane(world.network, FIRST_LANE, x, y, heading)
+    vehicle.lane, _, _ = closest_lane(world.network, FIRST_LANE, x, y, heading)
     vehicle.target_lane, vehicle.target_speed = vehicle.lane, speed
     if traits.kind == PLAIN:
         vehicle.target_lane, vehicle.target_speed = NO_LANE, 0.0

@@ -7,12 +7,12 @@ decides about changes of lane.
 import math
 from typing import Final
 
-from behavexplor.envs.stock.lane_geometry import is_after_end, is_reachable, lane_coordinates
+from behavexplor.envs.stock.lane_geometry import is_reachable, lane_coordinates
 from behavexplor.envs.stock.lane_keeping import clip, linear_steering, not_zero, steering
-from behavexplor.envs.stock.lane_network import Lane, Network
+from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.neighbors import NO_VEHICLE, neighbors
-from behavexplor.envs.stock.record_types import Records
-from behavexplor.envs.stock.routing import next_lane
+from behavexplor.envs.stock.places import coordinates_on
+from behavexplor.envs.stock.routing import follow_road
 from behavexplor.envs.stock.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
@@ -28,29 +28,24 @@ def drive(network: Network, scene: Scene, i: int) -> None:
         scene: the episode. Vehicle i is changed in place.
         i: the vehicle, whose kind is IDM or LINEAR. It has not crashed.
     """
-    vehicle, traits = scene.vehicles[i], scene.traits[i]
-    lane, former = network.lanes[vehicle.lane], vehicle.target_lane
-    station, offset = lane_coordinates(network.lanes[former], vehicle.x, vehicle.y)
-    if is_after_end(network.lanes[former], station):
-        vehicle.target_lane = next_lane(network, vehicle, scene.routes[i], station)
-    free = _free_acceleration(traits, lane, vehicle, traits.kind)
+    vehicle, traits, former = scene.vehicles[i], scene.traits[i], scene.vehicles[i].target_lane
+    station, offset = coordinates_on(network, scene, i, former)
+    follow_road(network, vehicle, scene.routes[i], station)
+    free = _free_acceleration(network, scene, traits, i)
     if traits.changes_lanes and (vehicle.lane != vehicle.target_lane or traits.lane_change_delay < vehicle.timer):
         _change_lane(network, scene, i, free)
     target = network.lanes[vehicle.target_lane]
     if vehicle.target_lane != former:
-        station, offset = lane_coordinates(target, vehicle.x, vehicle.y)
+        station, offset = coordinates_on(network, scene, i, vehicle.target_lane)
     if traits.kind == LINEAR:
         vehicle.steering = linear_steering(target, vehicle, station, offset, traits)
     else:
         vehicle.steering = steering(target, vehicle, station, offset, traits.length)
-    own = station
-    if vehicle.lane != vehicle.target_lane:
-        own, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
-    front, _ = neighbors(network, scene, i, vehicle.lane, own)
-    wanted = _acceleration(traits, lane, own, scene.vehicles, i, traits.kind, front, free)
+    front, _ = neighbors(network, scene, i, vehicle.lane, scene.scratch.stations[i])
+    wanted = _acceleration(network, scene, traits, i, front, free)
     if vehicle.lane != vehicle.target_lane:
         front, _ = neighbors(network, scene, i, vehicle.target_lane, station)
-        wanted = min(wanted, _acceleration(traits, lane, own, scene.vehicles, i, traits.kind, front, free))
+        wanted = min(wanted, _acceleration(network, scene, traits, i, front, free))
     vehicle.acceleration = clip(wanted, -traits.max_acceleration, traits.max_acceleration)
 
 
@@ -69,15 +64,14 @@ def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
     vehicle, traits = scene.vehicles[i], scene.traits[i]
     lane = network.lanes[vehicle.lane]
     if vehicle.lane != vehicle.target_lane:
-        if lane.road == network.lanes[vehicle.target_lane].road and _is_cut_off(lane, scene, i):
+        if lane.road == network.lanes[vehicle.target_lane].road and _is_cut_off(network, scene, i):
             vehicle.target_lane = vehicle.lane
         return
     vehicle.timer = 0.0
     if abs(vehicle.speed) < MIN_CHANGE_SPEED:
         return
-    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
-    front, rear = neighbors(network, scene, i, vehicle.lane, station)
-    unchanged = _acceleration(traits, lane, station, scene.vehicles, i, traits.kind, front, free)
+    front, rear = neighbors(network, scene, i, vehicle.lane, scene.scratch.stations[i])
+    unchanged = _acceleration(network, scene, traits, i, front, free)
     for side in (-1, 1):
         number = lane.number + side
         if number < 0 or number >= network.roads[lane.road].n_lanes:
@@ -90,14 +84,14 @@ def _change_lane(network: Network, scene: Scene, i: int, free: float) -> None:
 
 
 @kernel_inner
-def _is_cut_off(lane: Lane, scene: Scene, i: int) -> bool:
+def _is_cut_off(network: Network, scene: Scene, i: int) -> bool:
     """Return whether another vehicle is closely ahead and is also changing to the target lane of vehicle i."""
     vehicle = scene.vehicles[i]
-    own, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
+    own = scene.scratch.stations[i]
     for j in range(scene.episode.n_vehicles):
         other = scene.vehicles[j]
         if other.target_lane == vehicle.target_lane and other.lane != vehicle.target_lane and j != i:
-            distance = lane_coordinates(lane, other.x, other.y)[0] - own
+            distance = coordinates_on(network, scene, j, vehicle.lane)[0] - own
             if distance > 0 and distance < _desired_gap(scene.traits[i], vehicle, other):
                 return True
     return False
@@ -125,9 +119,7 @@ def _recommends(
     new_rear_changed = _acceleration_of(network, scene, traits, new_rear, i)
     if new_rear_changed < -traits.max_braking:
         return False
-    own_lane = network.lanes[vehicle.lane]
-    own, _ = lane_coordinates(own_lane, vehicle.x, vehicle.y)
-    changed = _acceleration(traits, own_lane, own, scene.vehicles, i, traits.kind, new_front, free)
+    changed = _acceleration(network, scene, traits, i, new_front, free)
     position = vehicle.route_position
     if position < vehicle.route_length and scene.routes[i, position].number >= 0:
         target = network.lanes[vehicle.target_lane].number
@@ -158,50 +150,42 @@ def _acceleration_of(network: Network, scene: Scene, traits: Traits, i: int, fro
     """
     if i == NO_VEHICLE:
         return 0.0
-    vehicle, kind = scene.vehicles[i], scene.traits[i].kind
-    lane = network.lanes[vehicle.lane]
-    free = _free_acceleration(traits, lane, vehicle, kind)
-    if front == NO_VEHICLE:
-        return free
-    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
-    return _acceleration(traits, lane, station, scene.vehicles, i, kind, front, free)
+    return _acceleration(network, scene, traits, i, front, _free_acceleration(network, scene, traits, i))
 
 
 @kernel_inner
-def _free_acceleration(traits: Traits, lane: Lane, vehicle: Vehicle, kind: int) -> float:
+def _free_acceleration(network: Network, scene: Scene, traits: Traits, i: int) -> float:
     """Compute the acceleration that a driver wants on a free road [m/s2]; see `_acceleration`."""
+    vehicle, kind = scene.vehicles[i], scene.traits[i].kind
     target_speed = vehicle.target_speed
     if traits.kind == LINEAR:
         has_target = kind not in (PLAIN, OBSTACLE)
         return float(traits.speed_gain * (target_speed - vehicle.speed)) if has_target else 0.0
     if kind == OBSTACLE:
         return 0.0
-    if not math.isnan(lane.speed_limit):
-        target_speed = clip(target_speed, 0.0, lane.speed_limit)
+    limit = network.lanes[vehicle.lane].speed_limit
+    if not math.isnan(limit):
+        target_speed = clip(target_speed, 0.0, limit)
     share = max(vehicle.speed, 0.0) / abs(not_zero(target_speed))
     return float(traits.comfort_acceleration * (1 - share**traits.delta))
 
 
 @kernel_inner
-def _acceleration(
-    traits: Traits, lane: Lane, station: float, vehicles: Records, i: int, kind: int, front: int, free: float
-) -> float:
+def _acceleration(network: Network, scene: Scene, traits: Traits, i: int, front: int, free: float) -> float:
     """Compute the acceleration that a driver wants [m/s2]: `acceleration` of `IDMVehicle` and `LinearVehicle`.
 
     Args:
+        network: the road network.
+        scene: the episode.
         traits: the driver's traits.
-        lane: lane of vehicle i.
-        station: its station on this lane [m].
-        vehicles: the vehicles.
         i: the vehicle to be accelerated, which need not be the driver's own.
-        kind: kind of vehicle i.
         front: the vehicle in front of it, or `NO_VEHICLE`.
         free: the acceleration that the driver would want on a free road [m/s2].
     """
-    if front == NO_VEHICLE or (kind == OBSTACLE and traits.kind != LINEAR):
+    if front == NO_VEHICLE or (scene.traits[i].kind == OBSTACLE and traits.kind != LINEAR):
         return free
-    vehicle, other = vehicles[i], vehicles[front]
-    distance = lane_coordinates(lane, other.x, other.y)[0] - station
+    vehicle, other = scene.vehicles[i], scene.vehicles[front]
+    distance = coordinates_on(network, scene, front, vehicle.lane)[0] - scene.scratch.stations[i]
     if traits.kind == LINEAR:
         safe = traits.distance_wanted + max(vehicle.speed, 0.0) * traits.time_wanted
         follow = free + traits.front_speed_gain * min(other.speed - vehicle.speed, 0.0)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from behavexplor.envs.stock.lane_geometry import is_after_end, lane_coordinates, lane_distance, lane_point
+from behavexplor.envs.stock.lane_geometry import is_after_end, lane_distance, lane_point
 from behavexplor.envs.stock.lane_network import Network
 from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.state import SAME_NUMBER, Vehicle
@@ -15,22 +15,21 @@ _ANY_NUMBER: Any = np.int64(SAME_NUMBER)  # numba would compile a function once 
 
 
 @kernel_inner
-def follow_road(network: Network, vehicle: Vehicle, route: Records) -> None:
+def follow_road(network: Network, vehicle: Vehicle, route: Records, station: float) -> None:
     """Give a vehicle near the end of its target lane the next one: `ControlledVehicle.follow_road`.
 
     Args:
         network: the road network.
         vehicle: the vehicle, changed in place.
         route: its route, shape (steps,) of `ROUTE_STEP`.
+        station: its station on the target lane [m].
     """
-    lane = network.lanes[vehicle.target_lane]
-    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
-    if is_after_end(lane, station):
-        vehicle.target_lane = next_lane(network, vehicle, route, station)
+    if is_after_end(network.lanes[vehicle.target_lane], station):
+        vehicle.target_lane = _next_lane(network, vehicle, route, station)
 
 
 @kernel_inner
-def next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
+def _next_lane(network: Network, vehicle: Vehicle, route: Records, station: float) -> int:
     """Return the lane after the target lane: along the route if it continues there, else the closest one.
 
     Args:

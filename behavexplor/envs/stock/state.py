@@ -111,6 +111,8 @@ class Scratch(NamedTuple):
         n_on_lane: number of vehicles on each lane, -1 if it has not been asked for in this frame; shape (lanes,).
         on_lane: these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`.
         predictions: the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3).
+        stations: station of each vehicle and obstacle on its closest lane [m], shape (N,).
+        offsets: offset from it [m], shape (N,).
         copy: a vehicle, shape (1,) of `VEHICLE`.
         xs: positions along x [m], shape (N,).
     """
@@ -118,6 +120,8 @@ class Scratch(NamedTuple):
     n_on_lane: Ints
     on_lane: Records
     predictions: NDArray[np.float64]
+    stations: NDArray[np.float64]
+    offsets: NDArray[np.float64]
     copy: Records
     xs: NDArray[np.float64]
 
@@ -160,6 +164,8 @@ def make_scratch(n_lanes: int, n_places: int) -> Scratch:
         n_on_lane=np.zeros(n_lanes, dtype=np.int64),
         on_lane=np.zeros((n_lanes, n_places), ON_LANE),
         predictions=np.zeros((n_places, N_PREDICTIONS, 3)),
+        stations=np.zeros(n_places),
+        offsets=np.zeros(n_places),
         copy=np.zeros(1, VEHICLE),
         xs=np.zeros(n_places),
     )

@@ -52,9 +52,14 @@ def lane_row(lane: AbstractLane) -> list[float]:
 @kernel_inner
 def wrap_to_pi(angle: float) -> float:
     """Wrap an angle to [-pi, pi)."""
-    if 0 <= angle + math.pi < 2 * math.pi:  # no division, and the same result
-        return angle + math.pi - math.pi
-    wrapped: float = ((angle + math.pi) % (2 * math.pi)) - math.pi
+    turned = angle + math.pi
+    if 0 <= turned < 2 * math.pi:  # these three cases need no division, and have the same result
+        return turned - math.pi
+    if -2 * math.pi < turned < 0:
+        return turned + 2 * math.pi - math.pi
+    if 2 * math.pi <= turned < 4 * math.pi:
+        return turned - 2 * math.pi - math.pi
+    wrapped: float = (turned % (2 * math.pi)) - math.pi
     return wrapped
 
 

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.frames import clear_vehicles
-from behavexplor.envs.stock.lane_geometry import closest_lane, least_distance, may_be_on_lane
+from behavexplor.envs.stock.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane
 from behavexplor.envs.stock.lane_network import lane_indexes, make_network
 from behavexplor.envs.stock.neighbors import UNKNOWN, neighbors
+from behavexplor.envs.stock.places import note_places
 from behavexplor.envs.stock.state import Scene, make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
 from behavexplor.jit import kernel_in_place
@@ -22,17 +23,18 @@ from tests.envs.stock.comparison import N_PLACES, N_STEPS, make
 
 @kernel_in_place
 def closest(network, likely, x, y, heading):
-    return closest_lane(network, likely, x, y, heading)
+    return closest_lane(network, likely, x, y, heading)[0]
 
 
 @kernel_in_place
-def bounds(network, x, y, margin):
-    return least_distance(network.lanes[0], x, y), may_be_on_lane(network.lanes[0], x, y, margin)
+def bounds(network, x, y, limit, margin):
+    return is_farther(network.lanes[0], x, y, limit), may_be_on_lane(network.lanes[0], x, y, margin)
 
 
 @kernel_in_place
 def neighbors_of(network, slots, scratch, i, lane, station):
     scene = Scene(slots.episodes[0], slots.vehicles[0], slots.traits[0], slots.routes[0], scratch)
+    note_places(network, scene)
     return neighbors(network, scene, i, lane, station)
 
 
@@ -80,12 +82,13 @@ def test_bounds_leave_out_no_lane_that_is_near(lane, station, offset):
     road = RoadNetwork()
     road.add_lane("a", "b", lane)
     network, position = make_network(road), lane.position(station, offset)
-    least, may_be_on = bounds(network, *position, 1.0)
-    assert least <= lane.distance(position) + 1e-9
+    distance = lane.distance(position)
+    is_out_of_reach, may_be_on = bounds(network, *position, distance, 1.0)
+    assert not is_out_of_reach
     on_lane = lane.on_lane(position, margin=1.0)
     assert may_be_on or not on_lane
     if isinstance(lane, CircularLane) and 0 < lane.length < math.pi * lane.radius:
-        assert least > 0 or lane.distance(position) < 1e-6
+        assert bounds(network, *position, -SLACK, 1.0)[0] or distance < 1e-6
 
 
 def test_of_equally_close_lanes_the_first_is_chosen():
