@@ -6,7 +6,7 @@ import numpy as np
 import scenariogeneration
 from lxml import etree
 
-from behavexplor.campaign.campaign import class_id
+from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import main
 from behavexplor.commands.export import road_of
@@ -14,7 +14,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.exchange.restoring import restored
 from behavexplor.exchange.scene_reading import read_scene
 from behavexplor.execution.simulation import Simulation
-from behavexplor.judge.specs import judge
+from behavexplor.judge.specs import SPECS
 
 SCHEMAS = Path(scenariogeneration.__file__).parent.parent / "schemas"
 
@@ -71,8 +71,8 @@ def repeated(scenarios, env, ads):
 def difference(execution: Execution, again: Trace):
     """How an imported scene differs from what was exported: greatest distance [m], and verdicts that are not equal."""
     recorded = execution.load_trace()
-    verdict = judge(again)
-    said = (verdict.violated, class_id(again, verdict, None))
+    judged = judgment(again.to_bytes(), None, SPECS)
+    said = (judged.verdict.violated, judged.violation_class)
     expected = (execution.record.violated, execution.record.violation_class)
     if recorded.position.shape != again.position.shape:
         return np.inf, said, expected
