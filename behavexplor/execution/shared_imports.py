@@ -1,7 +1,9 @@
 """Imports that all worker processes share: a server process imports the modules, and the workers are copies of it."""
 
 import multiprocessing
+import signal
 from collections.abc import Sequence
+from multiprocessing import resource_tracker
 from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 from typing import Final
 
@@ -20,9 +22,15 @@ def share_imports(modules: Sequence[str]) -> None:
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise InputError(f"This script starts worker processes when it is imported: {GUARD}")
-    if CAN_SHARE:
-        set_forkserver_preload(list(modules))
+    if not CAN_SHARE:
+        return
+    set_forkserver_preload(list(modules))
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited, so Ctrl-C does not end the imports
+    try:
         ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def slow_modules(env: str, ads: str) -> tuple[str, ...]:

@@ -127,7 +127,7 @@ def closest_lane(network: Network, likely: int, x: float, y: float, heading: flo
         heading: heading [rad].
     """
     best, place = likely, lane_coordinates(network.lanes[likely], x, y)
-    if _is_alone(network, likely, x, y, _distance(network.lanes[likely], *place) + math.pi):  # whatever the heading
+    if _is_alone(network, likely, x, y, _distance(network.lanes[likely], *place) + math.pi):  # at any heading
         return best, *place
     nearest = _distance_with_heading(network.lanes[likely], *place, heading)
     for i in range(len(network.lanes)):
