@@ -127,12 +127,14 @@ def test_it_finds_the_plan_of_a_plain_search_bit_by_bit(path):
     assert N_INTERVALS in lengths
 
 
+@pytest.mark.parametrize("overspeed_cost", [P.overspeed_cost, 0.1])  # with the second one, haste lowers the cost
 @pytest.mark.parametrize("path", PATHS)
-def test_an_expected_cost_does_not_change_the_plan(path):
+def test_an_expected_cost_does_not_change_the_plan(path, overspeed_cost):
     rng, space = np.random.default_rng(1), empty_nodes()
     for _ in range(300):
         world = random_situation(PATHS[path], rng)
-        speed, last = rng.choice([0.0, 2.0, rng.uniform(0, 11)]), rng.choice([0.0, 1.0, rng.uniform(-3, 2)])
+        world = world._replace(p=world.p._replace(overspeed_cost=overspeed_cost))
+        speed, last = rng.choice([0.0, 2.0, 14.0, rng.uniform(0, 11)]), rng.choice([0.0, 1.0, rng.uniform(-3, 2)])
         station = rng.uniform(20, 110)
         plan = search(world, station, speed, last, space)
         expected = plan.cost * rng.choice([rng.uniform(0.4, 1.5), 1 / CLOSE])
