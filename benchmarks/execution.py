@@ -2,7 +2,7 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from benchmarks.stock import drive_env, drive_objects
 Row = dict[str, Any]
 
 BATCHES = (1, 8, 32, 256)
+FULL_BATCHES = 8  # least number of full batches, so that the beginning and the end of a row count little
 
 
 class Cruiser:
@@ -79,14 +80,14 @@ def stock_rows(env: str, count: int) -> list[Row]:
     return [_row(env, name, 1, 1, count, cpu(run), total) for name, run in rows.items()]
 
 
-def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Iterable[int] = BATCHES) -> list[Row]:
+def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Sequence[int] = BATCHES) -> list[Row]:
     """Return rows for this package in one process, by driver and by number of scenarios in lock-step."""
     rows = []
     for name in systems:
         simulation = Simulation(env, name)
-        scenarios = scenarios_of(simulation, count)
+        scenarios = scenarios_of(simulation, max(count, FULL_BATCHES * max(batches)))
         for batch in batches:
-            few = scenarios[: max(count // 16, 4)] if batch == 1 else scenarios
+            few = scenarios[: max(count // 16, 4) if batch == 1 else max(count, FULL_BATCHES * batch)]
             list(simulation.run_all(scenarios[:2], batch))
             driven: list[float] = []
             used = cpu(lambda: driven.extend(trace.duration for _, trace in simulation.run_all(few, batch)))  # noqa: B023
