@@ -21,6 +21,7 @@ from typing import Any
 from behavexplor.commands.early_imports import begin_imports
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.errors import InputError, printable, sentence
+from behavexplor.execution.shared_imports import collections_off
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
@@ -108,7 +109,8 @@ def _run(given: Sequence[str]) -> int:
 
 def _command(name: str) -> Callable[..., Any]:
     module = _MODULES.get(name, name)
-    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
+    with collections_off():
+        command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
     return command
 
 

@@ -1,8 +1,13 @@
-"""Imports that all worker processes share: a server process imports the modules, and the workers are copies of it."""
+"""Fast imports: without garbage collection, and shared by all worker processes.
 
+A server process imports the modules that workers need, and the workers are copies of it.
+"""
+
+import gc
 import multiprocessing
 import signal
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 from typing import Final
@@ -11,6 +16,7 @@ import behavexplor
 from behavexplor.errors import InputError
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
+_FIRST: Final = "behavexplor.execution.collections_off"
 GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
 
 
@@ -24,13 +30,25 @@ def share_imports(modules: Sequence[str]) -> None:
         raise InputError(f"This script starts worker processes when it is imported: {GUARD}")
     if not CAN_SHARE:
         return
-    set_forkserver_preload(list(modules))
+    set_forkserver_preload([_FIRST, *modules])
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited, so Ctrl-C does not end the imports
     try:
         ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def collections_off() -> Iterator[None]:
+    """Turn garbage collection off during imports, since what they make lives as long as the process."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def slow_modules(env: str, ads: str) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
+from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.envs.making import (
     check_keys,
     default_config,
@@ -259,6 +260,8 @@ def logical_scenario(env: str) -> LogicalScenario:
     Raises:
         InputError: if there is no such environment, or if it has no logical scenario.
     """
+    if env in LOGICAL_SCENARIOS:
+        return LOGICAL_SCENARIOS[env]
     made = make_env(env, {})
     made.close()
     return logical_of(made, env)

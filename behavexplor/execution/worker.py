@@ -68,6 +68,7 @@ def serve(
         service.begin()
         threadpool_limits(1)  # includes libraries that the ADS has loaded
         gc.freeze()  # modules live as long as the process: garbage collections need not look at them
+        gc.enable()  # it was off during the imports
     except InputError as error:
         _send(connection, 0, error_answer(error))
         return

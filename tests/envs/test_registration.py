@@ -108,6 +108,7 @@ def test_a_fifth_scenario_is_one_new_file(tmp_path):
     package = shutil.copytree(Path(behavexplor.__file__).parent, tmp_path / "behavexplor")
     folder = package / "envs" / "functional"
     text = (folder / "lane_follow.py").read_text()
-    (folder / "lane_keep.py").write_text(text.replace("lane-follow", "lane-keep").replace("LaneFollow", "LaneKeep"))
+    text = text.replace("logical = LANE_FOLLOW", 'logical = dataclasses.replace(LANE_FOLLOW, name="lane-keep")')
+    (folder / "lane_keep.py").write_text("import dataclasses\n" + text.replace("LaneFollow", "LaneKeep"))
     result = run(FIFTH.format(folder=str(tmp_path)), tmp_path)
     assert result.stdout == f"lane-keep {len(behavexplor.FUNCTIONAL_SCENARIOS) + 1}\n", result.stderr

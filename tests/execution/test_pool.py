@@ -1,5 +1,6 @@
 """Worker processes: whatever happens in one, its task has an outcome and the others go on."""
 
+import gc
 import math
 import os
 import signal
@@ -45,6 +46,10 @@ def sleeping(data):
     return b"awake"
 
 
+def collecting(data):
+    return str(gc.isenabled()).encode()
+
+
 def failing_ads(data):
     raise ADSError("raised", data.decode())
 
@@ -52,7 +57,10 @@ def failing_ads(data):
 class Functions(Service):
     """Offers the functions above."""
 
-    functions = {function.__name__: function for function in (echo, raising, dying, dying_once, sleeping, failing_ads)}
+    functions = {
+        function.__name__: function
+        for function in (echo, raising, dying, dying_once, sleeping, collecting, failing_ads)
+    }
 
 
 class Refusing(Functions):
@@ -94,6 +102,11 @@ def test_bytes_go_out_and_come_back_from_several_processes(pool):
     processes = {answer.lstrip(b"x") for answer in answers}
     assert 1 <= len(processes) <= 2
     assert str(os.getpid()).encode() not in processes
+
+
+def test_workers_collect_garbage(pool):
+    """The process that they are copied from does not, because it only imports."""
+    assert pool.submit("collecting", b"").result() == b"True"
 
 
 def test_an_exception_comes_back_as_words(pool):

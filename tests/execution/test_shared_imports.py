@@ -1,9 +1,12 @@
+import gc
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from behavexplor.execution.shared_imports import collections_off
 
 SCRIPT = """
 from multiprocessing import forkserver
@@ -28,3 +31,19 @@ def test_the_process_that_imports_for_all_is_not_interrupted():
         assert blocks(server)
         assert not blocks(process.pid)
         process.communicate(b"\n")
+
+
+def test_garbage_is_collected_again_after_imports():
+    with collections_off():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+
+
+def test_garbage_that_is_not_collected_stays_so():
+    gc.disable()
+    try:
+        with collections_off():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

@@ -14,7 +14,7 @@ from stable_baselines3.common.preprocessing import is_image_space
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
 from behavexplor.ads.sb3.arrays import as_arrays
-from behavexplor.ads.sb3.blocks import ask_in_blocks, prepare_blocks
+from behavexplor.ads.sb3.blocks import BlockwiseNetwork
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.drawing_actions import noise_of
@@ -47,8 +47,7 @@ class SB3Policy:
         self, network: BasePolicy, description: Description, statistics: Statistics | None, last: Observation | None
     ) -> None:
         self.vectorized = True
-        self._network = network
-        self._rows = prepare_blocks(network)
+        self._network = BlockwiseNetwork(network)
         self.noise = noise_of(network)
         self._statistics = statistics
         self._stack = description.frame_stack
@@ -106,7 +105,7 @@ class SB3Policy:
             prepared = frames = _stacked(prepared, frames, episode_start, self._stack, self.observation_space)
         if self._scales_stack:
             prepared = self.prepare(prepared)
-        actions, memory = ask_in_blocks(self._network, self._rows, prepared, memory, episode_start, noise)
+        actions, memory = self._network.ask(prepared, memory, episode_start, noise)
         return actions, (frames, memory)
 
 

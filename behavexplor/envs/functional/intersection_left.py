@@ -1,8 +1,7 @@
 """S2: the ego turns left at an unsignalized intersection."""
 
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.roads import crossing
+from behavexplor.envs.logical_scenarios import INTERSECTION_LEFT
 from behavexplor.envs.vector import vector_env
 
 
@@ -18,12 +17,7 @@ class IntersectionLeftEnv(DrivingEnv):
     - v0: first version.
     """
 
-    logical = ScriptedLogicalScenario(
-        name="intersection-left",
-        roadmap=crossing("left", ego_start=10.0, destination=60.0),
-        n_npcs=5,
-        waypoints_per_lane=2,
-    )
+    logical = INTERSECTION_LEFT
 
 
 IntersectionLeftVectorEnv = vector_env(IntersectionLeftEnv)

@@ -1,8 +1,7 @@
 """S1: the ego goes straight through an unsignalized intersection."""
 
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.roads import crossing
+from behavexplor.envs.logical_scenarios import INTERSECTION_STRAIGHT
 from behavexplor.envs.vector import vector_env
 
 
@@ -19,12 +18,7 @@ class IntersectionStraightEnv(DrivingEnv):
     - v0: first version.
     """
 
-    logical = ScriptedLogicalScenario(
-        name="intersection-straight",
-        roadmap=crossing("straight", ego_start=20.0, destination=60.0),
-        n_npcs=5,
-        waypoints_per_lane=2,
-    )
+    logical = INTERSECTION_STRAIGHT
 
 
 IntersectionStraightVectorEnv = vector_env(IntersectionStraightEnv)

@@ -1,8 +1,7 @@
 """S3: the ego follows its lane on a straight road with four lanes."""
 
-from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.roads import straight_road
+from behavexplor.envs.logical_scenarios import LANE_FOLLOW
 from behavexplor.envs.vector import vector_env
 
 
@@ -19,12 +18,7 @@ class LaneFollowEnv(DrivingEnv):
     - v0: first version.
     """
 
-    logical = ScriptedLogicalScenario(
-        name="lane-follow",
-        roadmap=straight_road(start_lane=2, target_lane=2, ego_start=10.0, destination=230.0),
-        n_npcs=6,
-        waypoints_per_lane=4,
-    )
+    logical = LANE_FOLLOW
 
 
 LaneFollowVectorEnv = vector_env(LaneFollowEnv)

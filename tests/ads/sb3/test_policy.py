@@ -21,7 +21,7 @@ from stable_baselines3.common.utils import ConstantSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from behavexplor.ads.sb3.archive import read_archive
-from behavexplor.ads.sb3.blocks import ask_in_blocks, prepare_blocks
+from behavexplor.ads.sb3.blocks import BlockwiseNetwork
 from behavexplor.ads.sb3.description import STATISTICS, describe
 from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.ads.sb3.normalization import Statistics
@@ -101,7 +101,7 @@ def test_a_network_of_other_than_linear_layers_is_asked_for_one_row_at_a_time(la
     network = Counting(BOX, BOX)
     network.layer = torch.nn.Sequential(layer, torch.nn.Tanh())
     Counting.__module__ = module
-    actions, memory = ask_in_blocks(network, prepare_blocks(network), seen, None, None)
+    actions, memory = BlockwiseNetwork(network).ask(seen, None, None)
     assert asked == [rows] * (3 // rows or 1)
     assert actions[:, 0].tolist() == [0, 4, 8]
     assert memory is None
