@@ -17,6 +17,7 @@ from behavexplor.errors import InputError
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
 _FIRST: Final = "behavexplor.execution.collections_off"
+_LAST: Final = "behavexplor.execution.modules_frozen"
 GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
 
 
@@ -30,7 +31,7 @@ def share_imports(modules: Sequence[str]) -> None:
         raise InputError(f"This script starts worker processes when it is imported: {GUARD}")
     if not CAN_SHARE:
         return
-    set_forkserver_preload([_FIRST, *modules])
+    set_forkserver_preload([_FIRST, *modules, _LAST])
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited, so Ctrl-C does not end the imports
     try:

@@ -6,10 +6,11 @@ from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
-from highway_env.envs.common.action import ActionType, DiscreteAction, DiscreteMetaAction
+from highway_env.envs.common.action import ActionType, ContinuousAction, DiscreteAction, DiscreteMetaAction
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import MANEUVERS
+from behavexplor.jit import compiled_for, kernel_in_place
 
 Floats = NDArray[np.float64]
 Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)
@@ -20,11 +21,7 @@ def make_commands(action_type: ActionType) -> Commands:
     table = command_table(action_type)
     if table is not None:
         return partial(_looked_up, table)
-    steered, driven = action_type.lateral, action_type.longitudinal
-    ranges = [action_type.acceleration_range] * driven + [action_type.steering_range] * steered
-    scales = np.array([(low, high - low) for low, high in ranges], dtype=np.float64).T
-    columns = slice(0 if driven else 1, 2 if steered else 1)
-    return partial(_continuous_commands, scales, columns, action_type.clip)
+    return _ContinuousCommands(action_type)
 
 
 def command_table(action_type: ActionType) -> Floats | None:
@@ -50,11 +47,39 @@ def _discrete_commands(action_type: DiscreteAction) -> Floats:
     return np.array([(float(command["acceleration"]), float(command["steering"])) for command in given])
 
 
-def _continuous_commands(scales: Floats, columns: slice, clip: bool, actions: NDArray[Any]) -> Floats:
-    """Compute `ContinuousAction.get_action` for a batch, in the precision of the actions, as highway-env does."""
-    if clip:
-        actions = np.minimum(np.maximum(actions, -1), 1)
-    low, span = scales.astype(actions.dtype) if actions.dtype.kind == "f" else scales
-    commands = np.zeros((len(actions), 2))
-    commands[:, columns] = low + (actions + 1) * span / 2
-    return commands
+class _ContinuousCommands:
+    """Computes `ContinuousAction.get_action` for a batch, like highway-env in the precision of the actions.
+
+    That is single precision for actions in it, and double precision for any others.
+    """
+
+    def __init__(self, action_type: ContinuousAction) -> None:
+        steered, driven = action_type.lateral, action_type.longitudinal
+        ranges = [action_type.acceleration_range] * driven + [action_type.steering_range] * steered
+        self._scales = np.array([(low, high - low) for low, high in ranges], dtype=np.float64).T.copy()
+        self._first = 0 if driven else 1  # column of the commands that the first number of an action determines
+        self._clip = bool(action_type.clip)
+        commands = np.zeros((1, 2))
+        self._fill: Any = compiled_for(_fill_commands, commands, self._scales, self._clip, False, 0, commands)
+
+    def __call__(self, actions: NDArray[Any]) -> Floats:
+        commands = np.zeros((len(actions), 2))
+        values = np.ascontiguousarray(actions, dtype=np.float64)
+        self._fill(values, self._scales, self._clip, actions.dtype == np.float32, self._first, commands)
+        return commands
+
+
+@kernel_in_place
+def _fill_commands(actions: Floats, scales: Floats, clip: bool, is_single: bool, first: int, commands: Floats) -> None:
+    """Fill in the commands of actions, shape (B, numbers), that are scaled by the rows of `scales`: least and range."""
+    for b in range(len(actions)):
+        for i in range(actions.shape[1]):
+            action = actions[b, i]
+            if clip:
+                action = min(max(action, -1.0), 1.0)
+            low, span = scales[0, i], scales[1, i]
+            if is_single:
+                one, two = np.float32(1.0), np.float32(2.0)
+                commands[b, first + i] = np.float32(low) + (np.float32(action) + one) * np.float32(span) / two
+            else:
+                commands[b, first + i] = low + (action + 1.0) * span / 2.0
