@@ -50,16 +50,15 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     are fewer distinct rows than clusters, some centers are equal, and the first of them gets the rows.
 
     Args:
-        rows: the rows, finite numbers that may be changed in their last bits, shape (n, features).
+        rows: the rows, which may be changed in their last bits, shape (n, features).
         clusters: number of centers.
         starts: for each start, the centers at its beginning, or the name of scikit-learn's way to choose them.
         random_state: seed of the choices.
     """
-    from sklearn import config_context  # noqa: PLC0415 - slow to import, needed only once a campaign runs
-    from sklearn.cluster import KMeans  # noqa: PLC0415
+    from sklearn.cluster import KMeans  # noqa: PLC0415 - slow to import, needed only once a campaign runs
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
 
-    with _thread_pools().limit(limits=1), config_context(assume_finite=True), catch_warnings():
+    with _thread_pools().limit(limits=1), catch_warnings():
         simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
         fits = [
             KMeans(clusters, init=start, n_init=1, random_state=random_state, copy_x=False).fit(rows)

@@ -16,8 +16,8 @@ import behavexplor
 from behavexplor.errors import InputError
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
-_FIRST: Final = "behavexplor.execution.collections_off"
-_LAST: Final = "behavexplor.execution.modules_frozen"
+_FIRST: Final = "behavexplor.execution.imports_begin"
+_LAST: Final = "behavexplor.execution.imports_end"
 GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
 
 
@@ -42,7 +42,7 @@ def share_imports(modules: Sequence[str]) -> None:
 
 @contextmanager
 def collections_off() -> Iterator[None]:
-    """Turn garbage collection off during imports, since what they make lives as long as the process."""
+    """Turn garbage collection off while modules and drivers are loaded, since these live as long as the process."""
     was_on = gc.isenabled()
     gc.disable()
     try:

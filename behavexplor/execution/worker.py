@@ -20,6 +20,7 @@ from behavexplor.errors import InputError
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
 from behavexplor.execution.rollout import ADSError, share_asking
 from behavexplor.execution.service import Batch, Recipe, Service
+from behavexplor.execution.shared_imports import collections_off
 
 try:
     import resource
@@ -65,10 +66,10 @@ def serve(
     try:
         service.confine()
         Thread(target=_end_with_supervisor, daemon=True).start()
-        service.begin()
+        with collections_off():
+            service.begin()
         threadpool_limits(1)  # includes libraries that the ADS has loaded
         gc.freeze()  # modules live as long as the process: garbage collections need not look at them
-        gc.enable()  # it was off during the imports
     except InputError as error:
         _send(connection, 0, error_answer(error))
         return

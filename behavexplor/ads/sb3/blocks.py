@@ -8,6 +8,7 @@ row separately. A network with other layers, or with code from elsewhere, receiv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
@@ -17,10 +18,12 @@ from stable_baselines3.common.policies import BasePolicy
 
 from behavexplor.ads.sb3.dense_actor import dense_actor
 from behavexplor.ads.sb3.drawing_actions import drawn_by
-from behavexplor.ads.sb3.row_linear import ROWS, Block, RowLinear, multiply_rows_separately
+from behavexplor.ads.sb3.row_linear import ROWS, Block, multiply_rows_separately
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
 _KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.")
+
+_LOCK: Final = Lock()  # the blocks of a network hold one question at a time
 
 Memory = tuple[NDArray[Any], ...]
 
@@ -62,7 +65,7 @@ class BlockwiseNetwork:
         Returns:
             The actions, shape (B, ...), and the memory. The memory is None if the network has none.
         """
-        with _one_thread():
+        with _LOCK, _one_thread():
             if self._actor is not None and noise is None and isinstance(observation, np.ndarray):
                 actions = self._actor.decide(observation)
                 if actions is not None:
@@ -82,11 +85,11 @@ class BlockwiseNetwork:
         answers = []
         for begin in range(0, count, rows):
             block = slice(begin, begin + rows)
-            self._block.wanted = min(rows, count - begin)
             remembered = None if memory is None else tuple(_filled(array[:, block], rows, 1) for array in memory)
             shown = mapped(partial(_block_of, block=block, rows=rows), observation)
             begins = _filled(start[block], rows, 0)
-            with _drawing(self._network, None if noise is None else _filled(noise[block], rows, 0)):
+            drawing = _drawing(self._network, None if noise is None else _filled(noise[block], rows, 0))
+            with drawing, self._block.wanting(min(rows, count - begin)):
                 answers.append(self._network.predict(shown, remembered, begins, deterministic=True))
         actions = np.concatenate([action for action, _ in answers])[:count]
         memories: list[Memory | None] = [own for _, own in answers]
@@ -98,13 +101,12 @@ class BlockwiseNetwork:
 
 def _linear_layers(network: BasePolicy) -> list[torch.nn.Linear]:
     """Return the layers with weights; none if one of them is not linear, or the network has code from elsewhere."""
-    modules = [module for module in network.modules() if type(module) is not RowLinear]  # of an earlier call
+    modules = list(network.modules())
     if not all(type(module).__module__.startswith(_KNOWN) for module in modules):
         return []
-    layers = [module for module in network.modules() if not list(module.children()) and list(module.parameters())]
-    linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
-    is_plain = all(type(layer) in (torch.nn.Linear, RowLinear) for layer in layers)
-    return linear if is_plain else []
+    layers = [module for module in modules if not list(module.children()) and list(module.parameters())]
+    linear = [layer for layer in layers if type(layer) is torch.nn.Linear]
+    return linear if len(linear) == len(layers) else []
 
 
 def _stay(mode: bool) -> None:

@@ -1,8 +1,8 @@
-"""Deterministic answers of policies with dense layers only, without the work that is the same in every call.
+"""Fast deterministic answers of policies whose layers are dense, without calling `predict`.
 
 For each call, `predict` of Stable-Baselines3 checks its arguments, and makes tensors and a distribution. This takes
-several times as long as the layers of a small network. What it computes with numbers is the same here, in the same
-order and at the same places of a block, so that the actions are equal to the last bit.
+several times as long as the layers of a small network. The arithmetic here is that of `predict`, in the same order and
+at the same places of a block, so the actions are equal to the last bit.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,7 +38,7 @@ class DenseActor:
     Args:
         layers: the layers, in their order. Those with weights are of the class `RowLinear`.
         choice: choice of the actions.
-        policy: the policy, whose spaces count.
+        policy: the policy, for its observation and action spaces.
     """
 
     def __init__(self, layers: Sequence[torch.nn.Module], choice: Choice, policy: BasePolicy) -> None:
@@ -46,6 +46,7 @@ class DenseActor:
         self._steps = _steps(layers)
         self._choice = choice
         space = policy.action_space
+        self._action_shape = space.shape or ()
         self._bounds = (space.low, space.high) if isinstance(space, gymnasium.spaces.Box) else None
         self._shape = policy.observation_space.shape
         self._inputs = self._steps[0].inputs[:, : int(np.prod(self._shape or ()))].numpy()
@@ -69,7 +70,7 @@ class DenseActor:
         answers = [answer for block in blocks if (answer := self._answer(block)) is not None]
         if len(answers) < len(blocks):
             return None
-        actions = np.concatenate(answers)
+        actions = np.concatenate(answers).reshape(-1, *self._action_shape)
         return actions if self._bounds is None else np.minimum(np.maximum(actions, self._bounds[0]), self._bounds[1])
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -85,24 +86,28 @@ class DenseActor:
             operation()
         if not np.isfinite(self._numbers[:count]).all():
             return None
-        return self._choice(self._outputs).numpy()[:count].copy()
+        return self._choice(self._outputs).numpy()[:count].copy()  # the next call fills the same block
 
 
 def _steps(layers: Sequence[torch.nn.Module]) -> list[_Step]:
     """Return the steps from the inputs to the outputs, with blocks that are used again in each call."""
     first = next(layer for layer in layers if isinstance(layer, RowLinear))
-    steps, block = [], torch.zeros(ROWS, first.columns.shape[0])
+    steps, block = [], _zeros(first.columns.shape[0])
     for layer in layers:
         if not isinstance(layer, RowLinear):
             steps.append(_Step(layer, block, block))
             continue
         padded = layer.columns.shape[0]
         if block.shape[1] != padded:
-            before, block = block, torch.zeros(ROWS, padded)
+            before, block = block, _zeros(padded)
             steps.append(_Step(torch.nn.Identity(), before, block[:, : layer.in_features]))
-        steps.append(_Step(layer, block, torch.zeros(ROWS, layer.out_features)))
+        steps.append(_Step(layer, block, _zeros(layer.out_features)))
         block = steps[-1].outputs
     return steps
+
+
+def _zeros(numbers: int) -> torch.Tensor:
+    return torch.zeros(ROWS, numbers, device="cpu")
 
 
 def _operations(step: _Step, count: int) -> list[Operation]:
@@ -121,10 +126,12 @@ def _operations(step: _Step, count: int) -> list[Operation]:
 def dense_actor(policy: BasePolicy) -> DenseActor | None:
     """Return the dense actor of a policy whose linear layers are of the class `RowLinear`; None for any other policy.
 
-    PPO, A2C, TRPO and DQN make policies of this form, with any sizes and activations.
+    PPO, A2C, TRPO and DQN make policies of this form by default.
     """
     space = policy.observation_space
-    if not isinstance(space, gymnasium.spaces.Box) or space.dtype.kind != "f" or policy.squash_output:
+    if not isinstance(space, gymnasium.spaces.Box) or space.dtype.kind != "f":
+        return None
+    if policy.squash_output or policy.device.type != "cpu":
         return None
     if type(policy) is ActorCriticPolicy:
         return _of_distribution(policy)
@@ -138,7 +145,7 @@ def _of_distribution(policy: ActorCriticPolicy) -> DenseActor | None:
         return DenseActor(layers, _most_probable, policy)
     if type(policy.action_dist) is DiagGaussianDistribution and layers and bool((policy.log_std.exp() > 0).all()):
         return DenseActor(layers, _mean, policy)
-    return None  # among them a normal distribution without a valid deviation, for which each answer is an error
+    return None  # a normal distribution without a valid deviation cannot answer: `predict` says so
 
 
 def _of_values(policy: DQNPolicy) -> DenseActor | None:
@@ -153,7 +160,7 @@ def _mean(outputs: torch.Tensor) -> torch.Tensor:
 
 
 def _most_probable(outputs: torch.Tensor) -> torch.Tensor:
-    """Return the most probable category, of several with equal probabilities in single precision the first one.
+    """Return the most probable category: the first one, if several are equal in single precision.
 
     The probabilities are those of `torch.distributions.Categorical`.
     """

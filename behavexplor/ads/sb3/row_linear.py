@@ -3,6 +3,8 @@
 On a CPU, the last bits of a matrix product depend on the number of rows and on the position of a row among them.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,10 +21,19 @@ class Block:
     """The block of rows that a network is answering.
 
     Attributes:
-        wanted: number of the first rows whose answers are wanted. The linear layers leave the others at 0.
+        wanted: how many rows are wanted, counted from the first. The linear layers return 0 for the others.
     """
 
     wanted: int = ROWS
+
+    @contextmanager
+    def wanting(self, count: int) -> Iterator[None]:
+        """Ask for the first rows only."""
+        self.wanted = count
+        try:
+            yield
+        finally:
+            self.wanted = ROWS
 
 
 class RowLinear(torch.nn.Linear):

@@ -48,10 +48,7 @@ def _discrete_commands(action_type: DiscreteAction) -> Floats:
 
 
 class _ContinuousCommands:
-    """Computes `ContinuousAction.get_action` for a batch, like highway-env in the precision of the actions.
-
-    That is single precision for actions in it, and double precision for any others.
-    """
+    """Commands of continuous actions, as `ContinuousAction.get_action` computes them, in the actions' precision."""
 
     def __init__(self, action_type: ContinuousAction) -> None:
         steered, driven = action_type.lateral, action_type.longitudinal
@@ -63,15 +60,29 @@ class _ContinuousCommands:
         self._fill: Any = compiled_for(_fill_commands, commands, self._scales, self._clip, False, 0, commands)
 
     def __call__(self, actions: NDArray[Any]) -> Floats:
+        if actions.dtype.kind == "f" and actions.dtype not in (np.float32, np.float64):
+            return self._in_rare_precision(actions)
         commands = np.zeros((len(actions), 2))
         values = np.ascontiguousarray(actions, dtype=np.float64)
         self._fill(values, self._scales, self._clip, actions.dtype == np.float32, self._first, commands)
         return commands
 
+    def _in_rare_precision(self, actions: NDArray[np.floating[Any]]) -> Floats:
+        """Return the commands for actions in a precision that compiled functions do not know, such as half."""
+        low, span = self._scales.astype(actions.dtype)
+        commands = np.zeros((len(actions), 2))
+        columns = slice(self._first, self._first + len(low))
+        commands[:, columns] = low + ((actions.clip(-1, 1) if self._clip else actions) + 1) * span / 2
+        return commands
+
 
 @kernel_in_place
 def _fill_commands(actions: Floats, scales: Floats, clip: bool, is_single: bool, first: int, commands: Floats) -> None:
-    """Fill in the commands of actions, shape (B, numbers), that are scaled by the rows of `scales`: least and range."""
+    """Fill in the commands of actions, shape (B, numbers).
+
+    The rows of `scales` are the least command and the range of each number. Its command is in the column `first` or
+    after it.
+    """
     for b in range(len(actions)):
         for i in range(actions.shape[1]):
             action = actions[b, i]
