@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from behavexplor.data.untrusted import object_fields, parse_json
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, brief
 
 MAX_NAME_LENGTH = 200  # characters
 MAX_NUMBER = 1e9  # limit of positions [m] and speeds [m/s]
@@ -63,7 +63,7 @@ class NPC:
             raise InputError("waypoints: at least one is needed")
         for i, waypoint in enumerate(self.waypoints):
             if not isinstance(waypoint, Waypoint):
-                raise InputError(f"waypoints[{i}]: expected a Waypoint, got {waypoint!r}")
+                raise InputError(f"waypoints[{i}]: expected a Waypoint, got {brief(waypoint)}")
         positions = [waypoint.position for waypoint in self.waypoints]
         for i in range(1, len(positions)):
             if positions[i] < positions[i - 1]:
@@ -92,7 +92,7 @@ class ScriptedScenario:
         object.__setattr__(self, "npcs", _parts("npcs", self.npcs))
         for i, npc in enumerate(self.npcs):
             if not isinstance(npc, NPC):
-                raise InputError(f"npcs[{i}]: expected an NPC, got {npc!r}")
+                raise InputError(f"npcs[{i}]: expected an NPC, got {brief(npc)}")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scenario as JSON values. Waypoints are `[position, speed]` pairs."""
@@ -145,7 +145,7 @@ def _npc_from_dict(value: object) -> NPC:
 
 def _waypoint_from_pair(value: object) -> Waypoint:
     if not isinstance(value, list) or len(value) != 2:
-        raise InputError(f"expected [position, speed], got {value!r}")
+        raise InputError(f"expected [position, speed], got {brief(value)}")
     return Waypoint(*value)
 
 
