@@ -7,19 +7,19 @@ braking has 40 %, and two accelerations have 30 % each, it always brakes.
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.learned.tracker import ACCELERATIONS, N_LANE_CHOICES
-from behavexplor.jit import kernel_in_place, kernel_inner
+from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_TABLE = np.array(ACCELERATIONS)
+MEAN, MOST_PROBABLE, DRAWN = 0, 1, 2  # ways to choose
+TABLE: Final = np.array(ACCELERATIONS)
 
 
 class Decisions(NamedTuple):
@@ -34,42 +34,26 @@ class Decisions(NamedTuple):
     lanes: Ints
 
 
-def decide(preferences: Floats, rule: Rule) -> Decisions:
-    """Decide without chance.
-
-    Args:
-        preferences: outputs of the network, shape (B, N_ACTIONS).
-        rule: "mean" for the mean acceleration and the most probable lane choice, or "most probable" for the most
-            probable action; the first of several with equal probability.
-    """
-    if rule == "most probable":
-        return as_decisions(preferences.argmax(axis=1))
-    accelerations, lanes = np.zeros(len(preferences)), np.zeros(len(preferences), dtype=np.int64)
-    _average_all(preferences, _TABLE, accelerations, lanes)
-    return Decisions(accelerations, lanes)
-
-
-def draw_decisions(preferences: Floats, shares: Floats) -> Decisions:
-    """Draw actions with their probabilities.
-
-    Args:
-        preferences: outputs of the network, shape (B, N_ACTIONS).
-        shares: numbers in [0, 1), shape (B,): the share of the cumulative probabilities at which the action lies.
-    """
-    actions = np.zeros(len(preferences), dtype=np.int64)
-    _draw_all(preferences, shares, actions)
-    return as_decisions(actions)
-
-
 def as_decisions(actions: Ints) -> Decisions:
     """Return the decisions of actions, indices of shape (B,)."""
-    return Decisions(_TABLE[actions % len(_TABLE)], actions // len(_TABLE))
+    return Decisions(TABLE[actions % len(TABLE)], actions // len(TABLE))
 
 
-@kernel_in_place
-def _average_all(preferences: Floats, table: Floats, accelerations: Floats, lanes: Ints) -> None:
-    for i in range(len(preferences)):
-        accelerations[i], lanes[i] = _average(preferences[i], table)
+@kernel_inner
+def choose(preferences: Floats, accelerations: Floats, how: int, share: float) -> tuple[float, int]:
+    """Return the wanted acceleration [m/s2] and the lane choice of one ego.
+
+    Args:
+        preferences: outputs of the network, shape (N_ACTIONS,).
+        accelerations: acceleration of each action that keeps the lane, shape (N_ACTIONS / N_LANE_CHOICES,) [m/s2].
+        how: `MEAN` for the mean acceleration and the most probable lane choice; `MOST_PROBABLE` for the most probable
+            action, the first of several with equal probability; `DRAWN` for an action drawn with its probability.
+        share: number in [0, 1), the share of the cumulative probabilities at which a drawn action lies.
+    """
+    if how == MEAN:
+        return _average(preferences, accelerations)
+    action = _at_share(preferences, share) if how == DRAWN else _greatest(preferences)
+    return accelerations[action % len(accelerations)], action // len(accelerations)
 
 
 @kernel_inner
@@ -87,12 +71,6 @@ def _average(preferences: Floats, table: Floats) -> tuple[float, int]:
             most, lane = weight, choice
         total += weight
     return acceleration / total, lane
-
-
-@kernel_in_place
-def _draw_all(preferences: Floats, shares: Floats, actions: Ints) -> None:
-    for i in range(len(preferences)):
-        actions[i] = _at_share(preferences[i], shares[i])
 
 
 @kernel_inner

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.choosing import Decisions, decide, draw_decisions
+from behavexplor.ads.learned.choosing import DRAWN, MEAN, MOST_PROBABLE, TABLE, Decisions, choose
 from behavexplor.ads.learned.mlp import DenseNetwork, as_network, evaluate
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
@@ -59,19 +59,20 @@ class LearnedDriver:
 
     def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
         self._course = make_course(roadmap)
-        self._kernels = CourseKernels(self._course)
         widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
         shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
         if shapes != expected or widths[-1] != N_ACTIONS:
             raise InputError(f"Expected a network of {N_FEATURES} inputs and {N_ACTIONS} outputs, got {shapes}")
         self._network = as_network(network.layers)
-        self._rule = network.rule
+        self._how = MEAN if network.rule == "mean" else MOST_PROBABLE
         self._widest = max(widths)
-        rooms, rows = np.empty((2, 1, self._widest)), np.empty(1, dtype=np.int64)
-        scenes, memory, preferences = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros((1, N_ACTIONS))
-        arguments = (self._course, self._network, scenes, memory, rooms, rows, preferences)
-        self._prefer_all = compiled_for(_prefer_all, *arguments)
+        scenes, memory, shares = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros(1)
+        rooms, rows, actions = np.empty((2, 1, self._widest)), np.empty(1, dtype=np.int64), np.zeros((1, 2))
+        tables = (self._course, self._network, TABLE)
+        self._drive_all: Any = compiled_for(
+            _drive_all, *tables, scenes, memory, self._how, shares, rooms, rows, actions
+        )
 
     def predict(
         self,
@@ -94,30 +95,41 @@ class LearnedDriver:
         Raises:
             InputError: if an array has the wrong shape.
         """
-        scenes, memory, preferences = self._preferences(observation, state, episode_start)
-        return self._kernels.track(scenes, decide(preferences, self._rule), memory), memory
+        return self._drive(observation, state, episode_start, None)
 
     def draw(
         self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, noise: Floats
     ) -> tuple[Floats, Floats]:
         """Draw the actions of a batch of egos; see `behavexplor.ads.interface.StochasticADS`."""
-        scenes, memory, preferences = self._preferences(observation, state, episode_start)
-        return self._kernels.track(scenes, draw_decisions(preferences, noise[:, 0]), memory), memory
+        return self._drive(observation, state, episode_start, np.array(noise[:, 0], dtype=np.float64))
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
         return {"wanted_offset": state[:, WANTED]}
 
-    def _preferences(
-        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return scenes, memory and preferences, shape (B, N_ACTIONS); those of an absent ego mean nothing."""
+    def _drive(
+        self,
+        observation: Floats,
+        state: Floats | None,
+        episode_start: NDArray[np.bool_] | None,
+        shares: Floats | None,
+    ) -> tuple[Floats, Floats]:
+        """Return the actions, shape (B, 2), and the memory. The action of an absent ego is 0.
+
+        Args:
+            observation: see `predict`.
+            state: see `predict`.
+            episode_start: see `predict`.
+            shares: numbers in [0, 1) by which the actions are drawn, shape (B,); None for the network's own rule.
+        """
         scenes = as_scenes(observation)
         memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        preferences = np.zeros((len(scenes), N_ACTIONS))
+        how, shares = (self._how, np.zeros(len(scenes))) if shares is None else (DRAWN, shares)
         rooms, rows = np.empty((2, len(scenes), self._widest)), np.empty(len(scenes), dtype=np.int64)
-        self._prefer_all(self._course, self._network, scenes, memory, rooms, rows, preferences)
-        return scenes, memory, preferences
+        actions = np.zeros((len(scenes), 2))
+        tables = (self._course, self._network, TABLE)
+        self._drive_all(*tables, scenes, memory, how, shares, rooms, rows, actions)
+        return actions, memory
 
 
 class CourseKernels:
@@ -167,16 +179,19 @@ def _see_all(course: Course, scenes: Floats, memory: Floats, seen: Floats) -> No
 
 
 @kernel_in_place
-def _prefer_all(
+def _drive_all(  # noqa: PLR0913, PLR0917 - a tuple of them would be copied in each call
     course: Course,
     network: DenseNetwork,
+    accelerations: Floats,
     scenes: Floats,
     memory: Floats,
+    how: int,
+    shares: Floats,
     rooms: Floats,
     rows: Ints,
-    preferences: Floats,
+    actions: Floats,
 ) -> None:
-    """Fill in the preferences of the egos that are present. `rooms` and `rows` are for intermediate results."""
+    """Fill in the actions of the egos that are present. `rooms` and `rows` are for intermediate results."""
     count = 0
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
@@ -185,8 +200,8 @@ def _prefer_all(
             count += 1
     outputs = evaluate(network, rooms, rows[:count])
     for i in rows[:count]:
-        for j in range(N_ACTIONS):
-            preferences[i, j] = rooms[outputs, i, j]
+        wanted, lane = choose(rooms[outputs, i, :N_ACTIONS], accelerations, how, shares[i])
+        _track(course, scenes[i], wanted, lane, memory[i], actions[i])
 
 
 @kernel_inner
@@ -200,10 +215,14 @@ def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
 def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Floats, actions: Floats) -> None:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
-            wanted, lane = decisions.accelerations[i], decisions.lanes[i]
-            acceleration, steering = track(course, scenes[i], wanted, lane, memory[i])
-            actions[i, 0] = _as_action(acceleration, ACCELERATION_RANGE[0], ACCELERATION_RANGE[1])
-            actions[i, 1] = _as_action(steering, STEERING_RANGE[0], STEERING_RANGE[1])
+            _track(course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i], actions[i])
+
+
+@kernel_inner
+def _track(course: Course, scene: Floats, wanted: float, lane: int, memory: Floats, action: Floats) -> None:
+    acceleration, steering = track(course, scene, wanted, lane, memory)
+    action[0] = _as_action(acceleration, ACCELERATION_RANGE[0], ACCELERATION_RANGE[1])
+    action[1] = _as_action(steering, STEERING_RANGE[0], STEERING_RANGE[1])
 
 
 @kernel_inner

@@ -4,10 +4,25 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from behavexplor.ads.learned.choosing import as_decisions, decide, draw_decisions
+from behavexplor.ads.learned.choosing import DRAWN, MEAN, MOST_PROBABLE, TABLE, Decisions, as_decisions, choose
 from behavexplor.ads.learned.tracker import ACCELERATIONS, HOME, KEEP, LEFT, N_ACTIONS
+from tests.kernel_calls import called_alone
 
 BRAKE, COAST, GO = 0, 3, 4
+
+choose = called_alone(choose)
+
+
+def decide(preferences, how, shares=None):
+    """The decision for each row."""
+    shares = np.zeros(len(preferences)) if shares is None else shares
+    chosen = [choose(row, TABLE, how, share) for row, share in zip(preferences, shares, strict=True)]
+    accelerations, lanes = zip(*chosen, strict=True)
+    return Decisions(np.array(accelerations), np.array(lanes))
+
+
+def draw_decisions(preferences, shares):
+    return decide(preferences, DRAWN, shares)
 
 
 def preferences(probabilities):
@@ -22,23 +37,23 @@ SPLIT = {(KEEP, BRAKE): 0.4, (KEEP, COAST): 0.05, (HOME, COAST): 0.25, (HOME, GO
 
 
 def test_the_mean_acceleration_and_the_most_probable_lane_choice():
-    found = decide(preferences(SPLIT), "mean")
+    found = decide(preferences(SPLIT), MEAN)
     assert found.accelerations[0] == pytest.approx(0.4 * -6.0 + 0.3 * 2.0)
     assert found.lanes[0] == HOME
 
 
 def test_the_most_probable_action():
-    found = decide(preferences(SPLIT), "most probable")
+    found = decide(preferences(SPLIT), MOST_PROBABLE)
     assert (found.accelerations[0], found.lanes[0]) == (-6.0, KEEP)
 
 
 def test_a_certain_policy_does_the_same_by_all_rules():
     certain = preferences({(LEFT, GO): 1.0})
-    for found in (decide(certain, "mean"), decide(certain, "most probable"), draw_decisions(certain, np.array([0.99]))):
+    for found in (decide(certain, MEAN), decide(certain, MOST_PROBABLE), draw_decisions(certain, np.array([0.99]))):
         assert (found.accelerations[0], found.lanes[0]) == (2.0, LEFT)
 
 
-@pytest.mark.parametrize("rule", ["mean", "most probable"])
+@pytest.mark.parametrize("rule", [MEAN, MOST_PROBABLE])
 def test_of_equal_choices_the_first_one(rule):
     assert decide(np.zeros((1, N_ACTIONS)), rule).lanes[0] == KEEP
 
@@ -52,11 +67,11 @@ def test_actions_are_drawn_with_their_probabilities():
     ]
     assert sum(drawn) == n
     assert chisquare(drawn, n * np.array(list(SPLIT.values()))).pvalue > 0.01
-    assert found.accelerations.mean() == pytest.approx(decide(preferences(SPLIT), "mean").accelerations[0], abs=0.1)
+    assert found.accelerations.mean() == pytest.approx(decide(preferences(SPLIT), MEAN).accelerations[0], abs=0.1)
 
 
 def test_great_preferences_do_not_overflow():
-    found = decide(np.full((2, N_ACTIONS), 1e4), "mean")
+    found = decide(np.full((2, N_ACTIONS), 1e4), MEAN)
     np.testing.assert_allclose(found.accelerations, np.mean(ACCELERATIONS))
 
 
