@@ -55,10 +55,12 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
         starts: for each start, the centers at its beginning, or the name of scikit-learn's way to choose them.
         random_state: seed of the choices.
     """
-    from sklearn.cluster import KMeans  # noqa: PLC0415 - slow to import, needed only once a campaign runs
+    from sklearn import config_context  # noqa: PLC0415 - slow to import, needed only once a campaign runs
+    from sklearn.cluster import KMeans  # noqa: PLC0415
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
 
-    with _thread_pools().limit(limits=1), catch_warnings():
+    checked_once = config_context(assume_finite=bool(np.isfinite(rows).all()))
+    with _thread_pools().limit(limits=1), checked_once, catch_warnings():
         simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
         fits = [
             KMeans(clusters, init=start, n_init=1, random_state=random_state, copy_x=False).fit(rows)

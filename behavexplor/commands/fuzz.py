@@ -20,6 +20,7 @@ from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
 from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.opening import opened
+from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.run_names import run_folder
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
@@ -149,12 +150,14 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(f"Warning: {warning}")
         code = _run(ready.campaign, ready.store, display)
         if ready.campaign.progress.executions:
-            code = _checked(code, folder, checks, summary)
+            code = _checked(code, ready.campaign.progress, folder, checks, summary)
         return code
 
 
-def _checked(code: int, folder: Path, checks: Checks, file: Path | None) -> int:
+def _checked(code: int, progress: Progress, folder: Path, checks: Checks, file: Path | None) -> int:
     """Write the summary of a campaign, check its findings, and return the exit code."""
+    if file is None and checks == Checks() and not progress.violations.get(ERROR):
+        return code  # without reading the whole run once more
     found = summarize(folder)
     if file is not None:
         write_json(file, summary_values(found, folder, checks))
