@@ -14,7 +14,7 @@ from typing import Any
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from benchmarks.analysis import analysis_rows
-from benchmarks.execution import lock_step_rows, main_systems, stock_rows, worker_rows
+from benchmarks.execution import Pace, lock_step_rows, main_systems, stock_rows, worker_rows
 from benchmarks.highway import highway_rows
 from benchmarks.stages import stage_rows
 from benchmarks.startup import startup_rows
@@ -26,16 +26,22 @@ FIRST = "intersection-straight"
 
 def execution(count: int) -> list[Row]:
     """Speed of the drivers in comparison with plain highway-env."""
+    pace = Pace(FIRST)
     with tempfile.TemporaryDirectory() as folder:
-        stock = stock_rows(FIRST, max(count // 64, 4))
-        rows = stock + lock_step_rows(FIRST, main_systems(FIRST, Path(folder)), count)
+        stock = stock_rows(FIRST, max(count // 64, 4), pace)
+        rows = stock + lock_step_rows(FIRST, main_systems(FIRST, Path(folder)), count, pace)
         for env in FUNCTIONAL_SCENARIOS:
             if env != FIRST:
-                rows += lock_step_rows(env, [f"learned:{env}", "rule"], count, batches=(32,))
+                rows += lock_step_rows(env, [f"learned:{env}", "rule"], count, pace, batches=(32,))
     for row in rows:
         for name, reference in (("objects", stock[0]), ("gymnasium", stock[2])):
-            row[f"x {name}"] = reference["ms per simulated second"] / row["ms per simulated second"]
+            row[f"x {name}"] = _cost(reference) / _cost(row)
     return rows
+
+
+def _cost(row: Row) -> float:
+    """Return the CPU time of a simulated second, in terms of the machine's pace at that time."""
+    return float(row["ms per simulated second"] / row["pace"])
 
 
 def workers(count: int) -> list[Row]:

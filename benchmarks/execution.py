@@ -3,6 +3,7 @@
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,29 @@ def untrained_policy(env: str, folder: Path) -> Path:
     return folder / "untrained.zip"
 
 
-def stock_rows(env: str, count: int) -> list[Row]:
+class Pace:
+    """How fast the machine is: the CPU time [s] of plain highway-env in one scenario, measured beside each row.
+
+    The speed of a shared machine changes by a quarter within minutes, so ratios count only between rows of one pace.
+    """
+
+    def __init__(self, env: str) -> None:
+        simulation = Simulation(env, "rule")
+        self._scenario = scenarios_of(simulation, 1)[0]
+        self._seconds = simulation.run(self._scenario).duration
+        self._roadmap = simulation.logical.roadmap
+
+    def during(self, run: Callable[[], Any]) -> tuple[float, float]:
+        """Return the CPU time of a call [s], and the mean of those of highway-env just before and just after it."""
+        before = self._now()
+        used = cpu(run)
+        return used, (before + self._now()) / 2
+
+    def _now(self) -> float:
+        return cpu(lambda: drive_objects(self._scenario, self._roadmap, self._seconds, None))
+
+
+def stock_rows(env: str, count: int, pace: Pace) -> list[Row]:
     """Return rows for plain highway-env. Each scenario runs for as long as the rule planner takes in it."""
     simulation = Simulation(env, "rule")
     scenarios = scenarios_of(simulation, count)
@@ -76,11 +99,12 @@ def stock_rows(env: str, count: int) -> list[Row]:
         "highway-env: objects and predict of SB3": lambda: objects(policy),
         "highway-env: gymnasium, Kinematics": lambda: drive_env(scenarios, roadmap, seconds),
     }
-    total = sum(seconds)
-    return [_row(env, name, 1, 1, count, cpu(run), total) for name, run in rows.items()]
+    return [_row(env, name, 1, count, pace.during(run), seconds) for name, run in rows.items()]
 
 
-def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Sequence[int] = BATCHES) -> list[Row]:
+def lock_step_rows(
+    env: str, systems: Sequence[str], count: int, pace: Pace, batches: Sequence[int] = BATCHES
+) -> list[Row]:
     """Return rows for this package in one process, by driver and by number of scenarios in lock-step."""
     rows = []
     for name in systems:
@@ -90,8 +114,8 @@ def lock_step_rows(env: str, systems: Sequence[str], count: int, batches: Sequen
             few = scenarios[: max(count // 16, 4) if batch == 1 else max(count, FULL_BATCHES * batch)]
             list(simulation.run_all(scenarios[:2], batch))
             driven: list[float] = []
-            used = cpu(lambda: driven.extend(trace.duration for _, trace in simulation.run_all(few, batch)))  # noqa: B023
-            rows.append(_row(env, Path(name).name, batch, 1, len(few), used, sum(driven)))
+            run = partial(_drive_all, simulation, few, batch, driven)
+            rows.append(_row(env, Path(name).name, batch, len(few), pace.during(run), driven))
         simulation.close()
     return rows
 
@@ -113,15 +137,20 @@ def worker_rows(env: str, ads: str, count: int, workers: Sequence[int]) -> list[
     return rows
 
 
-def _row(env: str, ads: str, batch: int, workers: int, count: int, used: float, driven: float) -> Row:
+def _drive_all(simulation: Simulation, scenarios: list[ScriptedScenario], batch: int, driven: list[float]) -> None:
+    driven += [trace.duration for _, trace in simulation.run_all(scenarios, batch)]
+
+
+def _row(env: str, ads: str, batch: int, count: int, measured: tuple[float, float], driven: list[float]) -> Row:
+    used, pace = measured
     return {
         "env": env,
         "ads": ads,
         "batch": batch,
-        "workers": workers,
         "n": count,
         "ms per execution": 1000 * used / count,
-        "ms per simulated second": 1000 * used / driven,
+        "ms per simulated second": 1000 * used / sum(driven),
+        "pace": pace,
     }
 
 

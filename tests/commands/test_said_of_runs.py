@@ -42,15 +42,15 @@ def test_an_interruption_of_the_resumption_does_not_hide_stored_failures(store, 
 
 
 def test_a_failure_that_highway_env_does_not_confirm_is_not_the_drivers(tmp_path, capsys):
-    run = Store.create(tmp_path / "run", CampaignConfig().to_yaml())
+    run, failing = Store.create(tmp_path / "run", CampaignConfig().to_yaml()), Progress(violations={"error": 1})
     run.add(execution(0, ("error",), "error/differs"))
     run.commit()
-    assert fuzz._checked(OK, run.folder, Checks(), None) == OK
+    assert fuzz._checked(OK, failing, run.folder, Checks(), None) == OK
     run.add(execution(0, ("error",), "error/raised"))
     run.commit()
     run.close()
     assert capsys.readouterr().err == ""
-    assert fuzz._checked(OK, run.folder, Checks(), None) != OK
+    assert fuzz._checked(OK, failing, run.folder, Checks(), None) != OK
 
 
 def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):
