@@ -1,8 +1,8 @@
 """Ends the shared imports when it is imported: see `behavexplor.execution.imports_begin`.
 
-It loads what each worker would load with its first compiled function. Garbage collection is turned on for the objects
-that do not exist yet. Otherwise the server process, at its end, and each of its copies would visit the objects of all
-modules.
+What each worker would load with its first compiled function is loaded here. Then garbage collection is turned on, but
+only for objects that are made from now on: no worker needs to visit those of all modules, nor does the server process
+at its end.
 """
 
 import gc

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MEAN, MOST_PROBABLE, DRAWN = 0, 1, 2  # ways to choose
-TABLE: Final = np.array(ACCELERATIONS)
+ACCELERATION_TABLE: Final = np.array(ACCELERATIONS)
 
 
 class Decisions(NamedTuple):
@@ -36,7 +36,7 @@ class Decisions(NamedTuple):
 
 def as_decisions(actions: Ints) -> Decisions:
     """Return the decisions of actions, indices of shape (B,)."""
-    return Decisions(TABLE[actions % len(TABLE)], actions // len(TABLE))
+    return Decisions(ACCELERATION_TABLE[actions % len(ACCELERATION_TABLE)], actions // len(ACCELERATION_TABLE))
 
 
 @kernel_inner

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.choosing import DRAWN, MEAN, MOST_PROBABLE, TABLE, Decisions, choose
+from behavexplor.ads.learned.choosing import ACCELERATION_TABLE, DRAWN, MEAN, MOST_PROBABLE, Decisions, choose
 from behavexplor.ads.learned.mlp import DenseNetwork, as_network, evaluate
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
@@ -69,7 +69,7 @@ class LearnedDriver:
         self._widest = max(widths)
         scenes, memory, shares = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros(1)
         rooms, rows, actions = np.empty((2, 1, self._widest)), np.empty(1, dtype=np.int64), np.zeros((1, 2))
-        tables = (self._course, self._network, TABLE)
+        tables = (self._course, self._network, ACCELERATION_TABLE)
         self._drive_all: Any = compiled_for(
             _drive_all, *tables, scenes, memory, self._how, shares, rooms, rows, actions
         )
@@ -127,7 +127,7 @@ class LearnedDriver:
         how, shares = (self._how, np.zeros(len(scenes))) if shares is None else (DRAWN, shares)
         rooms, rows = np.empty((2, len(scenes), self._widest)), np.empty(len(scenes), dtype=np.int64)
         actions = np.zeros((len(scenes), 2))
-        tables = (self._course, self._network, TABLE)
+        tables = (self._course, self._network, ACCELERATION_TABLE)
         self._drive_all(*tables, scenes, memory, how, shares, rooms, rows, actions)
         return actions, memory
 

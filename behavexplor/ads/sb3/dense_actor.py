@@ -145,7 +145,7 @@ def _of_distribution(policy: ActorCriticPolicy) -> DenseActor | None:
         return DenseActor(layers, _most_probable, policy)
     if type(policy.action_dist) is DiagGaussianDistribution and layers and bool((policy.log_std.exp() > 0).all()):
         return DenseActor(layers, _mean, policy)
-    return None  # a normal distribution without a valid deviation cannot answer: `predict` says so
+    return None  # any other distribution, or a normal one without a valid deviation, of which `predict` complains
 
 
 def _of_values(policy: DQNPolicy) -> DenseActor | None:

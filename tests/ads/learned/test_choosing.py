@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from behavexplor.ads.learned.choosing import DRAWN, MEAN, MOST_PROBABLE, TABLE, Decisions, as_decisions, choose
+from behavexplor.ads.learned.choosing import (
+    ACCELERATION_TABLE,
+    DRAWN,
+    MEAN,
+    MOST_PROBABLE,
+    Decisions,
+    as_decisions,
+    choose,
+)
 from behavexplor.ads.learned.tracker import ACCELERATIONS, HOME, KEEP, LEFT, N_ACTIONS
 from tests.kernel_calls import called_alone
 
@@ -16,7 +24,7 @@ choose = called_alone(choose)
 def decide(preferences, how, shares=None):
     """The decision for each row."""
     shares = np.zeros(len(preferences)) if shares is None else shares
-    chosen = [choose(row, TABLE, how, share) for row, share in zip(preferences, shares, strict=True)]
+    chosen = [choose(row, ACCELERATION_TABLE, how, share) for row, share in zip(preferences, shares, strict=True)]
     accelerations, lanes = zip(*chosen, strict=True)
     return Decisions(np.array(accelerations), np.array(lanes))
 
