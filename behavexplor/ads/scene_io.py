@@ -40,7 +40,10 @@ def as_scenes(observation: NDArray[Any]) -> Floats:
     scenes = np.asarray(observation, dtype=np.float64)
     if scenes.ndim != 3 or scenes.shape[1] == 0 or scenes.shape[2] != N_COLUMNS:
         raise InputError(f"observation: expected shape (B, 1 + n, {N_COLUMNS}), got {scenes.shape}")
-    return np.ascontiguousarray(np.rint(scenes / RESOLUTION) * RESOLUTION)
+    rounded = np.ascontiguousarray(scenes / RESOLUTION)
+    np.rint(rounded, out=rounded)
+    rounded *= RESOLUTION
+    return rounded
 
 
 def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:

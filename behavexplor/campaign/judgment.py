@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from behavexplor.campaign.record import ERROR
 from behavexplor.data.trace import Trace
-from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import collision_fault

@@ -6,9 +6,9 @@ from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution
 from behavexplor.data.trace import Trace
 from behavexplor.errors import sentence
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
-from behavexplor.execution.rollout import ADSError
 
 
 @dataclass(frozen=True)

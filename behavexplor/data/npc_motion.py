@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import kernel, kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time:
         table[frame, ACCELERATION] = phases[phase, PHASE_ACCELERATION]
 
 
-@kernel
+@kernel_in_place
 def fill_phases(waypoints: Floats, phases: Floats) -> int:
     """Compute an NPC's phases of constant acceleration. It stands still in the last phase.
 

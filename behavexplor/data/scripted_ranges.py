@@ -19,8 +19,8 @@ from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 
 Floats = NDArray[np.float64]
-Pose = tuple[float, float, float]  # x [m], y [m] and heading [rad]
-Size = tuple[float, float]  # length and width [m]
+
+_MARGIN = 1e-6  # [m]
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,9 @@ class ScriptedRanges:
         ranges = self._ranges[npc.route]
         if len(npc.waypoints) != len(ranges):
             raise InputError(f"waypoints: route {npc.route!r} takes {len(ranges)}, got {len(npc.waypoints)}")
-        low, high = self.speed_range
-        for i, (waypoint, (start, end)) in enumerate(zip(npc.waypoints, ranges, strict=True)):
+        for i, (waypoint, (start, end, low, high)) in enumerate(zip(npc.waypoints, ranges, strict=True)):
             if not start <= waypoint.position <= end:
                 raise InputError(f"waypoints[{i}].position: {waypoint.position} is not in [{start:g}, {end:g}] m")
-            if i == len(ranges) - 1:
-                low = high = 0.0
             if not low <= waypoint.speed <= high:
                 raise InputError(f"waypoints[{i}].speed: {waypoint.speed} is not in [{low:g}, {high:g}] m/s")
 
@@ -114,38 +111,42 @@ class ScriptedRanges:
         return self._conflict(self._placed(npc), list(map(self._placed, others)))
 
     def _conflict(self, placed: "_Placed", others: Sequence["_Placed"]) -> str | None:
-        (x, y, _), (ego_x, ego_y, _) = placed.pose, self._ego_start
-        ego_gap = math.hypot(x - ego_x, y - ego_y)
-        if ego_gap < self.ego_gap:
-            return f"{ego_gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
-        if _overlap(placed.pose, placed.size, self._ego_start, EGO_SIZE, ego_gap):
+        gap = _gap(placed, self._ego)
+        if gap < self.ego_gap:
+            return f"{gap:.2f} m from the ego, closer than {self.ego_gap:g} m"
+        if _overlap(placed, self._ego, gap):
             return "where the ego stands"
         for i, other in enumerate(others):
-            gap = math.hypot(x - other.pose[0], y - other.pose[1])
+            gap = _gap(placed, other)
             if placed.lane is other.lane and gap < self.npc_gap:
                 return f"{gap:.2f} m from NPC {i} in the same lane, closer than {self.npc_gap:g} m"
-            if _overlap(placed.pose, placed.size, other.pose, other.size, gap):
+            if _overlap(placed, other, gap):
                 return f"where NPC {i} stands"
         return None
 
     def _placed(self, npc: NPC) -> "_Placed":
-        return _Placed(self._start_of(npc), VEHICLE_SIZES[npc.type], self.roadmap.routes[npc.route].lanes[0])
+        lane, size = self.roadmap.routes[npc.route].lanes[0], VEHICLE_SIZES[npc.type]
+        x, y, heading = lane.pose_at(npc.waypoints[0].position)
+        return _Placed(x, y, heading, size, _radius(size), lane)
 
     def start_pose_of(self, npc: NPC) -> Floats:
         """Return the pose at which a vehicle starts: x, y [m] and heading [rad], shape (3,)."""
-        return np.array(self._start_of(npc))
-
-    def _start_of(self, npc: NPC) -> Pose:
-        return self.roadmap.routes[npc.route].lanes[0].pose_at(npc.waypoints[0].position)
+        return np.array(self.roadmap.routes[npc.route].lanes[0].pose_at(npc.waypoints[0].position))
 
     @cached_property
-    def _ego_start(self) -> Pose:
+    def _ego(self) -> "_Placed":
         x, y, heading = self.roadmap.start_pose.tolist()
-        return x, y, heading
+        return _Placed(x, y, heading, EGO_SIZE, _radius(EGO_SIZE), self.roadmap.ego_route.lanes[0])
 
     @cached_property
     def _ranges(self) -> dict[str, list[list[float]]]:
-        return {name: self.position_ranges(route).tolist() for name, route in self.roadmap.routes.items()}
+        """Least and greatest position [m], and least and greatest speed [m/s], of each waypoint on each route."""
+        ranges = {}
+        for name, route in self.roadmap.routes.items():
+            positions = self.position_ranges(route).tolist()
+            speeds = [self.speed_range] * (len(positions) - 1) + [(0.0, 0.0)]
+            ranges[name] = [[*position, *speed] for position, speed in zip(positions, speeds, strict=True)]
+        return ranges
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
         """Sample a scenario with every parameter uniform in its range.
@@ -164,7 +165,7 @@ class ScriptedRanges:
         route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
         waypoints = []
         position = 0.0
-        for low, high in self.position_ranges(route):
+        for low, high, *_ in self._ranges[route.name]:
             position = float(rng.uniform(max(low, position), high))
             waypoints.append(Waypoint(position, float(rng.uniform(*self.speed_range))))
         waypoints[-1] = Waypoint(position, 0.0)
@@ -195,24 +196,44 @@ def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> F
 
 
 class _Placed(NamedTuple):
-    """Where a vehicle starts."""
+    """Where a vehicle starts: its pose [m, rad], its length and width [m], the radius of its box [m] and its lane."""
 
-    pose: Pose
-    size: Size
+    x: float
+    y: float
+    heading: float
+    size: tuple[float, float]
+    radius: float
     lane: Lane
 
 
-def _overlap(pose: Pose, size: Size, other_pose: Pose, other_size: Size, gap: float) -> bool:
-    """Return whether two boxes touch whose centers lie a gap apart [m]."""
-    if gap > _radius(size) + _radius(other_size) + 1e-9:
-        return False  # the circles around the boxes do not touch, which decides most pairs of vehicles
-    return bool(boxes_overlap(_corners(pose, size), _corners(other_pose, other_size)))
+def _gap(a: _Placed, b: _Placed) -> float:
+    """Return the distance between the centers of two vehicles [m]."""
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def _overlap(a: _Placed, b: _Placed, gap: float) -> bool:
+    """Return whether the boxes of two vehicles touch whose centers lie a gap apart [m].
+
+    Circles around the boxes decide most pairs, and the distance to the side of the first vehicle decides most others.
+    Both have a margin for rounding, so that the answer is always that of `boxes_overlap`.
+    """
+    if gap > a.radius + b.radius + _MARGIN or _side_gap(a, b) > _MARGIN:
+        return False
+    return bool(boxes_overlap(_corners(a), _corners(b)))
+
+
+def _side_gap(a: _Placed, b: _Placed) -> float:
+    """Return the gap between two boxes in the direction to the side of the first one [m], negative if they overlap."""
+    aside = abs((b.x - a.x) * math.sin(a.heading) - (b.y - a.y) * math.cos(a.heading))
+    turned = b.heading - a.heading
+    half = (abs(math.sin(turned)) * b.size[0] + abs(math.cos(turned)) * b.size[1]) / 2
+    return aside - a.size[1] / 2 - half
 
 
 @lru_cache
-def _radius(size: Size) -> float:
+def _radius(size: tuple[float, float]) -> float:
     return math.hypot(*size) / 2
 
 
-def _corners(pose: Pose, size: Size) -> Floats:
-    return box_corners(np.array(pose[:2]), np.array(pose[2]), np.array(size))
+def _corners(placed: _Placed) -> Floats:
+    return box_corners(np.array([placed.x, placed.y]), np.array(placed.heading), np.array(placed.size))

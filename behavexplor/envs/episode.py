@@ -41,7 +41,9 @@ def episode_trace(
     shape = len(time), len(sizes)
     position, heading, velocity = np.empty((*shape, 2)), np.empty(shape), np.empty((*shape, 2))
     turned = motion[..., HEADING]
-    directions = np.stack([np.cos(turned), np.sin(turned)])  # numpy's own functions, whose last bits differ from C's
+    directions = np.empty((2, *turned.shape))
+    np.cos(turned, out=directions[0])  # numpy's own functions, whose last bits differ from C's
+    np.sin(turned, out=directions[1])
     is_finite = fill_record(np.ascontiguousarray(ego), motion, directions, RESOLUTION, position, heading, velocity)
     made = Trace.of_valid if is_finite else Trace  # which refuses it
     return made(

@@ -12,12 +12,13 @@ from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed, driven_compiled
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.notices import collected_notices
 from behavexplor.execution.preflight import preflight_warnings
-from behavexplor.execution.rollout import ADSError, LockStep
+from behavexplor.execution.rollout import LockStep
 from behavexplor.execution.service import Recipe, Service
 from behavexplor.execution.shared_imports import slow_modules
 from behavexplor.execution.simulation import Simulation, compile_kernels

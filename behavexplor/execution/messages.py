@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from typing import Any, Final, NamedTuple, Self
 
 from behavexplor.errors import InputError
-from behavexplor.execution.rollout import ADSError
+from behavexplor.execution.ads_error import ADSError
 
 # Tags: the first byte of an answer.
 READY: Final = b"C"  # the service has begun; followed by the capacity of its batch

@@ -20,10 +20,10 @@ from threading import Lock, Thread
 from typing import Any, Final
 
 from behavexplor.errors import InputError
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.messages import READY, SUSPECT, Request, settle, split_key
-from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.shared_imports import CAN_SHARE, GUARD, share_imports
 from behavexplor.execution.worker import CLOSED, serve
@@ -276,7 +276,7 @@ class _Worker:
         tasks: unanswered calls by key.
         capacity: number of calls that the worker can process in one batch.
         is_ready: whether the worker has loaded its service.
-        asking: shared flag, 1 while the worker calls its ADS; see `behavexplor.execution.rollout.share_asking`.
+        asking: shared flag, 1 while the worker calls its ADS; see `behavexplor.execution.asking.share_asking`.
         patience: time limit for the next answer [s].
         deadline: time at which the answer is overdue, on the monotonic clock [s].
     """

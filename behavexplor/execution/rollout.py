@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from itertools import islice
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -13,29 +12,9 @@ from numpy.typing import NDArray
 from behavexplor.data.observations import Observation, arrays_of, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.errors import brief, place_of
+from behavexplor.execution.asking import ask
+from behavexplor.execution.decision_recorder import DecisionRecorder
 from behavexplor.execution.drawn_actions import DrawnActions
-from behavexplor.judge.specs import DIFFERS
-
-
-class ADSError(Exception):
-    """An ADS failed instead of returning an action.
-
-    Attributes:
-        kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
-            "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time),
-            "crash" (its process died), or "differs" (highway-env did not confirm what the compiled engine found; see
-            `behavexplor.execution.confirmation`).
-        message: details of the failure.
-        place: where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.
-    """
-
-    def __init__(self, kind: str, message: str, place: str = "") -> None:
-        what = "highway-env did not confirm it" if kind == DIFFERS else f"the ADS failed ({kind})"
-        super().__init__(f"{what}: {message}{place}")
-        self.kind = kind
-        self.message = message
-        self.place = place
 
 
 def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace:
@@ -55,10 +34,10 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
     """
     observation, info = env.reset(options={"scenario": scenario})
     _begin(ads, 0, scenario)
-    state, start, log = None, np.ones(1, dtype=bool), _Log(ads)
+    state, start, log = None, np.ones(1, dtype=bool), DecisionRecorder(ads, 1)
     done = False
     while not done:
-        actions, state = _ask(ads, mapped(_batch_of_one, observation), state, start, env.action_space)
+        actions, state = ask(ads, mapped(_batch_of_one, observation), state, start, env.action_space)
         observation, _, terminated, truncated, info = env.step(actions[0])
         log.add(state)
         start = np.zeros(1, dtype=bool)
@@ -103,7 +82,7 @@ class LockStep:
         self._begins = False  # True if an episode begins with the next step
         self._observation: Observation | None = None
         self._state: Any = None
-        self._log = _Log(ads)
+        self._log = DecisionRecorder(ads, envs.num_envs)
 
     @property
     def running(self) -> list[Any]:
@@ -154,7 +133,7 @@ class LockStep:
             counts = self._running
             for array in arrays_of(observation):
                 array[~counts] = 0
-        actions, self._state = _ask(
+        actions, self._state = ask(
             self._ads, observation, self._state, self._start, self._envs.single_action_space, counts
         )
         self._start, self._begins = np.zeros(len(self._running), dtype=bool), False
@@ -208,133 +187,3 @@ def run_episodes(episodes: LockStep, scenarios: Iterable[Scenario]) -> Iterator[
         if not episodes.is_running:
             return
         yield from episodes.step()
-
-
-class _Log:
-    """Decision log of an ADS, with one entry per step for all sub-environments; empty for an ADS without `log`."""
-
-    def __init__(self, ads: Any) -> None:
-        self._ads = ads if callable(getattr(ads, "log", None)) else None  # else, it is something of the ADS's own
-        self._entries: list[dict[str, NDArray[Any]]] = []
-        self._dropped = 0  # number of deleted entries, all from before the running episodes began
-        self._begins: dict[int, int] = {0: 0}
-
-    def begin(self, slots: NDArray[np.bool_], running: NDArray[np.bool_]) -> None:
-        """Begin episodes.
-
-        Args:
-            slots: sub-environments in which an episode begins.
-            running: sub-environments with an episode, including the new ones.
-        """
-        now = self._dropped + len(self._entries)
-        self._begins |= dict.fromkeys(np.flatnonzero(slots).tolist(), now)
-        oldest = min(self._begins[slot] for slot in np.flatnonzero(running).tolist())
-        del self._entries[: oldest - self._dropped]
-        self._dropped = oldest
-
-    def add(self, state: Any) -> None:
-        """Add the log entries of the latest decisions.
-
-        Raises:
-            ADSError: if the ADS does not return its decisions.
-        """
-        if self._ads is None:
-            return
-        try:
-            self._entries.append({name: np.array(values) for name, values in self._ads.log(state).items()})
-        except Exception as error:
-            raise ADSError("raised", f"log(state) must return arrays by name: {error}", place_of(error)) from error
-
-    def completed(self, trace: Trace, slot: int) -> Trace:
-        """Return a trace with the log entries of its episode, arrays of shape (D, ...)."""
-        entries = self._entries[self._begins[slot] - self._dropped :]
-        if not entries:
-            return trace
-        return trace.with_decisions({name: np.array([entry[name][slot] for entry in entries]) for name in entries[0]})
-
-
-_asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
-
-
-def share_asking(flag: Any) -> None:
-    """Set the flag that tells another process whether this process is calling the ADS.
-
-    Args:
-        flag: object whose `value` is set to 1 during a call of the ADS, and to 0 otherwise.
-    """
-    _asking[0] = flag
-
-
-def _ask(
-    ads: Any,
-    observation: Observation,
-    state: Any,
-    start: NDArray[np.bool_],
-    space: gymnasium.Space[Any],
-    counts: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[Any], Any]:
-    """Call an ADS, and return its actions and state; every failure becomes an `ADSError`.
-
-    Args:
-        ads: the driving system.
-        observation: observations, a row for each sub-environment.
-        state: state returned by the previous call of the ADS.
-        start: sub-environments in which an episode begins.
-        space: action space of one sub-environment.
-        counts: True for each row whose action is used, shape (B,); None if all actions are used.
-    """
-    _asking[0].value = 1
-    try:
-        answer = ads.predict(observation, state, start, deterministic=True)
-        return _checked(answer, space, len(start), counts)
-    except _AnswerError as error:
-        raise ADSError("invalid", _of_function(answer, space) if is_function(ads) else str(error)) from error
-    except MemoryError as error:
-        raise ADSError("memory", "it ran out of memory") from error
-    except SystemExit as error:
-        raise ADSError("exit", f"it called sys.exit({error.code!r})") from error
-    except Exception as error:
-        raise ADSError("raised", f"{type(error).__name__}: {error}", place_of(error)) from error
-    finally:
-        _asking[0].value = 0
-
-
-class _AnswerError(ValueError):
-    """The answer of an ADS is not a valid action."""
-
-
-def is_function(ads: Any) -> bool:
-    """Return whether an ADS is a plain function; see `behavexplor.ads.function_driver`."""
-    return getattr(ads, "is_function", False)
-
-
-def _of_function(answer: Any, space: gymnasium.Space[Any]) -> str:
-    """Return what a function must return, in place of an answer that is not valid."""
-    return f"the function must return an action of {space}, got {brief(answer[0].tolist()[0])}"
-
-
-def _checked(
-    answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
-) -> tuple[NDArray[Any], Any]:
-    """Return the actions and the state of an answer. An action that is not used is replaced by one that is.
-
-    Raises:
-        _AnswerError: if the answer is invalid; the message says what `predict` must return.
-    """
-    if not isinstance(answer, tuple) or len(answer) != 2:
-        raise _AnswerError(f"predict must return a pair (actions, state), got {answer!r:.80}")
-    actions = np.asarray(answer[0])
-    expected = (count, *(space.shape or ()))
-    if actions.shape != expected:
-        raise _AnswerError(
-            f"predict must return actions of shape {expected}, got {actions.shape}: a row for each observation"
-        )
-    if counts is not None:
-        actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
-    if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
-        raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
-    if isinstance(space, gymnasium.spaces.Discrete):
-        valid = (actions >= space.start) & (actions < space.start + space.n) & (actions.dtype.kind != "f")
-        if not valid.all():
-            raise _AnswerError(f"predict must return actions of {space}, got {actions[valid.argmin()]}")
-    return actions, answer[1]

@@ -17,8 +17,9 @@ from typing import Any, Final
 from threadpoolctl import threadpool_limits
 
 from behavexplor.errors import InputError
+from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.asking import share_asking
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
-from behavexplor.execution.rollout import ADSError, share_asking
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.shared_imports import collections_off
 
@@ -44,7 +45,7 @@ def serve(
 
     Args:
         connection: connection to the supervisor.
-        asking: see `behavexplor.execution.rollout.share_asking`.
+        asking: see `behavexplor.execution.asking.share_asking`.
         recipe: recipe of the service.
         memory_limit: memory limit of the process [GiB], where the system supports it.
         folder: folder for temporary files.

@@ -9,9 +9,9 @@ from typing import Any
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import sentence
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
-from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import check_loading, logical_of_target, start_executor
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import own_violations

@@ -5,8 +5,8 @@ from typing import Any, Final
 import numpy as np
 
 from behavexplor.data.scenario import Scenario
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.preflight import preflight_warnings
-from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.testing.contract import ContractError, promise
 

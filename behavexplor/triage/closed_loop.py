@@ -18,7 +18,8 @@ from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.errors import InputError
-from behavexplor.execution.rollout import ADSError, rollout, rollout_all
+from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.rollout import rollout, rollout_all
 from behavexplor.triage.findings import OtherDriver
 
 CONSTANT: Final = ("SLOWER", "IDLE", "FASTER", "LANE_LEFT", "LANE_RIGHT")  # in the order in which they are named

@@ -13,10 +13,10 @@ from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.lookahead import AHEAD, in_order
-from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.triage.coverage import weakness_records
 from behavexplor.triage.examination import EXAMINE, Examiner, examination

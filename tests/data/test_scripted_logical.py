@@ -8,6 +8,7 @@ from hypothesis import given
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_ranges import _overlap, _Placed
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
@@ -132,3 +133,25 @@ def test_a_road_that_is_too_full_is_said_to_be():
     crowded = replace(LOGICAL, n_npcs=200)
     with pytest.raises(InputError, match="use fewer NPCs"):
         crowded.sample(np.random.default_rng(0))
+
+
+def test_the_quick_tests_for_overlapping_vehicles_never_decide_otherwise():
+    rng = np.random.default_rng(0)
+    sizes = list(VEHICLE_SIZES.values())
+    agreed = {True: 0, False: 0}
+    for _ in range(5000):
+        a, b = (
+            _Placed(
+                *rng.uniform(-4, 4, 2),
+                rng.choice([0.0, np.pi / 2, np.pi, rng.uniform(-4, 4)]),
+                size,
+                np.hypot(*size) / 2,
+                ROADMAP.ego_route.lanes[0],
+            )
+            for size in (sizes[i] for i in rng.integers(len(sizes), size=2))
+        )
+        corners = (box_corners(np.array([one.x, one.y]), np.array(one.heading), np.array(one.size)) for one in (a, b))
+        overlap = bool(boxes_overlap(*corners))
+        assert _overlap(a, b, np.hypot(a.x - b.x, a.y - b.y)) == overlap
+        agreed[overlap] += 1
+    assert min(agreed.values()) > 500

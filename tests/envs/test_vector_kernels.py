@@ -30,7 +30,7 @@ from behavexplor.envs.vector.slots import (
     LINE_FRAME,
     N_NPCS,
     RUNNING,
-    begin_episode,
+    begin_episodes,
     make_slots,
     move_npcs,
     npc_arrays,
@@ -204,7 +204,7 @@ def test_ends_come_in_their_order(frame, standing, ahead, aside, expected):
 
 
 def put_scenario(world, state, b, scenario, roadmap):
-    begin_episode(world, state, b, *npc_arrays(scenario, roadmap, state.phases.shape[2] - 1))
+    begin_episodes(world, state, np.array([b]), *npc_arrays([scenario], roadmap, state.phases.shape[2] - 1))
 
 
 def test_a_slot_forgets_the_episode_before():

@@ -12,9 +12,10 @@ from behavexplor.data.trace import Trace
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator
 from behavexplor.execution.in_process import InProcessExecutor
-from behavexplor.execution.rollout import ADSError, rollout
+from behavexplor.execution.rollout import rollout
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from tests.drivers import Cruiser

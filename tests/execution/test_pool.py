@@ -14,8 +14,9 @@ from types import SimpleNamespace
 import pytest
 
 from behavexplor.errors import InputError
+from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.asking import ask
 from behavexplor.execution.pool import WorkerDiedError, WorkerPool
-from behavexplor.execution.rollout import ADSError, _ask
 from behavexplor.execution.service import Recipe, Service
 from tests.drivers import Cruiser
 
@@ -419,7 +420,7 @@ def test_everything_an_ads_raises_is_its_own_failure(error, kind):
             raise error
 
     with pytest.raises(ADSError) as caught:
-        _ask(Failing(), None, None, [True], None)
+        ask(Failing(), None, None, [True], None)
     assert caught.value.kind == kind
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.function_driver import FunctionDriver
+from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.preflight import preflight_warnings
-from behavexplor.execution.rollout import ADSError
 from behavexplor.execution.simulation import Simulation
 
 ENV = "highway-fast-v0"

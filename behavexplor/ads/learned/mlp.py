@@ -73,21 +73,26 @@ def _squash(values: Floats, count: int) -> None:
 def _add_up(weights: Floats, values: Floats, inputs: int, sums: Floats, width: int, rows: Ints) -> None:
     """Add the products of the inputs `values` and the weights to the sums of each row's outputs.
 
-    Each weight is used for all rows before the next ones are read from memory, and four inputs are added at a time.
+    Each weight is used for all rows before the next ones are read from memory, and eight inputs are added at a time.
     """
-    whole = inputs - inputs % 4
-    for i in range(0, whole, 4):
-        start = i * width
-        a, b = weights[start : start + width], weights[start + width : start + 2 * width]
-        c, d = weights[start + 2 * width : start + 3 * width], weights[start + 3 * width : start + 4 * width]
+    whole = inputs - inputs % 8
+    for i in range(0, whole, 8):
+        block = weights[i * width : (i + 8) * width].reshape((8, width))
         for row in rows:
-            into = sums[row][:width]
-            u, v, w, x = values[row, i], values[row, i + 1], values[row, i + 2], values[row, i + 3]
-            for j in range(len(into)):
-                into[j] = into[j] + a[j] * u + b[j] * v + c[j] * w + d[j] * x
+            _add_eight(block, values[row, i : i + 8], sums[row, :width])
     for i in range(whole, inputs):
         rest = weights[i * width : (i + 1) * width]
         for row in rows:
-            into, value = sums[row][:width], values[row, i]
+            into, value = sums[row, :width], values[row, i]
             for j in range(len(into)):
                 into[j] += rest[j] * value
+
+
+@kernel_inner
+def _add_eight(block: Floats, x: Floats, into: Floats) -> None:
+    """Add the products of eight inputs `x` and their weights, shape (8, outputs), to a row's sums."""
+    a, b, c, d, e, f, g, h = block[0], block[1], block[2], block[3], block[4], block[5], block[6], block[7]
+    p, q, r, s, t, u, v, w = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
+    for j in range(len(into)):
+        first = into[j] + a[j] * p + b[j] * q + c[j] * r + d[j] * s
+        into[j] = first + e[j] * t + f[j] * u + g[j] * v + h[j] * w

@@ -28,7 +28,7 @@ from behavexplor.envs.vector.slots import (
     IDLE,
     N_NPCS,
     RUNNING,
-    begin_episode,
+    begin_episodes,
     fill_table,
     make_slots,
     npc_arrays,
@@ -183,14 +183,15 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
         infos = np.full(self.num_envs, None, dtype=object)
-        for b in np.flatnonzero(mask).tolist():
+        chosen = np.flatnonzero(mask)
+        for b in chosen.tolist():
             scenario = scenarios[b] if scenarios else None
             if scenario is None:
                 generator = self._generators[b] = self._generators[b] or seeding.np_random()[0]
                 scenario = self.logical.sample(generator)
-            npcs = npc_arrays(scenario, self.logical.roadmap, self._n_waypoints)
-            self._begin_slot(self._world, self._slots, b, *npcs)
             self.scenarios[b] = infos[b] = scenario
+        npcs = npc_arrays([self.scenarios[b] for b in chosen.tolist()], self.logical.roadmap, self._n_waypoints)
+        self._begin_slots(self._world, self._slots, chosen, *npcs)
         self._has_idle = bool((self._slots.numbers[:, END] == IDLE).any())
         return {"scenario": infos, "_scenario": mask.copy()}
 
@@ -203,8 +204,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         observe: Any = observe_scene if self._view is None else observe_kinematics
         self._seen = (slots,) if self._view is None else (world, slots, self._view)
         self._observe_slots = compiled_for(observe, *self._seen, mask, self._observations)
-        npcs = npc_arrays(ScriptedScenario(self.logical.name, ()), self.logical.roadmap, self._n_waypoints)
-        self._begin_slot = compiled_for(begin_episode, world, slots, 0, *npcs)
+        npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
+        self._begin_slots = compiled_for(begin_episodes, world, slots, np.flatnonzero(mask), *npcs)
         table = np.empty((1, 1, N_COLUMNS))
         self._fill_table: Any = compiled_for(fill_table, *self._motion_of(0), self._time[:1], table)
 

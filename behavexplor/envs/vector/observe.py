@@ -13,7 +13,7 @@ from behavexplor.envs.kinematics import FEATURES, RELATIVE, Kinematics
 from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, wrap_to_pi
 from behavexplor.envs.vector.slots import N_NPCS, ROUTE, ROUTE_POSITION, Slots
 from behavexplor.envs.vector.world import World
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import kernel, kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -63,7 +63,7 @@ def make_view(observation: Kinematics) -> View:
     )
 
 
-@kernel
+@kernel_in_place
 def observe_scene(slots: Slots, chosen: Bools, observations: Floats) -> None:
     """Fill the `Scene` observations of the chosen slots, shape (B, 1 + N, 8); see `behavexplor.data.scene`."""
     for b in range(len(chosen)):

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.vector.slots import END, MEAN_ACCELERATION, PROGRESS, REAR_END, TOUCHED, Slots
-from behavexplor.jit import kernel
+from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,7 +32,7 @@ def reward_terms(weights: Floats, slots: Slots, active: Bools) -> Floats:
     return terms
 
 
-@kernel
+@kernel_in_place
 def _fill_terms(weights: Floats, numbers: Ints, outcome: Floats, active: Bools, terms: Floats) -> None:
     for b in range(len(active)):
         if not active[b]:

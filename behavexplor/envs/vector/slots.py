@@ -1,5 +1,6 @@
 """The state of all episodes in lock-step, one row (slot) for each episode."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.vector.contact import touches_line
 from behavexplor.envs.vector.lanes import closest_lane
 from behavexplor.envs.vector.world import World
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -110,19 +111,31 @@ def make_slots(
     )
 
 
-@kernel
-def begin_episode(world: World, slots: Slots, b: int, routes: Ints, sizes: Floats, waypoints: Floats) -> None:
-    """Begin an episode in slot b.
+@kernel_in_place
+def begin_episodes(
+    world: World, slots: Slots, chosen: Ints, counts: Ints, routes: Ints, sizes: Floats, waypoints: Floats
+) -> None:
+    """Begin an episode in each chosen slot.
 
     Args:
         world: the environment's map and rules.
         slots: the slots, changed in place.
-        b: the slot.
-        routes: row of each NPC's route, shape (n_npcs,).
+        chosen: the slots, shape (E,).
+        counts: number of NPCs in each episode, shape (E,).
+        routes: row of each NPC's route, one episode after the other, shape (n_npcs,).
         sizes: length and width of each NPC [m], shape (n_npcs, 2).
         waypoints: position [m] and speed [m/s] of each waypoint, padded with copies of the last one, shape
             (n_npcs, waypoints, 2).
     """
+    first = 0
+    for k in range(len(chosen)):
+        end = first + counts[k]
+        _begin(world, slots, chosen[k], routes[first:end], sizes[first:end], waypoints[first:end])
+        first = end
+
+
+@kernel_inner
+def _begin(world: World, slots: Slots, b: int, routes: Ints, sizes: Floats, waypoints: Floats) -> None:
     numbers, ego = slots.numbers[b], slots.ego[b]
     ego[:] = 0.0
     ego[X], ego[Y], ego[HEADING] = world.start[0], world.start[1], world.start[2]
@@ -133,7 +146,7 @@ def begin_episode(world: World, slots: Slots, b: int, routes: Ints, sizes: Float
     slots.size[b, 0, 0], slots.size[b, 0, 1] = EGO_SIZE
     slots.npc[b] = 0.0
     for i in range(len(routes)):
-        slots.size[b, 1 + i] = sizes[i]
+        slots.size[b, 1 + i, 0], slots.size[b, 1 + i, 1] = sizes[i, 0], sizes[i, 1]
         slots.npc_numbers[b, i, ROUTE] = routes[i]
         slots.npc_numbers[b, i, N_PHASES] = fill_phases(waypoints[i], slots.phases[b, i])
         slots.npc_numbers[b, i, PHASE] = 0
@@ -165,7 +178,7 @@ def move_npcs(
         npc[b, i, ACCELERATION] = phases[b, i, n, PHASE_ACCELERATION]
 
 
-@kernel
+@kernel_in_place
 def fill_table(routes: Routes, npc_numbers: Ints, phases: Floats, time: Floats, table: Floats) -> None:
     """Fill in the NPCs' motion table of a slot at given times; see `behavexplor.data.npc_motion.motion_table`.
 
@@ -181,19 +194,23 @@ def fill_table(routes: Routes, npc_numbers: Ints, phases: Floats, time: Floats, 
 
 
 class NPCArrays(NamedTuple):
-    """The NPCs of a scenario, as `begin_episode` takes them."""
+    """The NPCs of scenarios, as `begin_episodes` takes them."""
 
+    counts: Ints
     routes: Ints
     sizes: Floats
     waypoints: Floats
 
 
-def npc_arrays(scenario: ScriptedScenario, roadmap: RoadMap, n_waypoints: int) -> NPCArrays:
-    """Return the NPCs of a scenario as arrays, with room for a number of waypoints."""
+def npc_arrays(scenarios: Sequence[ScriptedScenario], roadmap: RoadMap, n_waypoints: int) -> NPCArrays:
+    """Return the NPCs of scenarios as arrays, with room for a number of waypoints."""
     index = route_index(roadmap)
-    padded = [npc.waypoints + npc.waypoints[-1:] * (n_waypoints - len(npc.waypoints)) for npc in scenario.npcs]
-    values = [(waypoint.position, waypoint.speed) for waypoints in padded for waypoint in waypoints]
-    waypoints = np.array(values, dtype=np.float64).reshape(len(padded), n_waypoints, 2)
-    routes = np.array([index[npc.route] for npc in scenario.npcs], dtype=np.int64)
-    sizes = np.array([VEHICLE_SIZES[npc.type] for npc in scenario.npcs], dtype=np.float64).reshape(-1, 2)
-    return NPCArrays(routes, sizes, waypoints)
+    npcs = [npc for scenario in scenarios for npc in scenario.npcs]
+    padded = [npc.waypoints + npc.waypoints[-1:] * (n_waypoints - len(npc.waypoints)) for npc in npcs]
+    values = [value for waypoints in padded for waypoint in waypoints for value in (waypoint.position, waypoint.speed)]
+    return NPCArrays(
+        counts=np.array([len(scenario.npcs) for scenario in scenarios], dtype=np.int64),
+        routes=np.array([index[npc.route] for npc in npcs], dtype=np.int64),
+        sizes=np.array([VEHICLE_SIZES[npc.type] for npc in npcs], dtype=np.float64).reshape(-1, 2),
+        waypoints=np.array(values, dtype=np.float64).reshape(len(npcs), n_waypoints, 2),
+    )

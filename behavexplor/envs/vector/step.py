@@ -47,7 +47,7 @@ from behavexplor.envs.vector.world import (
     Rules,
     World,
 )
-from behavexplor.jit import kernel, kernel_inner
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -61,7 +61,7 @@ LENGTH: Final = float(EGO_SIZE[0])  # [m]
 _is_rear_end = kernel_inner(is_rear_end)
 
 
-@kernel
+@kernel_in_place
 def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools, ends: Bools) -> int:
     """Simulate until the next decision, or until an episode ends. Return the number of episodes that have ended now.
 
@@ -89,7 +89,8 @@ def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: 
             lane, position = follow_road(world.network, position, lane, x, y)
             lane = changed_lane(world.network, lane, maneuver, x, y)
         decided = frame = numbers[b, FRAME]
-        slots.actions[b, decided // rules.substeps] = actions[b]
+        for k in range(actions.shape[1]):
+            slots.actions[b, decided // rules.substeps, k] = actions[b, k]
         for _ in range(rules.substeps):
             if world.is_meta:
                 lane, position = follow_road(world.network, position, lane, x, y)

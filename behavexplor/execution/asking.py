@@ -1,0 +1,98 @@
+"""Asking an ADS for actions: every failure becomes an `ADSError`, and wrong answers are explained."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.observations import Observation
+from behavexplor.errors import brief, place_of
+from behavexplor.execution.ads_error import ADSError
+
+_asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
+
+
+def share_asking(flag: Any) -> None:
+    """Set the flag that tells another process whether this process is calling the ADS.
+
+    Args:
+        flag: object whose `value` is set to 1 during a call of the ADS, and to 0 otherwise.
+    """
+    _asking[0] = flag
+
+
+def ask(
+    ads: Any,
+    observation: Observation,
+    state: Any,
+    start: NDArray[np.bool_],
+    space: gymnasium.Space[Any],
+    counts: NDArray[np.bool_] | None = None,
+) -> tuple[NDArray[Any], Any]:
+    """Call an ADS, and return its actions and state; every failure becomes an `ADSError`.
+
+    Args:
+        ads: the driving system.
+        observation: observations, a row for each sub-environment.
+        state: state returned by the previous call of the ADS.
+        start: sub-environments in which an episode begins.
+        space: action space of one sub-environment.
+        counts: True for each row whose action is used, shape (B,); None if all actions are used.
+    """
+    _asking[0].value = 1
+    try:
+        answer = ads.predict(observation, state, start, deterministic=True)
+        return _checked(answer, space, len(start), counts)
+    except _AnswerError as error:
+        raise ADSError("invalid", _of_function(answer, space) if is_function(ads) else str(error)) from error
+    except MemoryError as error:
+        raise ADSError("memory", "it ran out of memory") from error
+    except SystemExit as error:
+        raise ADSError("exit", f"it called sys.exit({error.code!r})") from error
+    except Exception as error:
+        raise ADSError("raised", f"{type(error).__name__}: {error}", place_of(error)) from error
+    finally:
+        _asking[0].value = 0
+
+
+class _AnswerError(ValueError):
+    """The answer of an ADS is not a valid action."""
+
+
+def is_function(ads: Any) -> bool:
+    """Return whether an ADS is a plain function; see `behavexplor.ads.function_driver`."""
+    return getattr(ads, "is_function", False)
+
+
+def _of_function(answer: Any, space: gymnasium.Space[Any]) -> str:
+    """Return what a function must return, in place of an answer that is not valid."""
+    return f"the function must return an action of {space}, got {brief(answer[0].tolist()[0])}"
+
+
+def _checked(
+    answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], Any]:
+    """Return the actions and the state of an answer. An action that is not used is replaced by one that is.
+
+    Raises:
+        _AnswerError: if the answer is invalid; the message says what `predict` must return.
+    """
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise _AnswerError(f"predict must return a pair (actions, state), got {answer!r:.80}")
+    actions = np.asarray(answer[0])
+    expected = (count, *(space.shape or ()))
+    if actions.shape != expected:
+        raise _AnswerError(
+            f"predict must return actions of shape {expected}, got {actions.shape}: a row for each observation"
+        )
+    if counts is not None:
+        actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
+    if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
+        raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
+    if isinstance(space, gymnasium.spaces.Discrete):
+        valid = (actions >= space.start) & (actions < space.start + space.n) & (actions.dtype.kind != "f")
+        if not valid.all():
+            raise _AnswerError(f"predict must return actions of {space}, got {actions[valid.argmin()]}")
+    return actions, answer[1]
