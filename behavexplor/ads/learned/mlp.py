@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,8 @@ from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+_CACHE_LINE: Final = 64  # bytes
 
 
 class DenseNetwork(NamedTuple):
@@ -32,10 +34,19 @@ def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
     """Make a network from the weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer."""
     widths = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
     return DenseNetwork(
-        weights=np.concatenate([weights.T.ravel() for weights, _ in layers], dtype=np.float64),
+        weights=_aligned(np.concatenate([weights.T.ravel() for weights, _ in layers], dtype=np.float64)),
         biases=np.concatenate([bias for _, bias in layers], dtype=np.float64),
         widths=np.array(widths, dtype=np.int64),
     )
+
+
+def _aligned(values: Floats) -> Floats:
+    """Return a copy that begins with a cache line. Otherwise, evaluating a network takes up to a tenth longer."""
+    room = np.empty(len(values) + _CACHE_LINE // values.itemsize)
+    skipped = -room.ctypes.data % _CACHE_LINE // values.itemsize
+    copy = room[skipped : skipped + len(values)]
+    copy[:] = values
+    return copy
 
 
 @kernel_inner

@@ -16,7 +16,7 @@ from behavexplor.ads.learned.route_table import (
 from behavexplor.ads.road.lane_arrays import CURVATURE as LANE_CURVATURE
 from behavexplor.ads.road.lane_arrays import HEADING as LANE_HEADING
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
-from behavexplor.ads.road.lane_arrays import offset_on_lane, project_on_lane
+from behavexplor.ads.road.lane_arrays import is_on_lane, project_on_lane
 from behavexplor.ads.road.path import SPACING, pose_on_path, project_on_path, row_at
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.jit import kernel_inner
@@ -145,7 +145,7 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
         if scene[other, PRESENT] == 0.0:
             continue
         for lane in range(len(course.lanes)):
-            if course.own[lane] or abs(offset_on_lane(course.lanes, lane, scene[other, X], scene[other, Y])) > ON_LANE:
+            if course.own[lane] or not is_on_lane(course.lanes, lane, scene[other, X], scene[other, Y], ON_LANE):
                 continue
             there, _ = project_on_lane(course.lanes, lane, scene[other, X], scene[other, Y])
             along = course.lanes[lane, LANE_HEADING] + course.lanes[lane, LANE_CURVATURE] * there

@@ -80,6 +80,14 @@ def is_far_from_arc(lanes: Floats, lane: int, x: float, y: float, gap: float) ->
 
 
 @kernel_inner
+def is_on_lane(lanes: Floats, lane: int, x: float, y: float, gap: float) -> bool:
+    """Return whether the offset of a point from a lane, which may be continued, is at most a gap [m]."""
+    if lanes[lane, CURVATURE] != 0.0 and is_far_from_arc(lanes, lane, x, y, gap):
+        return False
+    return abs(offset_on_lane(lanes, lane, x, y)) <= gap
+
+
+@kernel_inner
 def project_on_lane(lanes: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
     """Return station and offset (positive to the right) of a point [m]."""
     cos, sin = lanes[lane, COS], lanes[lane, SIN]

@@ -29,7 +29,7 @@ def outputs(layers, rows):
     return rows @ weights.T + bias
 
 
-@pytest.mark.parametrize("widths", [(5, 3), (5, 8, 3), (7, 4, 16, 9), (3, 2, 2, 2, 6), (4, 1, 5)])
+@pytest.mark.parametrize("widths", [(5, 3), (5, 8, 3), (7, 4, 16, 9), (3, 2, 2, 2, 6), (4, 1, 5), (17, 8, 26, 3)])
 def test_the_outputs_are_those_of_numpy(widths):
     rng = np.random.default_rng(sum(widths))
     layers, rows = layers_of(widths, rng), rng.normal(size=(200, widths[0]))
@@ -54,3 +54,11 @@ def test_rows_that_are_not_asked_for_are_not_needed():
     whole = evaluate_batch(network, rows)
     rows[[0, 3]] = np.nan
     np.testing.assert_array_equal(evaluate_batch(network, rows, [1, 2])[1:3], whole[1:3])
+
+
+def test_weights_begin_with_a_cache_line():
+    """Without that, a shipped driver needs up to a tenth more time."""
+    rng = np.random.default_rng(0)
+    for width in range(1, 40):
+        network = as_network(layers_of((5, width, 3), rng))
+        assert network.weights.ctypes.data % 64 == 0
