@@ -9,8 +9,8 @@ Resuming a campaign means running it again with the stored traces in place of ex
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,7 +40,7 @@ class ExecutionError(Exception):
     """An execution could not be carried out for a reason other than the ADS, and does not count as its failure."""
 
 
-@dataclass(eq=False)
+@dataclass
 class _Pending:
     """A candidate whose result the method has not been told.
 
@@ -201,24 +201,13 @@ class Campaign:
             self._count(oldest.result, resumed=1)
 
     def _judge_others_until(self, oldest: _Pending) -> None:
-        """Judge candidates as soon as they have been executed, until the oldest one has been executed as well."""
-        others = [other for other in self._pending if other.judgment is None]
-        while others and not oldest.is_executed:
-            executed = next((other for other in others if other.is_executed), None)
-            if executed is not None:
-                others.remove(executed)
-                with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
-                    executed.judgment = self._judgment(executed)
-            elif self._executor.runs_here:  # executions advance only while their results are asked for
+        """Judge candidates that have been executed early, until the oldest one has been executed as well."""
+        for other in self._pending:
+            if oldest.is_executed:
                 return
-            else:
-                self._wait_for_any((oldest, *others))
-
-    def _wait_for_any(self, candidates: Iterable[_Pending]) -> None:
-        """Wait until one of some candidates that have not been executed has been executed."""
-        futures = [candidate.result for candidate in candidates if isinstance(candidate.result, Future)]
-        with self._clock.during(WAITING):
-            wait(futures, return_when=FIRST_COMPLETED)
+            if other.is_executed and other.judgment is None:
+                with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
+                    other.judgment = self._judgment(other)
 
     def _judgment(self, pending: _Pending) -> Judgment:
         data, failure = self._outcome(pending)

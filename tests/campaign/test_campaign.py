@@ -2,7 +2,7 @@
 
 import sqlite3
 from collections import Counter
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import cache
 
 import pytest
@@ -24,7 +24,6 @@ from behavexplor.judge.specs import judge
 from tests.fakes import simulate
 
 LOGICAL = IntersectionStraightEnv.logical
-CAMPAIGN = "behavexplor.campaign.campaign"
 
 
 class FakeExecutor(Executor):
@@ -67,26 +66,16 @@ class OftenLate(FakeExecutor):
 
 
 class Late(Future):
-    """A future that is done once it is finished, or its result has been asked for."""
+    """A future that is done once its result has been asked for."""
 
     def __init__(self, future):
         super().__init__()
         self.future = future
 
-    def finish(self):
-        self.set_result(self.future.result())
-
     def result(self, timeout=None):
         if not self.done():
-            self.finish()
+            self.set_result(self.future.result())
         return super().result(timeout)
-
-
-def finish_last(futures, return_when):
-    """Wait for the last of some futures that are not done, as if the first of them took longest."""
-    assert return_when == FIRST_COMPLETED
-    assert not any(future.done() for future in futures)
-    futures[-1].finish()
 
 
 def run(folder, executor=None, observe=lambda _: None, **config):
@@ -109,25 +98,18 @@ def recorded(tmp_path_factory):
 
 
 def test_candidates_are_judged_while_an_older_one_is_waited_for(tmp_path, monkeypatch, recorded):
-    """Of the eight in flight, the first and the fifth are late; the fifth is done and judged before the first."""
-    waits, asked, judged, expected = [], [], [], recorded("random")
+    waited, judged, expected = [], [], recorded("random")
     result = Late.result
-
-    def wait(futures, return_when):
-        waits.append(len(judged))
-        finish_last(futures, return_when)
-
-    monkeypatch.setattr(CAMPAIGN + ".wait", wait)
-    monkeypatch.setattr(Late, "result", lambda late: asked.append(len(judged)) or result(late))
-    monkeypatch.setattr(CAMPAIGN + ".judgment", lambda *given: judged.append(given) or judgment(*given))
+    monkeypatch.setattr(Late, "result", lambda late: waited.append(len(judged)) or result(late))
+    monkeypatch.setattr(
+        "behavexplor.campaign.campaign.judgment", lambda *given: judged.append(given) or judgment(*given)
+    )
     assert run(tmp_path / "run", OftenLate(), method="random") == expected
     assert len(judged) == 40
-    assert waits[0] == 6
-    assert asked[:2] == [6, 7]  # the fifth's result, then the first's
+    assert waited[0] == 6  # of the eight in flight, all but the two late ones had been judged before the first wait
 
 
-def test_an_error_of_a_candidate_that_was_executed_early_comes_in_its_turn(tmp_path, monkeypatch):
-    monkeypatch.setattr(CAMPAIGN + ".wait", finish_last)
+def test_an_error_of_a_candidate_that_was_executed_early_comes_in_its_turn(tmp_path):
     with pytest.raises(ExecutionError, match="Execution 6 could not be carried out"):
         run(tmp_path / "run", OftenLate(fail_at=6), method="random")
     store = Store.reopen(tmp_path / "run")
