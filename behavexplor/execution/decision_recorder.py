@@ -38,6 +38,8 @@ class DecisionRecorder:
             slots: True for each episode that begins, shape (B,).
             running: True for each episode that runs, including the new ones, shape (B,).
         """
+        if slots[running].all():  # no older episode goes on: these may have other names and shapes
+            self._columns, self._rows, self._room = None, 0, 0
         self._begins[slots] = self._rows
         self._oldest = int(self._begins[running].min())
 

@@ -28,15 +28,14 @@ def recorded(*states, count=2):
 
 
 def test_each_episode_has_the_decisions_since_it_began():
-    """Episodes of random lengths in three sub-environments, some of which rest, over far more steps than fit at first.
-
-    Each trace must have as many decisions as commands, so all episodes are as long as the one trace.
-    """
+    """Episodes begin at random times in three sub-environments, and take many more steps than fit at first."""
     length, rng = len(TRACE.action_frame), np.random.default_rng(0)
     recorder, begins = DecisionRecorder(Echo(), 3), np.array([-1, -1, -1])  # -1: no episode
     n_completed = 0
-    for step in range(10 * length):
-        starts = (begins < 0) & (rng.random(3) < 0.2) | (begins < 0).all()
+    for step in range(20 * length):
+        starts = (begins < 0) & (rng.random(3) < 0.02)
+        if (begins < 0).all() and not starts.any():
+            starts[rng.integers(3)] = True
         begins[starts] = step
         if starts.any():
             recorder.begin(starts, begins >= 0)
@@ -49,6 +48,16 @@ def test_each_episode_has_the_decisions_since_it_began():
             begins[slot] = -1
             n_completed += 1
     assert n_completed > 20
+    assert recorder._room <= 4 * length
+
+
+def test_later_episodes_may_log_something_else():
+    recorder, every = DecisionRecorder(Echo(), 2), np.ones(2, dtype=bool)
+    for log in ({"a": np.zeros(2)}, {"b": np.zeros((2, 3))}, {"b": np.zeros((2, 4))}):
+        recorder.begin(every, every)
+        for _ in TRACE.action_frame:
+            recorder.add(log)
+        assert recorder.completed(TRACE, 1).decisions.keys() == log.keys()
 
 
 def test_without_a_log_the_trace_is_the_same():
