@@ -94,5 +94,10 @@ class DecisionLog(Protocol):
     """An ADS that also reports its latest decisions, which become part of the trace."""
 
     def log(self, state: Any) -> Mapping[str, NDArray[Any]]:
-        """Return the last decisions by name, arrays of shape (B, ...), from the state that `predict` returned."""
+        """Return the last decisions by name, from the state that `predict` returned.
+
+        Returns:
+            Arrays of numbers, shape (B, ...): a row for each ego. Names and shapes are the same at every decision of an
+            episode.
+        """
         ...

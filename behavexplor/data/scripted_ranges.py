@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from behavexplor.errors import InputError, unknown_name
 
 Floats = NDArray[np.float64]
 
-_MARGIN = 1e-6  # [m]
+_MARGIN: Final = 1e-6  # much more than roundings change a distance [m]
 
 
 @dataclass(frozen=True)
@@ -139,13 +139,16 @@ class ScriptedRanges:
         return _Placed(x, y, heading, EGO_SIZE, _radius(EGO_SIZE), self.roadmap.ego_route.lanes[0])
 
     @cached_property
-    def _ranges(self) -> dict[str, list[list[float]]]:
-        """Least and greatest position [m], and least and greatest speed [m/s], of each waypoint on each route."""
+    def _ranges(self) -> dict[str, list["_Range"]]:
+        """The range of each waypoint, by route."""
         ranges = {}
         for name, route in self.roadmap.routes.items():
             positions = self.position_ranges(route).tolist()
             speeds = [self.speed_range] * (len(positions) - 1) + [(0.0, 0.0)]
-            ranges[name] = [[*position, *speed] for position, speed in zip(positions, speeds, strict=True)]
+            ranges[name] = [
+                _Range(start, end, slowest, fastest)
+                for (start, end), (slowest, fastest) in zip(positions, speeds, strict=True)
+            ]
         return ranges
 
     def sample(self, rng: np.random.Generator) -> ScriptedScenario:
@@ -165,8 +168,8 @@ class ScriptedRanges:
         route = self.roadmap.npc_routes[rng.integers(len(self.roadmap.npc_routes))]
         waypoints = []
         position = 0.0
-        for low, high, *_ in self._ranges[route.name]:
-            position = float(rng.uniform(max(low, position), high))
+        for allowed in self._ranges[route.name]:
+            position = float(rng.uniform(max(allowed.start, position), allowed.end))
             waypoints.append(Waypoint(position, float(rng.uniform(*self.speed_range))))
         waypoints[-1] = Waypoint(position, 0.0)
         return NPC(kind, route.name, tuple(waypoints))
@@ -195,8 +198,26 @@ def _position_ranges(route: Route, waypoints_per_lane: int, end_gap: float) -> F
     return ranges
 
 
+class _Range(NamedTuple):
+    """Where a waypoint may lie [m], and the least and greatest speed there [m/s]."""
+
+    start: float
+    end: float
+    slowest: float
+    fastest: float
+
+
 class _Placed(NamedTuple):
-    """Where a vehicle starts: its pose [m, rad], its length and width [m], the radius of its box [m] and its lane."""
+    """Where a vehicle starts.
+
+    Attributes:
+        x: center of its box [m].
+        y: center of its box [m].
+        heading: heading [rad].
+        size: length and width [m].
+        radius: radius of the circle around its box [m].
+        lane: lane in which it starts.
+    """
 
     x: float
     y: float
@@ -212,18 +233,18 @@ def _gap(a: _Placed, b: _Placed) -> float:
 
 
 def _overlap(a: _Placed, b: _Placed, gap: float) -> bool:
-    """Return whether the boxes of two vehicles touch whose centers lie a gap apart [m].
+    """Return whether the boxes of two vehicles touch. `gap` is the distance between their centers [m].
 
-    Circles around the boxes decide most pairs, and the distance to the side of the first vehicle decides most others.
-    Both have a margin for rounding, so that the answer is always that of `boxes_overlap`.
+    Circles around the boxes decide most pairs, and the gap across the first vehicle's heading decides most others. Both
+    have a margin for rounding, so that the answer is always that of `boxes_overlap`.
     """
-    if gap > a.radius + b.radius + _MARGIN or _side_gap(a, b) > _MARGIN:
+    if gap > a.radius + b.radius + _MARGIN or _gap_across(a, b) > _MARGIN:
         return False
     return bool(boxes_overlap(_corners(a), _corners(b)))
 
 
-def _side_gap(a: _Placed, b: _Placed) -> float:
-    """Return the gap between two boxes in the direction to the side of the first one [m], negative if they overlap."""
+def _gap_across(a: _Placed, b: _Placed) -> float:
+    """Return the gap between two boxes across the first one's heading [m]. If it is positive, they do not touch."""
     aside = abs((b.x - a.x) * math.sin(a.heading) - (b.y - a.y) * math.cos(a.heading))
     turned = b.heading - a.heading
     half = (abs(math.sin(turned)) * b.size[0] + abs(math.cos(turned)) * b.size[1]) / 2

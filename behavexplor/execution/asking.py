@@ -35,11 +35,17 @@ def ask(
 
     Args:
         ads: the driving system.
-        observation: observations, a row for each sub-environment.
+        observation: observations, a row for each sub-environment, shape (B, ...).
         state: state returned by the previous call of the ADS.
-        start: sub-environments in which an episode begins.
+        start: True for each sub-environment in which an episode begins, shape (B,).
         space: action space of one sub-environment.
         counts: True for each row whose action is used, shape (B,); None if all actions are used.
+
+    Returns:
+        The actions, shape (B, ...), and the state for the next call.
+
+    Raises:
+        ADSError: if the ADS fails, or its answer is not a valid action.
     """
     _asking[0].value = 1
     try:

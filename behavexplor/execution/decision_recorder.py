@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.trace import Trace
-from behavexplor.errors import brief, place_of
+from behavexplor.errors import place_of
 from behavexplor.execution.ads_error import ADSError
 
 Floats = NDArray[np.float64]
@@ -16,7 +16,7 @@ _LEAST_ROOM: Final = 64  # rows
 
 
 class DecisionRecorder:
-    """Records the decision log of an ADS in B episodes in lock-step; nothing of an ADS that keeps none.
+    """Records what an ADS logs of its decisions, in B episodes in lock-step. Without a method `log`, that is nothing.
 
     Args:
         ads: driving system, see `behavexplor.ads.interface.DecisionLog`.
@@ -38,7 +38,7 @@ class DecisionRecorder:
             slots: True for each episode that begins, shape (B,).
             running: True for each episode that runs, including the new ones, shape (B,).
         """
-        if slots[running].all():  # no older episode goes on: these may have other names and shapes
+        if slots[running].all():  # no older episode goes on, and these may have other names and shapes
             self._columns, self._rows, self._room = None, 0, 0
         self._begins[slots] = self._rows
         self._oldest = int(self._begins[running].min())
@@ -50,18 +50,27 @@ class DecisionRecorder:
             state: state that `predict` returned.
 
         Raises:
-            ADSError: if the ADS does not return arrays of numbers with a row for each episode, or if their names or
-                shapes have changed.
+            ADSError: if the ADS raises an exception, or returns something else than
+                `behavexplor.ads.interface.DecisionLog` says.
         """
         if self._ads is None:
             return
         try:
-            self._append({name: np.asarray(values) for name, values in self._ads.log(state).items()})
+            latest = {name: np.asarray(values) for name, values in self._ads.log(state).items()}
         except Exception as error:
             raise ADSError("raised", f"log(state) must return arrays by name: {error}", place_of(error)) from error
+        self._append(latest)
 
     def completed(self, trace: Trace, slot: int) -> Trace:
-        """Return the trace of an episode that has ended, with its decisions, arrays of shape (D, ...)."""
+        """Return the trace of an episode that has ended, with its decisions, arrays of shape (D, ...).
+
+        Args:
+            trace: trace without decisions.
+            slot: index of the episode.
+
+        Raises:
+            InputError: if a logged number is not finite.
+        """
         if not self._columns:
             return trace
         first, end = self._begins[slot], self._rows
@@ -72,13 +81,15 @@ class DecisionRecorder:
             count = len(self._begins)
             self._columns = {name: np.empty((0, count, *values.shape[1:])) for name, values in latest.items()}
         if latest.keys() != self._columns.keys():
-            raise ValueError(f"its names were {list(self._columns)} at first, and are {list(latest)} now")
+            names = f"first {list(self._columns)}, now {list(latest)}"
+            raise ADSError("raised", f"log(state) must return the same names at every decision: {names}")
         if self._rows == self._room:
             self._columns = self._with_room(self._columns)
         for name, values in latest.items():
             row = self._columns[name][self._rows]
             if values.shape != row.shape or values.dtype.kind not in "biuf":
-                raise ValueError(f"expected numbers of shape {row.shape} as {name!r}, got {brief(values)}")
+                wanted = f"numbers of shape {row.shape} as {name!r}"
+                raise ADSError("raised", f"log(state) must return {wanted}, got {values.dtype} of shape {values.shape}")
             row[:] = values
         self._rows += 1
 

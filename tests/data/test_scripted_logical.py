@@ -8,7 +8,7 @@ from hypothesis import given
 
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_ranges import _overlap, _Placed
+from behavexplor.data.scripted_ranges import _MARGIN, _gap_across, _overlap, _Placed
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
@@ -138,7 +138,7 @@ def test_a_road_that_is_too_full_is_said_to_be():
 def test_the_quick_tests_for_overlapping_vehicles_never_decide_otherwise():
     rng = np.random.default_rng(0)
     sizes = list(VEHICLE_SIZES.values())
-    agreed = {True: 0, False: 0}
+    agreed, decided = {True: 0, False: 0}, 0
     for _ in range(5000):
         a, b = (
             _Placed(
@@ -154,4 +154,6 @@ def test_the_quick_tests_for_overlapping_vehicles_never_decide_otherwise():
         overlap = bool(boxes_overlap(*corners))
         assert _overlap(a, b, np.hypot(a.x - b.x, a.y - b.y)) == overlap
         agreed[overlap] += 1
+        decided += _gap_across(a, b) > _MARGIN
     assert min(agreed.values()) > 500
+    assert decided > 300

@@ -16,7 +16,7 @@ from behavexplor.ads.learned.route_table import (
 from behavexplor.ads.road.lane_arrays import CURVATURE as LANE_CURVATURE
 from behavexplor.ads.road.lane_arrays import HEADING as LANE_HEADING
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
-from behavexplor.ads.road.lane_arrays import is_on_lane, project_on_lane
+from behavexplor.ads.road.lane_arrays import is_near_center_line, project_on_lane
 from behavexplor.ads.road.path import SPACING, pose_on_path, project_on_path, row_at
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.jit import kernel_inner
@@ -145,9 +145,10 @@ def _see_conflicts(course: Course, scene: Floats, station: float, out: Floats) -
         if scene[other, PRESENT] == 0.0:
             continue
         for lane in range(len(course.lanes)):
-            if course.own[lane] or not is_on_lane(course.lanes, lane, scene[other, X], scene[other, Y], ON_LANE):
+            x, y = scene[other, X], scene[other, Y]
+            if course.own[lane] or not is_near_center_line(course.lanes, lane, x, y, ON_LANE):
                 continue
-            there, _ = project_on_lane(course.lanes, lane, scene[other, X], scene[other, Y])
+            there, _ = project_on_lane(course.lanes, lane, x, y)
             along = course.lanes[lane, LANE_HEADING] + course.lanes[lane, LANE_CURVATURE] * there
             turned = abs((scene[other, HEADING] - along + math.pi) % (2 * math.pi) - math.pi)
             if turned > ALONG or not 0.0 <= there <= course.lanes[lane, LANE_LENGTH]:

@@ -80,8 +80,8 @@ def is_far_from_arc(lanes: Floats, lane: int, x: float, y: float, gap: float) ->
 
 
 @kernel_inner
-def is_on_lane(lanes: Floats, lane: int, x: float, y: float, gap: float) -> bool:
-    """Return whether the offset of a point from a lane, which may be continued, is at most a gap [m]."""
+def is_near_center_line(lanes: Floats, lane: int, x: float, y: float, gap: float) -> bool:
+    """Return whether a point is at most a gap [m] from the center line of a lane, continued beyond its ends."""
     if lanes[lane, CURVATURE] != 0.0 and is_far_from_arc(lanes, lane, x, y, gap):
         return False
     return abs(offset_on_lane(lanes, lane, x, y)) <= gap

@@ -182,16 +182,18 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
-        infos = np.full(self.num_envs, None, dtype=object)
-        chosen = np.flatnonzero(mask)
-        for b in chosen.tolist():
+        begun: dict[int, ScriptedScenario] = {}
+        for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None
             if scenario is None:
                 generator = self._generators[b] = self._generators[b] or seeding.np_random()[0]
                 scenario = self.logical.sample(generator)
+            begun[b] = scenario
+        npcs = npc_arrays(list(begun.values()), self.logical.roadmap, self._n_waypoints)
+        self._begin_slots(self._world, self._slots, np.flatnonzero(mask), *npcs)
+        infos = np.full(self.num_envs, None, dtype=object)
+        for b, scenario in begun.items():
             self.scenarios[b] = infos[b] = scenario
-        npcs = npc_arrays([self.scenarios[b] for b in chosen.tolist()], self.logical.roadmap, self._n_waypoints)
-        self._begin_slots(self._world, self._slots, chosen, *npcs)
         self._has_idle = bool((self._slots.numbers[:, END] == IDLE).any())
         return {"scenario": infos, "_scenario": mask.copy()}
 

@@ -115,14 +115,14 @@ def make_slots(
 def begin_episodes(
     world: World, slots: Slots, chosen: Ints, counts: Ints, routes: Ints, sizes: Floats, waypoints: Floats
 ) -> None:
-    """Begin an episode in each chosen slot.
+    """Begin an episode in each chosen slot. The NPCs of all these episodes follow one another in the arrays.
 
     Args:
         world: the environment's map and rules.
         slots: the slots, changed in place.
         chosen: the slots, shape (E,).
         counts: number of NPCs in each episode, shape (E,).
-        routes: row of each NPC's route, one episode after the other, shape (n_npcs,).
+        routes: row of each NPC's route, shape (n_npcs,), with the NPCs of all episodes.
         sizes: length and width of each NPC [m], shape (n_npcs, 2).
         waypoints: position [m] and speed [m/s] of each waypoint, padded with copies of the last one, shape
             (n_npcs, waypoints, 2).
@@ -146,6 +146,7 @@ def _begin(world: World, slots: Slots, b: int, routes: Ints, sizes: Floats, wayp
     slots.size[b, 0, 0], slots.size[b, 0, 1] = EGO_SIZE
     slots.npc[b] = 0.0
     for i in range(len(routes)):
+        # Numba would make an array to copy a row.
         slots.size[b, 1 + i, 0], slots.size[b, 1 + i, 1] = sizes[i, 0], sizes[i, 1]
         slots.npc_numbers[b, i, ROUTE] = routes[i]
         slots.npc_numbers[b, i, N_PHASES] = fill_phases(waypoints[i], slots.phases[b, i])
@@ -203,7 +204,13 @@ class NPCArrays(NamedTuple):
 
 
 def npc_arrays(scenarios: Sequence[ScriptedScenario], roadmap: RoadMap, n_waypoints: int) -> NPCArrays:
-    """Return the NPCs of scenarios as arrays, with room for a number of waypoints."""
+    """Return the NPCs of scenarios as arrays.
+
+    Args:
+        scenarios: the scenarios, of which each has any number of NPCs.
+        roadmap: their map.
+        n_waypoints: number of waypoints to which those of each NPC are padded.
+    """
     index = route_index(roadmap)
     npcs = [npc for scenario in scenarios for npc in scenario.npcs]
     padded = [npc.waypoints + npc.waypoints[-1:] * (n_waypoints - len(npc.waypoints)) for npc in npcs]

@@ -89,7 +89,7 @@ def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: 
             lane, position = follow_road(world.network, position, lane, x, y)
             lane = changed_lane(world.network, lane, maneuver, x, y)
         decided = frame = numbers[b, FRAME]
-        for k in range(actions.shape[1]):
+        for k in range(actions.shape[1]):  # numba would make an array to copy a row
             slots.actions[b, decided // rules.substeps, k] = actions[b, k]
         for _ in range(rules.substeps):
             if world.is_meta:

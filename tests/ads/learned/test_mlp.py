@@ -62,3 +62,13 @@ def test_weights_begin_with_a_cache_line():
     for width in range(1, 40):
         network = as_network(layers_of((5, width, 3), rng))
         assert network.weights.ctypes.data % 64 == 0
+
+
+@pytest.mark.parametrize("inputs", [1, 7, 8, 9, 16, 30])
+def test_the_last_bits_are_those_of_sums_in_the_order_of_the_inputs(inputs):
+    rng = np.random.default_rng(inputs)
+    layers, rows = layers_of((inputs, 5), rng), rng.normal(size=(20, inputs))
+    weights, expected = layers[0][0], np.tile(layers[0][1], (20, 1))
+    for i in range(inputs):
+        expected += rows[:, i : i + 1] * weights[:, i]
+    np.testing.assert_array_equal(evaluate_batch(as_network(layers), rows), expected)

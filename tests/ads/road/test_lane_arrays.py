@@ -4,6 +4,7 @@ import pytest
 from behavexplor.ads.road.lane_arrays import (
     CURVATURE,
     is_far_from_arc,
+    is_near_center_line,
     lane_array,
     offset_on_lane,
     pose_on_lane,
@@ -13,6 +14,7 @@ from behavexplor.envs.functional.intersection_straight import IntersectionStraig
 from tests.kernel_calls import called_alone
 
 is_far_from_arc = called_alone(is_far_from_arc)
+is_near_center_line = called_alone(is_near_center_line)
 offset_on_lane = called_alone(offset_on_lane)
 pose_on_lane = called_alone(pose_on_lane)
 project_on_lane = called_alone(project_on_lane)
@@ -51,3 +53,14 @@ def test_a_point_is_far_from_an_arc_if_its_offset_is_large(index):
         offset = abs(offset_on_lane(ARRAY, index, x, y))
         for gap in (offset, offset - 1e-5, offset + 1e-5, rng.uniform(0, 60)):
             assert is_far_from_arc(ARRAY, index, x, y, gap) == (offset > gap + 1e-6)
+
+
+@pytest.mark.parametrize("index", range(len(LANES)))
+def test_whether_a_point_is_near_is_what_its_offset_says(index):
+    """Gaps at the offset itself and around it, within and beyond the margin of the quick test for curves."""
+    rng = np.random.default_rng(index)
+    for _ in range(50):
+        point = rng.uniform(-80, 80, 2)
+        offset = abs(offset_on_lane(ARRAY, index, *point))
+        for gap in (offset, *(offset + side * step for side in (-1, 1) for step in (1e-7, 1e-5, 1.0))):
+            assert is_near_center_line(ARRAY, index, *point, gap) == (offset <= gap)
