@@ -1,6 +1,6 @@
 """Distance between two behaviors, given as abstract traces (paper section 3.2.1, equation 9)."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,17 +8,15 @@ from numpy.typing import NDArray
 Labels = NDArray[np.uint8]  # an abstract trace: one abstract state (cluster) per window
 Floats = NDArray[np.float64]
 
-MAX_CLUSTERS: Final = 250
-_END, _BEYOND = 255, 254  # padding of rows and of queries after their last state; no cluster has these numbers
-_WORD = 8  # states compared at once
+MAX_CLUSTERS: Final = 256
 
 
 class AbstractTraces:
-    """Abstract traces in one padded matrix of bytes, so that the distances to all of them are computed in one pass."""
+    """Abstract traces one after the other in one array, to compute the distances to all in one pass."""
 
     def __init__(self) -> None:
-        self._rows = np.full((16, _WORD), _END, dtype=np.uint8)
-        self._lengths = np.zeros(16, dtype=np.int64)
+        self._labels = np.empty(1024, dtype=np.uint8)
+        self._starts = np.zeros(16, dtype=np.int64)  # of each abstract trace, and the end of the last one
         self._count = 0
 
     def __len__(self) -> int:
@@ -26,21 +24,24 @@ class AbstractTraces:
 
     def append(self, labels: Labels) -> None:
         """Add an abstract trace, shape (length,)."""
-        if self._count == len(self._rows):
-            self._grow(2 * len(self._rows), self._rows.shape[1])
-        if len(labels) > self._rows.shape[1]:
-            self._grow(len(self._rows), _words(len(labels)) * _WORD)
+        end = int(self._starts[self._count]) + len(labels)
+        self._labels = _grown(self._labels, end)
+        self._starts = _grown(self._starts, self._count + 2)
         self._count += 1
+        self._starts[self._count] = end
         self[self._count - 1] = labels
 
     def __setitem__(self, index: int, labels: Labels) -> None:
-        """Replace an abstract trace by one that is not longer than the longest."""
-        self._rows[index] = _END
-        self._rows[index, : len(labels)] = labels
-        self._lengths[index] = len(labels)
+        """Replace the labels of an abstract trace. Its length cannot change."""
+        self._labels[self._place(index)] = labels
 
     def __getitem__(self, index: int) -> Labels:
-        return self._rows[index, : self._lengths[index]]
+        return self._labels[self._place(index)]
+
+    def _place(self, index: int) -> slice:
+        if not 0 <= index < self._count:
+            raise IndexError(index)
+        return slice(self._starts[index], self._starts[index + 1])
 
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace from each of these, `dis` of the paper's equation 9.
@@ -53,21 +54,20 @@ class AbstractTraces:
         Returns:
             Distances, shape (len(self),). The distance of two empty traces is 0.
         """
-        length, width = len(labels), min(_words(len(labels)) * _WORD, self._rows.shape[1])
-        query = np.full(width, _BEYOND, dtype=np.uint8)
-        query[:length] = labels[:width]
-        unequal = self._rows[: self._count, :width] != query
-        differing = np.bitwise_count(unequal.view(np.uint64)).sum(1, dtype=np.int64)  # padding differs as well
-        lengths = self._lengths[: self._count]
-        differing += length - width + np.maximum(lengths - length, 0)
-        return np.asarray(differing / np.maximum(np.maximum(lengths, length), 1))
+        from behavexplor.behavior.differing_labels import count_differing  # noqa: PLC0415 - numba is slow to import
 
-    def _grow(self, rows: int, width: int) -> None:
-        bigger = np.full((rows, width), _END, dtype=np.uint8)
-        bigger[: self._count, : self._rows.shape[1]] = self._rows[: self._count]
-        self._lengths = np.concatenate([self._lengths, np.zeros(rows - len(self._lengths), dtype=np.int64)])
-        self._rows = bigger
+        starts = self._starts[: self._count + 1]
+        differing = np.empty(self._count, dtype=np.int64)
+        count_differing(self._labels, starts, labels, differing)
+        lengths = np.diff(starts)
+        differing += np.abs(lengths - len(labels))
+        return np.asarray(differing / np.maximum(np.maximum(lengths, len(labels)), 1))
 
 
-def _words(length: int) -> int:
-    return -(-length // _WORD)
+def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
+    """Return an array that has at least the given size. It at least doubles, so that an addition costs little."""
+    if size <= len(array):
+        return array
+    bigger = np.empty(max(size, 2 * len(array)), dtype=array.dtype)
+    bigger[: len(array)] = array
+    return bigger

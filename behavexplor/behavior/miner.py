@@ -22,6 +22,7 @@ from behavexplor.behavior.features import (
     nearest_clusters,
     state_matrix,
 )
+from behavexplor.behavior.state_file import StateFile
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
@@ -98,7 +99,7 @@ class BehaviorMiner:
 
     def __init__(self, options: MinerOptions) -> None:
         self.options = options
-        self._states: list[NDArray[np.float32]] = []
+        self._states = StateFile()
         self._traces = AbstractTraces()
         self._sample = _Sample(options.sample_size, np.random.default_rng(options.random_state))
         self._clusters = clusters_of(np.zeros((1, N_FEATURES)), np.zeros(N_FEATURES), np.ones(N_FEATURES))
@@ -120,7 +121,11 @@ class BehaviorMiner:
         return self._traces.distances(labels)
 
     def add(self, behavior: Behavior) -> int:
-        """Add a behavior to the known ones, and return its index."""
+        """Add a behavior to the known ones, and return its index.
+
+        Raises:
+            OSError: if there are many behaviors, and their states cannot be written to a temporary file.
+        """
         self._states.append(behavior.states)
         self._sample.extend(behavior.merged)
         self._traces.append(self.abstract(behavior))

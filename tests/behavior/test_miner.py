@@ -239,7 +239,7 @@ def test_jitter_is_no_behavior():
     [
         ("window", 0),
         ("clusters", 0),
-        ("clusters", 251),
+        ("clusters", 257),
         ("refit_growth", -0.1),
         ("sample_size", 9),
         ("sample_size", 2**63),

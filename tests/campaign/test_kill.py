@@ -46,7 +46,7 @@ class Life:
         try:
             while some := os.read(self._terminal, 65536):
                 self._text += some
-        except OSError:  # nobody has the other end any more
+        except OSError:  # the other end is closed
             return
 
     @property
@@ -128,23 +128,28 @@ def phase(life, before, after):
 class Attack:
     """One seeded series of kills."""
 
-    def __init__(self, rng, starts):
+    def __init__(self, rng, times):
         self._rng = rng
-        self._starts = starts  # how long a campaign takes to begin, by workers [s]
+        self._times = times  # by workers: how long a campaign takes to its first screen, and from there to its end [s]
 
     def strike(self, folder, workers):
         """Live once, at most to a random instant; the life, whether it was killed, and what was read before that."""
         life = Life(folder, workers)
         fresh = not folder.exists()
-        aim = self._rng.choice(["time", "commit", "folder"], p=[0.45, 0.05, 0.5] if fresh else [0.75, 0.25, 0.0])
+        start, rest = self._times[workers]
+        aims = ["time", "screen", "commit", "folder"]
+        aim = self._rng.choice(aims, p=[0.35, 0.1, 0.1, 0.45] if fresh else [0.45, 0.3, 0.25, 0.0])
         if aim == "time":
-            ended = life.wait(self._rng.uniform(0.0, 1.4 * self._starts[workers]))
+            ended = life.wait(self._rng.uniform(0.0, 1.2 * start))
+        elif aim == "screen":
+            life.wait(PATIENCE, lambda: life.shown is not None)
+            ended = life.wait(rest * self._rng.uniform() ** 2)  # rather early, because a replay is short
         elif aim == "commit":
             life.wait(PATIENCE, lambda: life.shown is not None)
-            life.wait(self._rng.uniform(0.0, 1.0))
+            life.wait(self._rng.uniform(0.0, rest))
             written = count_written(folder)
             life.wait(PATIENCE, lambda: count_written(folder) != written)
-            ended = life.wait(self._rng.uniform(0.0, 0.02))
+            ended = life.wait(self._rng.uniform(0.0, 0.01))
         else:
             life.wait(PATIENCE, folder.exists)
             ended = life.wait(self._rng.uniform(0.0, 0.006))
@@ -155,14 +160,15 @@ class Attack:
 
 
 def uninterrupted(folder, workers):
-    """The records of a campaign that nobody disturbs, and how long it took to show its first screen [s]."""
+    """The records of a campaign that runs to its end, and its times to the first screen and from there on [s]."""
     begun = time.monotonic()
     life = Life(folder, workers)
     life.wait(PATIENCE, lambda: life.shown is not None)
-    start = time.monotonic() - begun
+    shown = time.monotonic()
     life.wait(PATIENCE)
+    ended = time.monotonic()
     assert life.bury() == 0, life.text
-    return stored(folder), start
+    return stored(folder), (shown - begun, ended - shown)
 
 
 @pytest.mark.slow
@@ -172,7 +178,7 @@ def test_a_campaign_survives_any_number_of_kills(tmp_path):
     whole = runs[0][0]
     assert all(records == whole for records, _ in runs.values())
     rng = np.random.default_rng(2026)
-    attack = Attack(rng, {workers: start for workers, (_, start) in runs.items()})
+    attack = Attack(rng, {workers: times for workers, (_, times) in runs.items()})
     phases, kills, lives, acknowledged, finished = Counter(), 0, 0, 0, 0
     folder = tmp_path / "killed-0"
     before = 0
