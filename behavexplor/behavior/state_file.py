@@ -36,10 +36,13 @@ class StateFile:
         """Add the states of a behavior, shape (N', 8).
 
         Raises:
-            OSError: if the file cannot be written, for example because the disk is full.
+            OSError: if the file cannot be written, for example because the disk is full; it names the folder.
         """
-        self._file.seek(0, os.SEEK_END)
-        self._file.write(states.tobytes())
+        try:
+            self._file.seek(0, os.SEEK_END)
+            self._file.write(states.tobytes())
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, tempfile.gettempdir()) from error
         self._lengths.append(len(states))
 
     def __iter__(self) -> Iterator[States]:

@@ -181,7 +181,7 @@ def _run(campaign: Campaign, store: Store, display: Display) -> int:
         except ExecutionError as error:
             code, failure = EXECUTION_FAILED, str(error)
         except (sqlite3.Error, OSError) as error:
-            code, failure = EXECUTION_FAILED, f"The run folder can no longer be written: {error}"
+            code, failure = EXECUTION_FAILED, f"The campaign can no longer write to disk: {error}"
         else:
             failure = ended
     progress = campaign.progress

@@ -262,7 +262,7 @@ def test_a_full_disk_ends_the_campaign_and_keeps_what_was_recorded(tmp_path, wor
     result = fuzz(*CAMPAIGN, "--budget", ON_DISK, "--workers", workers, "--out", run, file_size=1_000_000)
     assert result.returncode == EXECUTION_FAILED
     assert "Traceback" not in result.stderr
-    assert "The run folder can no longer be written: " in result.stderr.splitlines()[-1]
+    assert "The campaign can no longer write to disk: " in result.stderr.splitlines()[-1]
     kept = read_records(run)
     assert 0 < len(kept) < ON_DISK
     assert f"{len(kept)} executions in " in result.stdout
