@@ -73,11 +73,12 @@ class Pace:
 
     def during(self, run: Callable[[], Any]) -> tuple[float, float]:
         """Return the CPU time of a call [s], and the mean of those of highway-env just before and just after it."""
-        before = self._now()
+        before = self.now()
         used = cpu(run)
-        return used, (before + self._now()) / 2
+        return used, (before + self.now()) / 2
 
-    def _now(self) -> float:
+    def now(self) -> float:
+        """Return the CPU time of plain highway-env in the scenario [s]."""
         return cpu(lambda: drive_objects(self._scenario, self._roadmap, self._seconds, None))
 
 

@@ -17,6 +17,7 @@ from stable_baselines3 import PPO
 
 from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv, HighwayVecEnv
+from benchmarks.execution import Pace
 
 FIRST = "intersection-straight"
 STOCK = "highway-fast-v0"
@@ -28,6 +29,9 @@ Row = dict[str, Any]
 
 def startup_rows(budget: int) -> list[Row]:
     """Return the wall times of shell commands [s]; those of whole campaigns are medians of five runs.
+
+    Machines differ in speed. So each row also says how many executions plain highway-env does in that time, by its CPU
+    time for one execution just before and just after each run.
 
     Args:
         budget: number of executions of each campaign.
@@ -46,15 +50,24 @@ def startup_rows(budget: int) -> list[Row]:
             f"BehAVExplor and PPO in {STOCK}": (*stock, *policies[STOCK]),
             f"uniform and PPO in {STOCK}": (*stock, *policies[STOCK], "--method", "uniform"),
         }
-        seconds = {
-            "fuzz --help": _wall(("fuzz", "--help")),
-            "first execution, machine code cached": _wall((*fuzz, "--budget", "1", "--out", f"{folder}/1")),
-            "first execution, nothing cached": _wall((*fuzz, "--budget", "1", "--out", f"{folder}/2"), cold),
+        pace = Pace(FIRST)
+        runs = {
+            "fuzz --help": [_wall(pace, ("fuzz", "--help"))],
+            "first execution, machine code cached": [_wall(pace, (*fuzz, "--budget", "1", "--out", f"{folder}/1"))],
+            "first execution, nothing cached": [_wall(pace, (*fuzz, "--budget", "1", "--out", f"{folder}/2"), cold)],
         }
         for title, command in campaigns.items():
-            runs = [_wall((*command, "--out", f"{folder}/{title}-{number}")) for number in range(RUNS)]
-            seconds[f"{budget} executions, {title}"] = statistics.median(runs)
-        return [{"command": command, "seconds": taken} for command, taken in seconds.items()]
+            runs[f"{budget} executions, {title}"] = [
+                _wall(pace, (*command, "--out", f"{folder}/{title}-{number}")) for number in range(RUNS)
+            ]
+    return [
+        {
+            "command": command,
+            "seconds": statistics.median(seconds for seconds, _ in times),
+            "executions of highway-env": statistics.median(executions for _, executions in times),
+        }
+        for command, times in runs.items()
+    ]
 
 
 def trained_policy(folder: Path, env: str) -> str:
@@ -71,8 +84,13 @@ def trained_policy(folder: Path, env: str) -> str:
     return str(path)
 
 
-def _wall(arguments: tuple[str, ...], environment: Mapping[str, str] = MappingProxyType({})) -> float:
+def _wall(
+    pace: Pace, arguments: tuple[str, ...], environment: Mapping[str, str] = MappingProxyType({})
+) -> tuple[float, float]:
+    """Return the wall time of a command [s], and how many executions plain highway-env does in that time."""
+    before = pace.now()
     start = time.perf_counter()
     command = [sys.executable, "-m", "behavexplor", *arguments]
     subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment})
-    return time.perf_counter() - start
+    seconds = time.perf_counter() - start
+    return seconds, 2 * seconds / (before + pace.now())

@@ -33,7 +33,11 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "ms per execution since the row before": "ms per execution since the last row",
         "memory of the process [MiB]": "memory [MiB]",
     },
-    "startup": {"command": "command", "seconds": "seconds"},
+    "startup": {
+        "command": "command",
+        "seconds": "seconds",
+        "executions of highway-env in that time": "executions of highway-env",
+    },
     "stages": {
         "driver": "driver",
         "workers": "workers",
