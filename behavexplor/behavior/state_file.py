@@ -14,7 +14,7 @@ from behavexplor.behavior.features import ATTRIBUTES
 
 States = NDArray[np.float32]
 
-IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1600 behaviors of 30 s
+IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
 
 
 class StateFile:

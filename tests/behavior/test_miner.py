@@ -7,6 +7,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
+from behavexplor.behavior.state_file import StateFile
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.fakes import make_trace, simulate
@@ -117,6 +118,15 @@ def test_refits_come_at_growing_intervals(growth, fits):
             seen.append(len(miner))
             miner.fit()
     assert seen == fits
+
+
+def test_states_in_a_file_give_the_same_distances(monkeypatch):
+    in_memory = miner_of(TRACES[:8])
+    monkeypatch.setattr("behavexplor.behavior.miner.StateFile", lambda: StateFile(in_memory=1))
+    in_file = miner_of(TRACES[:8])
+    for trace in TRACES[8:]:
+        found = [miner.distances(miner.abstract(miner.describe(trace))).tolist() for miner in (in_memory, in_file)]
+        assert found[0] == found[1]
 
 
 def test_fits_do_not_depend_on_the_number_of_threads(monkeypatch):

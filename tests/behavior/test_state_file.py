@@ -1,6 +1,7 @@
 """The states of many behaviors, in memory and in a file."""
 
 import gc
+import re
 import tempfile
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def test_a_file_is_opened_for_many_states_only_and_goes_with_its_object(tmp_path
 def test_a_full_disk_is_an_error_once(monkeypatch):
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: open("/dev/full", "w+b"))  # noqa: PTH123, SIM115
     file = StateFile(in_memory=1)
-    with pytest.raises(OSError, match=f"No space left on device: '{tempfile.gettempdir()}'"):
+    with pytest.raises(OSError, match=f"No space left on device: '{re.escape(tempfile.gettempdir())}'"):
         file.append(np.zeros((9999, len(ATTRIBUTES)), np.float32))
     del file
     gc.collect()  # closing it raises nothing
