@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from behavexplor.first_use import loaded_at_first_use
+
 Floats = NDArray[np.float64]
 
 
@@ -39,8 +41,9 @@ def clusters_of(centers: Floats, mean: Floats, scale: Floats) -> Clusters:
 
 
 def load_clustering() -> None:
-    """Import the library that finds the clusters, which takes a second."""
-    import_module("sklearn.cluster")
+    """Import the library that finds the clusters, which takes most of a second."""
+    with loaded_at_first_use():
+        import_module("sklearn.cluster")
 
 
 def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:

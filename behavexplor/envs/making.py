@@ -16,11 +16,14 @@ import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, unknown_name
+from behavexplor.first_use import loaded_at_first_use
+from behavexplor.first_use import loaded_at_first_use
 
 ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
 HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second
 
 
+@loaded_at_first_use()
 def environment_id(name: str) -> str:
     """Return the gymnasium id of an environment.
 
@@ -225,6 +228,7 @@ def _is_stock(made: gymnasium.Env[Any, Any]) -> bool:
     return isinstance(inner, AbstractEnv) and not hasattr(inner, "logical")
 
 
+@loaded_at_first_use()
 def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
     """Make an environment as gymnasium does.
 

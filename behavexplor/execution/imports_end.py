@@ -7,8 +7,10 @@ at its end.
 
 import gc
 
+from behavexplor.first_use import end_loading_at_first_use
 from behavexplor.jit import load_compiler
 
+end_loading_at_first_use()
 load_compiler()
 gc.freeze()
 gc.enable()
