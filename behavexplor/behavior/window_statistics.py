@@ -29,9 +29,9 @@ def fill_statistics(x: Floats, window: int, still: float, filled: Floats) -> Non
         filled: the statistics of the first attribute, then of the second, and so on, shape
             (n - window + 1, attributes * statistics); changed in place.
     """
-    columns = np.empty((N_STATISTICS, len(filled)))
+    columns, terms = np.empty((N_STATISTICS, len(filled))), np.empty(x.shape[1])
     for j in range(len(x)):
-        _fill(x[j], window, still, columns)
+        _fill(x[j], window, still, terms, columns)
         for i in range(len(filled)):
             for k in range(N_STATISTICS):
                 filled[i, j * N_STATISTICS + k] = columns[k, i]
@@ -48,10 +48,10 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
         clusters: clusters of such statistics.
         labels: index of the nearest center for each window, shape (n - window + 1,); changed in place.
     """
-    columns = np.empty((N_STATISTICS, len(labels)))
+    columns, terms = np.empty((N_STATISTICS, len(labels))), np.empty(x.shape[1])
     products = np.zeros((2, len(clusters.centers), len(labels)))  # of even and odd features
     for j in range(len(x)):
-        _fill(x[j], window, still, columns)
+        _fill(x[j], window, still, terms, columns)
         first = j * N_STATISTICS
         for k in range(N_STATISTICS):
             _scale(columns[k], clusters.mean[first + k], clusters.scale[first + k])
@@ -59,39 +59,74 @@ def fill_labels(x: Floats, window: int, still: float, clusters: Clusters, labels
             center = clusters.centers[k, first : first + N_STATISTICS]
             _add_products(columns, 0, center, products[0, k])
             _add_products(columns, 1, center, products[1, k])
-    _find_least(products, clusters.squares, labels)
+    _find_nearest(products, clusters.squares, labels)
 
 
 @kernel_inner
-def _fill(x: Floats, window: int, still: float, columns: Floats) -> None:
-    """Fill in the statistics of one attribute, shape (statistics, windows). Loops are simple, so they are fast."""
+def _fill(x: Floats, window: int, still: float, terms: Floats, columns: Floats) -> None:
+    """Fill in the statistics of one attribute, shape (statistics, windows). Loops are simple, so they are fast.
+
+    Args:
+        x: states of the attribute, shape (n,).
+        window: number of states in a window.
+        still: least deviation in a window that is a movement.
+        terms: room for intermediate results, shape (n,).
+        columns: the statistics; changed in place.
+    """
     count = columns.shape[1]
     columns[:] = 0.0
-    columns[LEAST], columns[GREATEST] = math.inf, -math.inf
-    for k in range(window):
-        _add(x[k : k + count], columns[MEAN])
-        _extend(x[k : k + count], columns[LEAST], columns[GREATEST])
+    _add_up(x, window, columns[MEAN])
     _divide(columns[MEAN], window)
-    for k in range(window):
-        _add_squares(x[k : k + count], columns[MEAN], columns[VARIANCE])
-    for k in range(1, window):
-        _add_steps(x[k - 1 : k - 1 + count], x[k : k + count], columns[ABS_CHANGE], columns[COMPLEXITY])
-    for k in range(2, window):
-        _add_triples(x[k : k + count], x[k - 1 : k - 1 + count], x[k - 2 : k - 2 + count], columns[NON_LINEARITY])
+    _add_squares(x, window, columns[MEAN], columns[VARIANCE])
     _divide(columns[VARIANCE], window)
+    _find_least(x, 1.0, window, terms, columns[LEAST])
+    _find_least(x, -1.0, window, terms, columns[GREATEST])
     if window > 1:
-        _subtract(x[window - 1 : window - 1 + count], x[:count], columns[CHANGE])
+        before, after, changes = x[:-1], x[1:], terms[:-1]
+        _subtract(x[window - 1 :], x[:count], columns[CHANGE])
         _divide(columns[CHANGE], window - 1)
+        _find_distances(before, after, changes)
+        _add_up(changes, window - 1, columns[ABS_CHANGE])
         _divide(columns[ABS_CHANGE], window - 1)
+        _multiply(changes, changes, changes)
+        _add_up(changes, window - 1, columns[COMPLEXITY])
     if window > 2:
+        products = terms[:-2]
+        _multiply(x[2:], x[1:-1], products)
+        _multiply(products, x[:-2], products)
+        _add_up(products, window - 2, columns[NON_LINEARITY])
         _divide(columns[NON_LINEARITY], window - 2)
     _find_complexity(columns[VARIANCE], still, columns[COMPLEXITY])
 
 
 @kernel_inner
-def _add(values: Floats, sums: Floats) -> None:
-    for i in range(len(sums)):
-        sums[i] += values[i]
+def _add_up(terms: Floats, length: int, sums: Floats) -> None:
+    """Add consecutive terms, as many as `length`, to the sum of each window, one after the other."""
+    count, whole = len(sums), length - length % 4
+    for k in range(0, whole, 4):
+        a, b, c, d = terms[k:], terms[k + 1 :], terms[k + 2 :], terms[k + 3 :]
+        for i in range(count):
+            sums[i] = sums[i] + a[i] + b[i] + c[i] + d[i]
+    for k in range(whole, length):
+        for i in range(count):
+            sums[i] += terms[k + i]
+
+
+@kernel_inner
+def _find_least(x: Floats, sign: float, window: int, room: Floats, least: Floats) -> None:
+    """Find the least number in each window, or the greatest one if the sign is -1.
+
+    The least number of a window is the less of those of two shorter windows that cover it.
+    """
+    for i in range(len(x)):
+        room[i] = sign * x[i]
+    reached = 1  # length of the windows in `room`
+    while 2 * reached <= window:
+        for i in range(len(x) - 2 * reached + 1):
+            room[i] = min(room[i], room[i + reached])
+        reached *= 2
+    for i in range(len(least)):
+        least[i] = sign * min(room[i], room[i + window - reached])
 
 
 @kernel_inner
@@ -101,35 +136,35 @@ def _subtract(values: Floats, others: Floats, differences: Floats) -> None:
 
 
 @kernel_inner
+def _find_distances(values: Floats, others: Floats, distances: Floats) -> None:
+    for i in range(len(distances)):
+        distances[i] = abs(others[i] - values[i])
+
+
+@kernel_inner
+def _multiply(values: Floats, others: Floats, products: Floats) -> None:
+    for i in range(len(products)):
+        products[i] = values[i] * others[i]
+
+
+@kernel_inner
 def _divide(values: Floats, by: float) -> None:
     for i in range(len(values)):
         values[i] /= by
 
 
 @kernel_inner
-def _extend(values: Floats, least: Floats, greatest: Floats) -> None:
-    for i in range(len(least)):
-        least[i] = min(least[i], values[i])
-        greatest[i] = max(greatest[i], values[i])
-
-
-@kernel_inner
-def _add_squares(values: Floats, mean: Floats, sums: Floats) -> None:
-    for i in range(len(sums)):
-        sums[i] += (values[i] - mean[i]) * (values[i] - mean[i])
-
-
-@kernel_inner
-def _add_steps(before: Floats, after: Floats, moved: Floats, energy: Floats) -> None:
-    for i in range(len(moved)):
-        moved[i] += abs(after[i] - before[i])
-        energy[i] += (after[i] - before[i]) * (after[i] - before[i])
-
-
-@kernel_inner
-def _add_triples(third: Floats, second: Floats, first: Floats, sums: Floats) -> None:
-    for i in range(len(sums)):
-        sums[i] += third[i] * second[i] * first[i]
+def _add_squares(x: Floats, length: int, mean: Floats, sums: Floats) -> None:
+    """Add the squared deviations from each window's mean to the sum of the window, one after the other."""
+    count, whole = len(sums), length - length % 2
+    for k in range(0, whole, 2):
+        first, second = x[k:], x[k + 1 :]
+        for i in range(count):
+            a, b = first[i] - mean[i], second[i] - mean[i]
+            sums[i] = sums[i] + a * a + b * b
+    for k in range(whole, length):
+        for i in range(count):
+            sums[i] += (x[k + i] - mean[i]) * (x[k + i] - mean[i])
 
 
 @kernel_inner
@@ -137,7 +172,8 @@ def _find_complexity(variance: Floats, still: float, energy: Floats) -> None:
     """Replace the energy of each window by its complexity."""
     for i in range(len(energy)):
         deviation = math.sqrt(variance[i])
-        energy[i] = math.sqrt(energy[i]) / deviation if deviation > still else 0.0
+        complexity = math.sqrt(energy[i]) / deviation  # also where it is not used, which is faster than to branch
+        energy[i] = complexity if deviation > still else 0.0
 
 
 @kernel_inner
@@ -160,7 +196,7 @@ def _add_products(columns: Floats, side: int, center: Floats, sums: Floats) -> N
 
 
 @kernel_inner
-def _find_least(products: Floats, squares: Floats, labels: NDArray[np.uint8]) -> None:
+def _find_nearest(products: Floats, squares: Floats, labels: NDArray[np.uint8]) -> None:
     for i in range(len(labels)):
         best, least = 0, math.inf
         for k in range(len(squares)):
