@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.scene import N_COLUMNS
 from behavexplor.errors import InputError
+from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 
@@ -37,13 +38,17 @@ def as_scenes(observation: NDArray[Any]) -> Floats:
     Raises:
         InputError: if the observation has another shape.
     """
-    scenes = np.asarray(observation, dtype=np.float64)
+    scenes = np.array(observation, dtype=np.float64, order="C")
     if scenes.ndim != 3 or scenes.shape[1] == 0 or scenes.shape[2] != N_COLUMNS:
         raise InputError(f"observation: expected shape (B, 1 + n, {N_COLUMNS}), got {scenes.shape}")
-    rounded = np.ascontiguousarray(scenes / RESOLUTION)
-    np.rint(rounded, out=rounded)
-    rounded *= RESOLUTION
-    return rounded
+    _round(scenes.reshape(-1))
+    return scenes
+
+
+@kernel_in_place
+def _round(numbers: Floats) -> None:
+    for i in range(len(numbers)):
+        numbers[i] = np.rint(numbers[i] / RESOLUTION) * RESOLUTION
 
 
 def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, shape: tuple[int, int]) -> Floats:
@@ -64,7 +69,8 @@ def as_memory(state: Floats | None, episode_start: NDArray[np.bool_] | None, sha
         begins = np.asarray(episode_start, dtype=bool)
         if begins.shape != shape[:1]:
             raise InputError(f"episode_start: expected shape {shape[:1]}, got {begins.shape}")
-        memory[begins] = 0.0
+        if np.count_nonzero(begins):  # faster than to set no row
+            memory[begins] = 0.0
     return memory
 
 
@@ -72,3 +78,15 @@ def as_actions(commands: Floats) -> Floats:
     """Convert accelerations [m/s2] and steering angles [rad], shape (B, 2), to actions in [-1, 1] over their ranges."""
     actions: Floats = 2 * (commands - _LOW) / _SPAN - 1
     return actions
+
+
+@kernel_inner
+def fill_action(acceleration: float, steering: float, action: Floats) -> None:
+    """Fill in the action of an acceleration [m/s2] and a steering angle [rad], as `as_actions` does."""
+    action[0] = _as_share(acceleration, ACCELERATION_RANGE[0], ACCELERATION_RANGE[1])
+    action[1] = _as_share(steering, STEERING_RANGE[0], STEERING_RANGE[1])
+
+
+@kernel_inner
+def _as_share(command: float, low: float, high: float) -> float:
+    return 2 * (command - low) / (high - low) - 1

@@ -34,6 +34,7 @@ from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
+MOST_TOLD = 100  # greatest number of executions that the method has been told and that have no record yet
 
 
 class ExecutionError(Exception):
@@ -57,6 +58,25 @@ class _Pending:
     @property
     def is_executed(self) -> bool:
         return isinstance(self.result, Execution) or self.result.done()
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A candidate whose result the method has been told, and which has no record yet.
+
+    Attributes:
+        candidate: the candidate.
+        stored: the stored execution; None if it is new.
+        judged: the judgment.
+        learned: what the method learned from it.
+        elapsed: running time of the campaign up to the execution [s].
+    """
+
+    candidate: Candidate
+    stored: Execution | None
+    judged: Judgment
+    learned: Mapping[str, Any]
+    elapsed: float
 
 
 class Campaign:
@@ -102,6 +122,7 @@ class Campaign:
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
         self._pending: deque[_Pending] = deque()
+        self._told: deque[_Told] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
@@ -137,7 +158,10 @@ class Campaign:
                 self._tell(self._pending.popleft())
                 self._commit(observe, COMMIT_ROWS, COMMIT_SECONDS)
         finally:
-            self._commit(observe, 1, 0.0)
+            try:
+                self._complete(0)
+            finally:
+                self._commit(observe, 1, 0.0)
         return ended
 
     def _has_enough(self) -> bool:
@@ -185,29 +209,47 @@ class Campaign:
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
 
     def _tell(self, oldest: _Pending) -> None:
-        """Tell the method a result, and store the record unless it is already stored."""
-        self._judge_others_until(oldest)
-        judged = oldest.judgment or self._judgment(oldest)
-        record = self._record(oldest.candidate, judged)
-        self._failures += record.failed
-        if not isinstance(oldest.result, Execution):
-            self._store.add(Execution(record, judged.data, self.elapsed))
-        elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
-            raise InputError(
-                f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
-                f"the program has changed"
-            )
-        else:
-            self._count(oldest.result, resumed=1)
+        """Tell the method a result, and complete the records of earlier ones if there are many without."""
+        self._work_until(oldest)
+        candidate, judged = oldest.candidate, oldest.judgment or self._judgment(oldest)
+        with self._clock.during(MINING):
+            learned = self._method.tell(candidate, judged.trace, judged.verdict)
+        self._failures += bool(judged.verdict.violated)
+        stored = oldest.result if isinstance(oldest.result, Execution) else None
+        self._told.append(_Told(candidate, stored, judged, learned, self.elapsed))
+        self._complete(MOST_TOLD)
 
-    def _judge_others_until(self, oldest: _Pending) -> None:
-        """Judge candidates that have been executed early, until the oldest one has been executed as well."""
+    def _work_until(self, oldest: _Pending) -> None:
+        """Do what the method need not wait for, until the oldest candidate has been executed.
+
+        Candidates that have been executed early are judged, and records of what the method has been told are completed.
+        """
         for other in self._pending:
             if oldest.is_executed:
                 return
             if other.is_executed and other.judgment is None:
                 with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
                     other.judgment = self._judgment(other)
+        while self._told and not oldest.is_executed:
+            self._complete(len(self._told) - 1)
+
+    def _complete(self, left: int) -> None:
+        """Complete the records of what the method has been told, in order, until not more than `left` have none.
+
+        New executions are stored, and stored ones are counted.
+        """
+        while len(self._told) > left:
+            told = self._told.popleft()
+            record = self._record(told)
+            if told.stored is None:
+                self._store.add(Execution(record, told.judged.data, told.elapsed))
+            elif not told.stored.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
+                raise InputError(
+                    f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration "
+                    f"or the program has changed"
+                )
+            else:
+                self.progress = self.progress.after(told.stored.record, resumed=True)
 
     def _judgment(self, pending: _Pending) -> Judgment:
         data, failure = self._outcome(pending)
@@ -232,10 +274,10 @@ class Campaign:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
 
-    def _record(self, candidate: Candidate, judged: Judgment) -> Record:
+    def _record(self, told: _Told) -> Record:
+        candidate, judged = told.candidate, told.judged
         with self._clock.during(MINING):
             novelty = self._archive.observe(judged.trace)
-            learned = self._method.tell(candidate, judged.trace, judged.verdict)
         return Record(
             id=candidate.number,
             origin=candidate.origin,
@@ -250,7 +292,7 @@ class Campaign:
             degrees=dict(judged.verdict.degrees),
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
-            search=dict(learned),
+            search=dict(told.learned),
             scenario=candidate.scenario.to_dict(),
         )
 
@@ -262,7 +304,7 @@ class Campaign:
         with self._clock.during(STORING):
             committed = self._store.commit(self._clock.total)
         for execution in committed:
-            self._count(execution)
+            self.progress = self.progress.after(execution.record, resumed=False)
         self._committed = time.monotonic()
         self.progress = replace(
             self.progress,
@@ -271,27 +313,6 @@ class Campaign:
             method=dict(self._method.status()),
         )
         observe(self.progress)
-
-    def _count(self, execution: Execution, resumed: int = 0) -> None:
-        record, progress = execution.record, self.progress
-        first, kind = record.violated[:1], record.violation_class
-        marks = [*(["novel"] if record.novel else []), *first]
-        marks += ["class"] if kind is not None and kind not in progress.classes else []
-        self.progress = replace(
-            progress,
-            executions=progress.executions + 1,
-            failed=progress.failed + record.failed,
-            violations={**progress.violations, **{name: progress.violations.get(name, 0) + 1 for name in first}},
-            classes=_counted(progress.classes, kind),
-            at_fault=_counted(progress.at_fault, kind if record.at_fault else None),
-            novel=progress.novel + record.novel,
-            resumed=progress.resumed + resumed,
-            last={**progress.last, **dict.fromkeys(marks, execution.id)},
-        )
-
-
-def _counted(counts: Mapping[str, int], name: str | None) -> Mapping[str, int]:
-    return counts if name is None else {**counts, name: counts.get(name, 0) + 1}
 
 
 def search_method(config: CampaignConfig, logical: LogicalScenario) -> SearchMethod:

@@ -1,7 +1,10 @@
 """Progress of a campaign in figures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+from behavexplor.campaign.record import Record
 
 
 @dataclass(frozen=True)
@@ -37,3 +40,29 @@ class Progress:
     resumed: int = 0
     method: Mapping[str, float] = field(default_factory=dict)
     last: Mapping[str, int] = field(default_factory=dict)
+
+    def after(self, record: Record, *, resumed: bool) -> Self:
+        """Return the progress after one more execution.
+
+        Args:
+            record: record of the execution.
+            resumed: whether it was taken from an earlier run.
+        """
+        first, kind = record.violated[:1], record.violation_class
+        marks = [*(["novel"] if record.novel else []), *first]
+        marks += ["class"] if kind is not None and kind not in self.classes else []
+        return replace(
+            self,
+            executions=self.executions + 1,
+            failed=self.failed + record.failed,
+            violations={**self.violations, **{name: self.violations.get(name, 0) + 1 for name in first}},
+            classes=_counted(self.classes, kind),
+            at_fault=_counted(self.at_fault, kind if record.at_fault else None),
+            novel=self.novel + record.novel,
+            resumed=self.resumed + resumed,
+            last={**self.last, **dict.fromkeys(marks, record.id)},
+        )
+
+
+def _counted(counts: Mapping[str, int], name: str | None) -> Mapping[str, int]:
+    return counts if name is None else {**counts, name: counts.get(name, 0) + 1}

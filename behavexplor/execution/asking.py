@@ -80,7 +80,7 @@ def _of_function(answer: Any, space: gymnasium.Space[Any]) -> str:
 def _checked(
     answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], Any]:
-    """Return the actions and the state of an answer. An action that is not used is replaced by one that is.
+    """Return the actions and the state of an answer. If any is not valid, those that are not used are replaced.
 
     Raises:
         _AnswerError: if the answer is invalid; the message says what `predict` must return.
@@ -93,12 +93,25 @@ def _checked(
         raise _AnswerError(
             f"predict must return actions of shape {expected}, got {actions.shape}: a row for each observation"
         )
-    if counts is not None:
+    try:
+        _check_values(actions, space)
+    except _AnswerError:
+        if counts is None:
+            raise
         actions = np.where(counts.reshape(-1, *[1] * (actions.ndim - 1)), actions, actions[counts.argmax()])
+        _check_values(actions, space)
+    return actions, answer[1]
+
+
+def _check_values(actions: NDArray[Any], space: gymnasium.Space[Any]) -> None:
+    """Check actions of the right shape.
+
+    Raises:
+        _AnswerError: if one of them is not valid.
+    """
     if actions.dtype.kind not in "iuf" or not np.isfinite(actions).all():
         raise _AnswerError(f"predict must return finite numbers as actions, got {actions!r:.80}")
     if isinstance(space, gymnasium.spaces.Discrete):
         valid = (actions >= space.start) & (actions < space.start + space.n) & (actions.dtype.kind != "f")
         if not valid.all():
             raise _AnswerError(f"predict must return actions of {space}, got {actions[valid.argmin()]}")
-    return actions, answer[1]

@@ -7,33 +7,48 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 _MOST: Final = 0.5  # greatest share of the time for which the caller should wait
-_PERIOD: Final = 0.25  # least time over which this share is measured [s]
+_PERIOD: Final = 1.0  # least time over which this share is measured [s]
 
 
 class Demand:
-    """Measures for which share of the time a caller waits. One thread waits, and another one asks for the share."""
+    """Measures for which share of the time a caller waits, anew in each period.
+
+    The caller's work changes: it first loads what it needs, and learns most from the first results. One thread waits,
+    and another one asks for the share.
+    """
 
     def __init__(self) -> None:
+        self._waits_since: float | None = None
         self.measure_anew()
 
     def measure_anew(self) -> None:
         """Forget what has been measured."""
-        self._begun, self._waited = time.monotonic(), 0.0
+        self._begun, self._waited, self._share = time.monotonic(), 0.0, 0.0
 
     @property
     def is_high(self) -> bool:
-        """True if the caller waits for most of the time, so that another worker would help."""
-        elapsed = time.monotonic() - self._begun
-        return elapsed >= _PERIOD and self._waited > _MOST * elapsed
+        """True if the caller waited for most of the latest period, so that another worker would help."""
+        now = time.monotonic()
+        elapsed = now - self._begun
+        if elapsed >= _PERIOD:
+            share = (self._waited + self._waits_for(now)) / elapsed
+            self._begun, self._waited, self._share = now, 0.0, share
+        return self._share > _MOST
+
+    def _waits_for(self, now: float) -> float:
+        """Return for how long the caller has been waiting in this period, if it waits now [s]."""
+        since = self._waits_since
+        return 0.0 if since is None else now - max(since, self._begun)
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
         """Return a context in which the caller waits."""
-        begun = time.monotonic()
+        self._waits_since = time.monotonic()
         try:
             yield
         finally:
-            self._waited += time.monotonic() - max(begun, self._begun)
+            self._waited += self._waits_for(time.monotonic())
+            self._waits_since = None
 
 
 class AwaitedFuture(Future[Any]):

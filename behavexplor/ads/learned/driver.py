@@ -21,7 +21,7 @@ from behavexplor.ads.learned.tracker import (
     begin,
     track,
 )
-from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_memory, as_scenes
+from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.errors import InputError
@@ -221,11 +221,4 @@ def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Flo
 @kernel_inner
 def _track(course: Course, scene: Floats, wanted: float, lane: int, memory: Floats, action: Floats) -> None:
     acceleration, steering = track(course, scene, wanted, lane, memory)
-    action[0] = _as_action(acceleration, ACCELERATION_RANGE[0], ACCELERATION_RANGE[1])
-    action[1] = _as_action(steering, STEERING_RANGE[0], STEERING_RANGE[1])
-
-
-@kernel_inner
-def _as_action(command: float, low: float, high: float) -> float:
-    """Convert a command as `behavexplor.ads.scene_io.as_actions` does."""
-    return 2 * (command - low) / (high - low) - 1
+    fill_action(acceleration, steering, action)

@@ -17,10 +17,10 @@ from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import empty_station_time
 from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
-from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_actions, as_memory, as_scenes
+from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scene import EGO, PRESENT
-from behavexplor.jit import kernel
+from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
+from behavexplor.jit import compiled_for, kernel
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +52,10 @@ class RulePlanner:
         self._path = ego_path(roadmap, parameters.lateral_acceleration, parameters.approach_braking)
         self._graph = lane_graph(roadmap, self._path)
         self._numbers = numbers(parameters)
+        scenes, memories = np.zeros((1, 1, N_COLUMNS)), as_records(np.zeros((1, N_MEMORIES)))
+        self._plan_batch: Any = compiled_for(
+            _plan_batch, self._path, self._graph, scenes, memories, self._numbers, np.empty((1, 2))
+        )
 
     def predict(
         self,
@@ -76,10 +80,9 @@ class RulePlanner:
         """
         scenes = as_scenes(observation)
         rows = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        memories = as_records(rows)
-        _plan_batch(self._path, self._graph, scenes, memories, self._numbers)
-        commands = np.stack([memories["last_acceleration"], memories["last_steering"]], axis=1)
-        return as_actions(commands), rows
+        actions = np.empty((len(scenes), 2))
+        self._plan_batch(self._path, self._graph, scenes, as_records(rows), self._numbers, actions)
+        return actions, rows
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the last decisions, from the state that `predict` returned.
@@ -95,12 +98,15 @@ class RulePlanner:
 
 
 @kernel
-def _plan_batch(path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers) -> None:
+def _plan_batch(
+    path: Path, graph: LaneGraph, scenes: Floats, memories: NDArray[np.record], p: Numbers, actions: Floats
+) -> None:
+    """Make a decision for each ego that is present, and fill in the actions of all."""
     graph = LaneGraph(graph.lanes.copy(), graph.tails, graph.around, graph.beside)  # the spare lane is overwritten
     n_npcs = scenes.shape[1] - 1
     room, nodes = empty_station_time(n_npcs), empty_nodes()
     others = np.empty((n_npcs, N_OTHER_COLUMNS))
     for i in range(len(scenes)):
-        if scenes[i, EGO, PRESENT] == 0.0:
-            continue
-        plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memories[i])
+        if scenes[i, EGO, PRESENT] != 0.0:
+            plan_once(Surroundings(path, graph, scenes[i], others, room, nodes, p), memories[i])
+        fill_action(memories[i].last_acceleration, memories[i].last_steering, actions[i])

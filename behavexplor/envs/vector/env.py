@@ -165,14 +165,14 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             terms = reward_terms(self._weights, self._slots, active)
             rewards = sum(terms, rewards)
         infos: dict[str, Any] = {}
-        done = active & (end != RUNNING)
-        if self._mode is AutoresetMode.SAME_STEP and n_ended:
+        done = active & (end != RUNNING) if n_ended else None
+        if self._mode is AutoresetMode.SAME_STEP and done is not None:
             infos = self._step_infos(active & ~done, terms) | self._final_infos(done, terms)
             infos |= self._begin(done)
             self._observe(done)
             return self._observations.copy(), rewards, terminated, truncated, infos
         infos = self._step_infos(active, terms)
-        if n_ended:
+        if done is not None:
             infos |= self._end_infos(done)
         if self._mode is AutoresetMode.NEXT_STEP and not active.all():
             infos |= self._begin(~active)
