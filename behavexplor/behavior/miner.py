@@ -4,11 +4,9 @@ Source: paper section 3.2.1. The cost of refitting the clusters would grow with 
 from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
 """
 
-from collections.abc import Hashable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Annotated, Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,16 +86,9 @@ class Behavior:
         return merged_states(self.states, self.window, self.tail)
 
 
-_described: WeakKeyDictionary[Trace, dict[Hashable, Behavior]] = WeakKeyDictionary()
-
-
+@lru_cache(maxsize=2)  # a search method and the novelty archive describe the same trace one after the other
 def _describe(trace: Trace, heading_frame: HeadingFrame, window: int, tail: Tail) -> Behavior:
-    """Return the behavior in a trace. A search method and the novelty archive describe each trace of a campaign."""
-    known = _described.setdefault(trace, {})
-    key = (heading_frame, window, tail)
-    if key not in known:
-        known[key] = Behavior(state_matrix(trace, heading_frame), window, tail)
-    return known[key]
+    return Behavior(state_matrix(trace, heading_frame), window, tail)
 
 
 class BehaviorMiner:

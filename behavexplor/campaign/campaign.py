@@ -9,7 +9,7 @@ Resuming a campaign means running it again with the stored traces in place of ex
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -34,7 +34,6 @@ from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
-MOST_TOLD = 100  # greatest number of executions that the method has been told and that have no record yet
 
 
 class ExecutionError(Exception):
@@ -58,25 +57,6 @@ class _Pending:
     @property
     def is_executed(self) -> bool:
         return isinstance(self.result, Execution) or self.result.done()
-
-
-@dataclass(frozen=True)
-class _Told:
-    """A candidate whose result the method has been told, and which has no record yet.
-
-    Attributes:
-        candidate: the candidate.
-        stored: the stored execution; None if it is new.
-        judged: the judgment.
-        learned: what the method learned from it.
-        elapsed: running time of the campaign up to the execution [s].
-    """
-
-    candidate: Candidate
-    stored: Execution | None
-    judged: Judgment
-    learned: Mapping[str, Any]
-    elapsed: float
 
 
 class Campaign:
@@ -122,7 +102,6 @@ class Campaign:
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
         self._pending: deque[_Pending] = deque()
-        self._told: deque[_Told] = deque()
         self._asked = 0
         self._start = time.monotonic() - store.elapsed
         self._committed = time.monotonic()
@@ -158,10 +137,7 @@ class Campaign:
                 self._tell(self._pending.popleft())
                 self._commit(observe, COMMIT_ROWS, COMMIT_SECONDS)
         finally:
-            try:
-                self._complete(0)
-            finally:
-                self._commit(observe, 1, 0.0)
+            self._commit(observe, 1, 0.0)
         return ended
 
     def _has_enough(self) -> bool:
@@ -209,47 +185,29 @@ class Campaign:
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {error}") from error
 
     def _tell(self, oldest: _Pending) -> None:
-        """Tell the method a result, and complete the records of earlier ones if there are many without."""
-        self._work_until(oldest)
-        candidate, judged = oldest.candidate, oldest.judgment or self._judgment(oldest)
-        with self._clock.during(MINING):
-            learned = self._method.tell(candidate, judged.trace, judged.verdict)
-        self._failures += bool(judged.verdict.violated)
-        stored = oldest.result if isinstance(oldest.result, Execution) else None
-        self._told.append(_Told(candidate, stored, judged, learned, self.elapsed))
-        self._complete(MOST_TOLD)
+        """Tell the method a result, and store the record unless it is already stored."""
+        self._judge_others_until(oldest)
+        judged = oldest.judgment or self._judgment(oldest)
+        record = self._record(oldest.candidate, judged)
+        self._failures += record.failed
+        if not isinstance(oldest.result, Execution):
+            self._store.add(Execution(record, judged.data, self.elapsed))
+        elif not oldest.result.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
+            raise InputError(
+                f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration or "
+                f"the program has changed"
+            )
+        else:
+            self.progress = self.progress.after(oldest.result.record, resumed=True)
 
-    def _work_until(self, oldest: _Pending) -> None:
-        """Do what the method need not wait for, until the oldest candidate has been executed.
-
-        Candidates that have been executed early are judged, and records of what the method has been told are completed.
-        """
+    def _judge_others_until(self, oldest: _Pending) -> None:
+        """Judge candidates that have been executed early, until the oldest one has been executed as well."""
         for other in self._pending:
             if oldest.is_executed:
                 return
             if other.is_executed and other.judgment is None:
                 with suppress(InputError, ExecutionError):  # it will be raised when the candidate is the oldest one
                     other.judgment = self._judgment(other)
-        while self._told and not oldest.is_executed:
-            self._complete(len(self._told) - 1)
-
-    def _complete(self, left: int) -> None:
-        """Complete the records of what the method has been told, in order, until not more than `left` have none.
-
-        New executions are stored, and stored ones are counted.
-        """
-        while len(self._told) > left:
-            told = self._told.popleft()
-            record = self._record(told)
-            if told.stored is None:
-                self._store.add(Execution(record, told.judged.data, told.elapsed))
-            elif not told.stored.record.to_dict().items() <= record.to_dict().items():  # old records have fewer fields
-                raise InputError(
-                    f"The run cannot be resumed: execution {record.id} is now judged differently, so the configuration "
-                    f"or the program has changed"
-                )
-            else:
-                self.progress = self.progress.after(told.stored.record, resumed=True)
 
     def _judgment(self, pending: _Pending) -> Judgment:
         data, failure = self._outcome(pending)
@@ -274,10 +232,10 @@ class Campaign:
             message = f"{type(error).__name__}: {error}".splitlines()[0]
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
 
-    def _record(self, told: _Told) -> Record:
-        candidate, judged = told.candidate, told.judged
+    def _record(self, candidate: Candidate, judged: Judgment) -> Record:
         with self._clock.during(MINING):
             novelty = self._archive.observe(judged.trace)
+            learned = self._method.tell(candidate, judged.trace, judged.verdict)
         return Record(
             id=candidate.number,
             origin=candidate.origin,
@@ -292,7 +250,7 @@ class Campaign:
             degrees=dict(judged.verdict.degrees),
             novelty=novelty,
             novel=novelty > self._archive.options.threshold,
-            search=dict(told.learned),
+            search=dict(learned),
             scenario=candidate.scenario.to_dict(),
         )
 

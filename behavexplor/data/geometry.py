@@ -27,9 +27,12 @@ def box_corners(position: Floats, heading: Floats, size: Floats) -> Floats:
     """
     local = _UNIT_BOX * np.asarray(size)[..., None, :]
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
-    x = local[..., 0] * cos - local[..., 1] * sin
-    y = local[..., 0] * sin + local[..., 1] * cos
-    return np.stack([x, y], axis=-1) + np.asarray(position)[..., None, :]
+    center = np.asarray(position)[..., None, :]
+    x = local[..., 0] * cos - local[..., 1] * sin + center[..., 0]
+    y = local[..., 0] * sin + local[..., 1] * cos + center[..., 1]
+    corners = np.empty((*x.shape, 2))
+    corners[..., 0], corners[..., 1] = x, y
+    return corners
 
 
 def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:

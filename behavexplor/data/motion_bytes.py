@@ -28,7 +28,7 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
 
 
 def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
-    """Return the motion that `pack_motion` packed, shape (T, ...).
+    """Return the motion that `pack_motion` packed, a read-only array of shape (T, ...).
 
     Args:
         planes: bytes, shape (8, ..., T).
@@ -45,4 +45,5 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     motion = np.empty((frames, *planes.shape[1:-1]))
     rows = np.array(planes, order="C").reshape(8, -1, frames)
     fill_values(rows, resolution, motion.reshape(frames, -1))
+    motion.setflags(write=False)
     return motion

@@ -78,15 +78,19 @@ class Trace:
     partner: int = -1
 
     def __post_init__(self) -> None:
+        self._freeze(step=RESOLUTION)
+        self._validate()
+
+    def _freeze(self, step: float | None) -> None:
+        """Make all arrays read-only. Motion is rounded to multiples of `step` if that is given."""
         for name in _ARRAYS:
             kind = np.int64 if name == "action_frame" else np.float64
-            step = RESOLUTION if name in _MOTION else None
-            object.__setattr__(self, name, _frozen(name, getattr(self, name), kind, step))
+            rounded = step if name in _MOTION else None
+            object.__setattr__(self, name, _frozen(name, getattr(self, name), kind, rounded))
         for name in ("decisions", "signals"):
             object.__setattr__(self, name, _frozen_mapping(name, getattr(self, name)))
         present = _frozen("present", self.present, np.bool_)
         object.__setattr__(self, "present", present[:0, :0] if present.ndim == 2 and present.all() else present)
-        self._validate()
 
     def _validate(self) -> None:
         frames, vehicles, decisions = _rows(self.time), _rows(self.size), _rows(self.action_frame)
@@ -227,17 +231,20 @@ class Trace:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
         if not np.array_equal(values["format"], NPZ_FORMAT if is_npz else FORMAT):
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
-        arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
-            arrays[name] = unpack_motion(arrays[name], arrays["time"].size, RESOLUTION)
-        return cls(
-            **arrays,
+            values[name] = unpack_motion(values[name], values["time"].size, RESOLUTION)
+        trace = object.__new__(cls)
+        trace.__dict__.update(
+            {name: values[name] for name in _ARRAYS},
             end=str(values["end"]) if is_npz else values["end"].tobytes().decode(errors="replace"),
             decisions=_part(values, "decisions."),
             signals=_part(values, "signals."),
-            present=values.get("present", np.ones((0, 0), dtype=bool)),
+            present=values.get("present", _ALL_PRESENT),
             partner=_whole_number("partner", values["partner"]) if "partner" in values else -1,
         )
+        trace._freeze(step=None)  # unpacked motion consists of multiples of the resolution
+        trace._validate()
+        return trace
 
     def save(self, path: Path) -> None:
         """Write the trace as a file."""
