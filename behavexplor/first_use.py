@@ -1,10 +1,11 @@
-"""Modules that are loaded at their first use, not when another module imports them.
+"""Modules that other libraries import for functions that this package does not call: loaded late, or not at all.
 
-highway-env imports Matplotlib's pyplot and pandas, and scikit-learn imports pandas, for functions that executions do not
-call. Loading the two takes longer than everything else that a worker needs of highway-env.
+highway-env imports Matplotlib's pyplot and pandas, and loading them takes twice as long as the rest of it. scikit-learn
+imports pandas if it is installed.
 """
 
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.abc import MetaPathFinder
@@ -17,7 +18,7 @@ _RARELY_USED: Final = frozenset({"matplotlib.pyplot", "pandas"})
 
 
 class _LazyFinder(MetaPathFinder):
-    """Finds modules as usual, but executes them only when one of their attributes is used."""
+    """Finds modules as usual, but rarely used ones are executed only when one of their attributes is used."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -28,17 +29,35 @@ class _LazyFinder(MetaPathFinder):
         return spec
 
 
-_finder: Final = _LazyFinder()
+class _HidingFinder(MetaPathFinder):
+    """Hides a module from what the current thread imports, as if it were not installed."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._thread = threading.get_ident()
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,  # noqa: ARG002 - the signature of a finder
+        target: ModuleType | None = None,  # noqa: ARG002
+    ) -> ModuleSpec | None:
+        if fullname == self._name and threading.get_ident() == self._thread:
+            raise ModuleNotFoundError(f"No module named {fullname!r}", name=fullname)
+        return None
+
+
+_lazy: Final = _LazyFinder()
 
 
 def begin_loading_at_first_use() -> None:
     """Begin to load rarely used modules at their first use, if they are imported from now on."""
-    sys.meta_path.insert(0, _finder)
+    sys.meta_path.insert(0, _lazy)
 
 
 def end_loading_at_first_use() -> None:
     """Load modules as usual again. Those that have been imported meanwhile are still loaded at their first use."""
-    sys.meta_path.remove(_finder)
+    sys.meta_path.remove(_lazy)
 
 
 @contextmanager
@@ -49,3 +68,20 @@ def loaded_at_first_use() -> Iterator[None]:
         yield
     finally:
         end_loading_at_first_use()
+
+
+@contextmanager
+def hidden(name: str) -> Iterator[None]:
+    """Return a context in which a module cannot be imported by this thread, unless it has been imported before.
+
+    Libraries that can do without the module are then loaded faster.
+
+    Args:
+        name: name of the module.
+    """
+    finder = _HidingFinder(name)
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)

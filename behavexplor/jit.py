@@ -206,26 +206,33 @@ def drop_stale_code(folder: Path = _PACKAGE, package: Path = _PACKAGE) -> None:
         folder: folder of the modules.
         package: folder of the package `behavexplor`, from which they import kernels and constants.
     """
-    digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
     stamp = folder / "__pycache__" / "kernels.json"
     try:
-        known = _read(stamp)
-        if known == digests:
+        files, known = _files({folder, package}), _read(stamp)
+        if known.get("files") == files:  # without reading all sources
             return
+        digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
         stamp.parent.mkdir(exist_ok=True)
         for name, digest in digests.items():
-            if known.get(name) != digest:
+            if known.get("kernels", {}).get(name) != digest:
                 _drop(folder / name)
-        stamp.write_text(json.dumps(digests))
+        stamp.write_text(json.dumps({"files": files, "kernels": digests}))
     except OSError:  # a read-only installation, whose sources do not change
         return
+
+
+def _files(folders: set[Path]) -> str:
+    """Return a digest of the sizes and times of change of all modules in some folders."""
+    paths = sorted(path for folder in folders for path in folder.rglob("*.py"))
+    found = [(str(path), path.stat()) for path in paths]
+    return hashlib.sha256(repr([(path, info.st_size, info.st_mtime_ns) for path, info in found]).encode()).hexdigest()
 
 
 def _modules_with_kernels(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.rglob("*.py")) if "\n@kernel" in _source(path)]
 
 
-def _read(stamp: Path) -> dict[str, str]:
+def _read(stamp: Path) -> dict[str, Any]:
     try:
         return dict(json.loads(stamp.read_text()))
     except (FileNotFoundError, ValueError, TypeError):  # the first import, or a truncated file
