@@ -28,6 +28,7 @@ from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
+Scaling = Literal["zscore", "none"]
 
 
 @validated
@@ -56,7 +57,7 @@ class MinerOptions:
     tail: Tail = "padded"
     heading_frame: HeadingFrame = "route"
     clusters: Annotated[int, between(1, MAX_CLUSTERS)] = 10
-    scaling: Literal["zscore", "none"] = "zscore"
+    scaling: Scaling = "zscore"
     refit_growth: Annotated[float, between(0)] = 0.25
     sample_size: Annotated[int, between(1, 1_000_000)] = 20_000
     random_state: Annotated[int, between(0, 2**32 - 1)] = 0
@@ -139,27 +140,33 @@ class BehaviorMiner:
     def fit(self) -> None:
         """Fit the clusters to the known behaviors, and recompute the abstract traces of all of them."""
         self._fitted_at = len(self)
-        rows = self._sample.rows.astype(np.float64)
-        if not len(rows):
+        sample = self._sample.rows
+        if not len(sample):
             return
+        rows, mean, scale = _scaled(sample, self.options.scaling)
         count = min(self.options.clusters, len(rows))
-        mean, scale = np.zeros(N_FEATURES), np.ones(N_FEATURES)
-        if self.options.scaling == "zscore":
-            mean = rows.mean(0)
-            scale = np.maximum(rows.std(0, mean=mean[None]), NEGLIGIBLE)
         starts: list[Floats | str] = []
         if len(self._clusters.centers) == count:
             starts.append((self._clusters.unscaled_centers - mean) / scale)
         if not starts or not self._sample.full:
             starts.append("k-means++")
-        rows -= mean
-        rows /= scale
         self._clusters = clusters_of(k_means(rows, count, starts, self.options.random_state), mean, scale)
         for i, states in enumerate(self._states):
             self._traces[i] = self._labels(states)
 
     def _labels(self, states: NDArray[np.float32]) -> Labels:
         return nearest_clusters(states, self.options.window, self.options.tail, self._clusters)
+
+
+def _scaled(sample: NDArray[np.float32], scaling: Scaling) -> tuple[Floats, Floats, Floats]:
+    """Return scaled rows, and the mean and the scale of each feature, see `behavexplor.behavior.clusters.Clusters`."""
+    if scaling == "none":
+        return sample.astype(np.float64), np.zeros(N_FEATURES), np.ones(N_FEATURES)
+    from behavexplor.behavior.standardization import standardize  # noqa: PLC0415 - numba is slow to import
+
+    rows, mean, scale = np.empty(sample.shape), np.zeros(N_FEATURES), np.zeros(N_FEATURES)
+    standardize(sample, NEGLIGIBLE, mean, scale, rows)
+    return rows, mean, scale
 
 
 class _Sample:
