@@ -24,6 +24,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(r"^(?:from|import) (behavexplor[.\w]*)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
+_FILES = "*"  # key of the digest of all files, beside those of modules
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
 _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls no kernels
 
@@ -209,14 +210,14 @@ def drop_stale_code(folder: Path = _PACKAGE, package: Path = _PACKAGE) -> None:
     stamp = folder / "__pycache__" / "kernels.json"
     try:
         files, known = _files({folder, package}), _read(stamp)
-        if known.get("files") == files:  # without reading all sources
+        if known.get(_FILES) == files:  # without reading all sources
             return
         digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
         stamp.parent.mkdir(exist_ok=True)
         for name, digest in digests.items():
-            if known.get("kernels", {}).get(name) != digest:
+            if known.get(name) != digest:
                 _drop(folder / name)
-        stamp.write_text(json.dumps({"files": files, "kernels": digests}))
+        stamp.write_text(json.dumps({_FILES: files, **digests}))
     except OSError:  # a read-only installation, whose sources do not change
         return
 
@@ -232,7 +233,7 @@ def _modules_with_kernels(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.rglob("*.py")) if "\n@kernel" in _source(path)]
 
 
-def _read(stamp: Path) -> dict[str, Any]:
+def _read(stamp: Path) -> dict[str, str]:
     try:
         return dict(json.loads(stamp.read_text()))
     except (FileNotFoundError, ValueError, TypeError):  # the first import, or a truncated file

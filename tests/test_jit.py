@@ -82,6 +82,18 @@ def test_a_change_drops_the_kernels_that_rest_on_it(package, changed, left):
     assert kept(package) == left
 
 
+def test_sources_are_not_read_again_while_no_file_has_changed(package, monkeypatch):
+    monkeypatch.setattr(compiled, "_source", lambda _: pytest.fail("a source was read"))
+    compiled.drop_stale_code(package, package)
+    assert kept(package) == set(KERNELS)
+
+
+def test_a_file_with_a_new_time_and_the_same_content_drops_nothing(package):
+    os.utime(package / "constants.py", ns=(1, 1))
+    compiled.drop_stale_code(package, package)
+    assert kept(package) == set(KERNELS)
+
+
 @pytest.mark.parametrize("text", ["", "[1", "[1, 2]", "null"])
 def test_a_stamp_that_cannot_be_read_drops_everything(package, text):
     (package / "__pycache__/kernels.json").write_text(text)

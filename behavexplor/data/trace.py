@@ -231,11 +231,12 @@ class Trace:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
         if not np.array_equal(values["format"], NPZ_FORMAT if is_npz else FORMAT):
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
+        arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
-            values[name] = unpack_motion(values[name], values["time"].size, RESOLUTION)
+            arrays[name] = unpack_motion(arrays[name], arrays["time"].size, RESOLUTION)
         trace = object.__new__(cls)
         trace.__dict__.update(
-            {name: values[name] for name in _ARRAYS},
+            arrays,
             end=str(values["end"]) if is_npz else values["end"].tobytes().decode(errors="replace"),
             decisions=_part(values, "decisions."),
             signals=_part(values, "signals."),
