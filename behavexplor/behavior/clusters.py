@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from behavexplor.first_use import hidden
+from behavexplor.data.first_use import hidden
 
 Floats = NDArray[np.float64]
 

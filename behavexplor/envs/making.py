@@ -14,9 +14,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT
+from behavexplor.data.first_use import loaded_at_first_use
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.first_use import loaded_at_first_use
 
 ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
 HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second

@@ -7,7 +7,7 @@ use.
 
 import gc
 
-from behavexplor.first_use import begin_loading_at_first_use
+from behavexplor.data.first_use import begin_loading_at_first_use
 
 begin_loading_at_first_use()
 gc.disable()

@@ -7,7 +7,7 @@ at its end.
 
 import gc
 
-from behavexplor.first_use import end_loading_at_first_use
+from behavexplor.data.first_use import end_loading_at_first_use
 from behavexplor.jit import load_compiler
 
 end_loading_at_first_use()

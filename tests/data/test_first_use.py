@@ -7,7 +7,7 @@ from threading import Thread
 
 import pytest
 
-from behavexplor.first_use import hidden
+from behavexplor.data.first_use import hidden
 
 TRACED = """
 import sys
