@@ -116,7 +116,7 @@ def _add_up(terms: Floats, length: int, sums: Floats) -> None:
 def _find_least(x: Floats, sign: float, window: int, room: Floats, least: Floats) -> None:
     """Find the least number in each window, or the greatest one if the sign is -1.
 
-    The least number of a window is the less of those of two shorter windows that cover it.
+    The least number of a window is the lesser of those of two shorter windows that cover it.
     """
     for i in range(len(x)):
         room[i] = sign * x[i]
