@@ -105,6 +105,7 @@ class BehaviorMiner:
         self._sample = _Sample(options.sample_size, np.random.default_rng(options.random_state))
         self._clusters = clusters_of(np.zeros((1, N_FEATURES)), np.zeros(N_FEATURES), np.ones(N_FEATURES))
         self._fitted_at = 0
+        self._labeled: tuple[Behavior, Labels] | None = None  # the latest behavior with its abstract trace
 
     def __len__(self) -> int:
         return len(self._states)
@@ -115,7 +116,9 @@ class BehaviorMiner:
 
     def abstract(self, behavior: Behavior) -> Labels:
         """Compute an abstract trace, the paper's H-hat: the nearest cluster of each merged state, shape (windows,)."""
-        return self._labels(behavior.states)
+        if self._labeled is None or self._labeled[0] is not behavior:  # a novel behavior is added after a comparison
+            self._labeled = behavior, self._labels(behavior.states)
+        return self._labeled[1]
 
     def distances(self, labels: Labels) -> Floats:
         """Compute the distance of an abstract trace from every known behavior, in order of addition; shape (n,)."""
@@ -151,6 +154,7 @@ class BehaviorMiner:
         if not starts or not self._sample.full:
             starts.append("k-means++")
         self._clusters = clusters_of(k_means(rows, count, starts, self.options.random_state), mean, scale)
+        self._labeled = None
         for i, states in enumerate(self._states):
             self._traces[i] = self._labels(states)
 

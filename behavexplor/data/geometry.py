@@ -95,7 +95,8 @@ def box_distance(a: Floats, b: Floats) -> Floats:
     """
     from behavexplor.data.box_kernels import fill_box_distances  # noqa: PLC0415 - numba is slow to import
 
-    a, b = np.broadcast_arrays(a, b)
+    if a.shape != b.shape:
+        a, b = np.broadcast_arrays(a, b)
     gaps = np.empty(a.shape[:-2])
     fill_box_distances(_flat(a, 4), _flat(b, 4), gaps.reshape(-1))
     return gaps

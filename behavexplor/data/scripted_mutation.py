@@ -4,10 +4,13 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.errors import InputError
+
+Floats = NDArray[np.float64]
 
 _ATTEMPTS = 1000
 
@@ -83,11 +86,16 @@ def shift_waypoints(
     values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
     noise = rng.normal(0.0, sigma, values.shape)
     noisy = values + noise * (rng.random((len(values), 1)) >= keep_probability)
-    position = np.sort(np.clip(noisy[:, 0], low, high))
-    position = np.maximum.accumulate(np.clip(position, low, high))
-    speed = np.clip(noisy[:, 1], *logical.speed_range)
+    position = np.sort(_clipped(noisy[:, 0], low, high))
+    position = np.maximum.accumulate(_clipped(position, low, high))
+    speed = _clipped(noisy[:, 1], *logical.speed_range)
     speed[-1] = 0.0
     return NPC(npc.type, npc.route, tuple(map(Waypoint, position.tolist(), speed.tolist())))
+
+
+def _clipped(values: Floats, low: Floats | float, high: Floats | float) -> Floats:
+    """Return what `np.clip` returns, which takes ten times as long for a few numbers."""
+    return np.minimum(np.maximum(values, low), high)
 
 
 def _mutate(

@@ -38,7 +38,7 @@ DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's:
 NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
 _TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
 _BLOCK = 8  # frames that share one bound in the search for the nearest line
-_FIRST_LOOK = 16  # number of exact distances computed first
+_FIRST_LOOK = 64  # number of exact distances computed first
 
 
 class Spec(Protocol):
@@ -208,7 +208,7 @@ def _line_distance(trace: Trace) -> float:
     if not len(lines):
         return NOTHING_NEAR
     positions, headings = poses_until_arrival(trace)
-    frames = _changes(np.column_stack([positions[:, 0], headings[:, 0]]))
+    frames = _changes(positions[:, 0, 0], positions[:, 0, 1], headings[:, 0])
     position, heading = positions[frames, 0], headings[frames, 0]
     reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2
 
@@ -250,10 +250,13 @@ def gap_across(position: Floats, heading: Floats, size: Floats, lines: Floats, l
     return np.asarray(across - (np.abs(np.sin(turned)) * size[0] + np.abs(np.cos(turned)) * size[1]) / 2)
 
 
-def _changes(rows: Floats) -> Ints:
-    """Return the indices of the first row and of each row that differs from the row before; rows of shape (T, C)."""
-    changed = (rows[1:] != rows[:-1]).any(1)
-    return np.concatenate([[0], np.flatnonzero(changed) + 1])
+def _changes(*columns: Floats) -> Ints:
+    """Return the indices of the first row and of each row that differs from the row before; columns of shape (T,)."""
+    changed = np.ones(len(columns[0]), dtype=bool)
+    changed[1:] = False
+    for column in columns:
+        changed[1:] |= column[1:] != column[:-1]
+    return np.flatnonzero(changed)
 
 
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
@@ -264,10 +267,13 @@ def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> floa
         upper: upper bound of the least distance [m].
         exact: function from indices to exact distances.
     """
-    open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
-    order = open_[np.argsort(lower[open_], kind="stable")]
-    least, start, count = np.inf, 0, _FIRST_LOOK
-    while start < len(order) and lower[order[start]] < least - _TOLERANCE:
-        least = min(least, float(exact(order[start : start + count]).min()))
-        start, count = start + count, 2 * count
+    left = np.flatnonzero(lower - _TOLERANCE <= upper)
+    least, count = np.inf, _FIRST_LOOK
+    while len(left):
+        if count < len(left):  # those with the least bounds first
+            left = left[np.argpartition(lower[left], count)]
+        least = min(least, float(exact(left[:count]).min()))
+        left = left[count:]
+        left = left[lower[left] < least - _TOLERANCE]
+        count *= 2
     return least if least > RESOLUTION else 0.0
