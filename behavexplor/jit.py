@@ -223,10 +223,14 @@ def drop_stale_code(folder: Path = _PACKAGE, package: Path = _PACKAGE) -> None:
 
 
 def _files(folders: set[Path]) -> str:
-    """Return a digest of the sizes and times of change of all modules in some folders."""
+    """Return a digest of the sizes and times of change of all modules in some folders.
+
+    An installer may give a new file the time of the old one, but not the time at which its entry was changed.
+    """
     paths = sorted(path for folder in folders for path in folder.rglob("*.py"))
     found = [(str(path), path.stat()) for path in paths]
-    return hashlib.sha256(repr([(path, info.st_size, info.st_mtime_ns) for path, info in found]).encode()).hexdigest()
+    changes = [(path, info.st_size, info.st_mtime_ns, info.st_ctime_ns) for path, info in found]
+    return hashlib.sha256(repr(changes).encode()).hexdigest()
 
 
 def _modules_with_kernels(folder: Path) -> list[Path]:

@@ -88,6 +88,16 @@ def test_sources_are_not_read_again_while_no_file_has_changed(package, monkeypat
     assert kept(package) == set(KERNELS)
 
 
+def test_another_content_of_the_same_size_and_time_is_noticed(package):
+    file = package / "constants.py"
+    before = file.stat()
+    put(package, {"constants.py": "LIMIT = 2\n"})
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert file.stat().st_size == before.st_size
+    compiled.drop_stale_code(package, package)
+    assert kept(package) == {"third.h"}
+
+
 def test_a_file_with_a_new_time_and_the_same_content_drops_nothing(package):
     os.utime(package / "constants.py", ns=(1, 1))
     compiled.drop_stale_code(package, package)
