@@ -271,7 +271,7 @@ def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> floa
     least, count = np.inf, _FIRST_LOOK
     while len(left):
         if count < len(left):  # those with the least bounds first
-            left = left[np.argpartition(lower[left], count)]
+            left = left[np.argsort(lower[left], kind="stable")]
         least = min(least, float(exact(left[:count]).min()))
         left = left[count:]
         left = left[lower[left] < least - _TOLERANCE]
