@@ -208,11 +208,11 @@ def drop_stale_code(folder: Path = _PACKAGE, package: Path = _PACKAGE) -> None:
         package: folder of the package `behavexplor`, from which they import kernels and constants.
     """
     stamp = folder / "__pycache__" / "kernels.json"
+    files, known = _files({folder, package}), _read(stamp)
+    if known.get(_FILES) == files:  # without reading all sources
+        return
+    digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
     try:
-        files, known = _files({folder, package}), _read(stamp)
-        if known.get(_FILES) == files:  # without reading all sources
-            return
-        digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
         stamp.parent.mkdir(exist_ok=True)
         for name, digest in digests.items():
             if known.get(name) != digest:
@@ -227,14 +227,14 @@ def _files(folders: set[Path]) -> str:
 
     An installer may give a new file the time of the old one, but not the time at which its entry was changed.
     """
-    paths = sorted(path for folder in folders for path in folder.rglob("*.py"))
+    paths = sorted(path for folder in folders for path in folder.rglob("*.py") if path.is_file())
     found = [(str(path), path.stat()) for path in paths]
     changes = [(path, info.st_size, info.st_mtime_ns, info.st_ctime_ns) for path, info in found]
     return hashlib.sha256(repr(changes).encode()).hexdigest()
 
 
 def _modules_with_kernels(folder: Path) -> list[Path]:
-    return [path for path in sorted(folder.rglob("*.py")) if "\n@kernel" in _source(path)]
+    return [path for path in sorted(folder.rglob("*.py")) if path.is_file() and "\n@kernel" in _source(path)]
 
 
 def _read(stamp: Path) -> dict[str, str]:

@@ -88,6 +88,14 @@ def test_sources_are_not_read_again_while_no_file_has_changed(package, monkeypat
     assert kept(package) == set(KERNELS)
 
 
+def test_a_link_to_nothing_is_no_module(package):
+    """Some editors mark a file that is open by such a link."""
+    (package / "rooms/.#first.py").symlink_to("nowhere")
+    put(package, {"constants.py": SOURCES["constants.py"] + "NEW = 2\n"})
+    compiled.drop_stale_code(package, package)
+    assert kept(package) == {"third.h"}
+
+
 def test_another_content_of_the_same_size_and_time_is_noticed(package):
     file = package / "constants.py"
     before = file.stat()

@@ -20,6 +20,7 @@ from typing import Any
 
 from behavexplor.commands.early_imports import begin_imports
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
+from behavexplor.data.first_use import loaded_at_first_use
 from behavexplor.errors import InputError, printable, sentence
 from behavexplor.execution.shared_imports import collections_off
 
@@ -66,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
-    with _notices(quiet="--quiet" in given), folder_for_matplotlib():
+    with _notices(quiet="--quiet" in given), folder_for_matplotlib(), loaded_at_first_use():
         return _run(given)
 
 

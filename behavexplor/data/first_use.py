@@ -1,7 +1,9 @@
-"""Modules that other libraries import for functions that this package does not call: loaded late, or not at all.
+"""Late loading of modules that other libraries import and this package rarely uses.
 
-highway-env imports Matplotlib's pyplot and pandas, and loading them takes twice as long as the rest of it. scikit-learn
-imports pandas if it is installed.
+highway-env imports Matplotlib's pyplot and pandas, and loading them takes twice as long as the rest of it. Commands and
+workers load them at their first use. A program that uses this package as a library does not, because before Python
+3.11.9, two threads must not use such a module for the first time at once. scikit-learn imports pandas if it is
+installed, and clustering does not need it.
 """
 
 import sys
@@ -72,9 +74,9 @@ def loaded_at_first_use() -> Iterator[None]:
 
 @contextmanager
 def hidden(name: str) -> Iterator[None]:
-    """Return a context in which a module cannot be imported by this thread, unless it has been imported before.
+    """Return a context in which this thread cannot import a module. A module that is already imported stays available.
 
-    Libraries that can do without the module are then loaded faster.
+    Libraries that can do without the module are loaded faster in it.
 
     Args:
         name: name of the module.

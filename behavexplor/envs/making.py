@@ -14,15 +14,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT
-from behavexplor.data.first_use import loaded_at_first_use
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, unknown_name
 
 ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
-HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and takes a second
+HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and is slow
 
 
-@loaded_at_first_use()
 def environment_id(name: str) -> str:
     """Return the gymnasium id of an environment.
 
@@ -227,7 +225,6 @@ def _is_stock(made: gymnasium.Env[Any, Any]) -> bool:
     return isinstance(inner, AbstractEnv) and not hasattr(inner, "logical")
 
 
-@loaded_at_first_use()
 def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
     """Make an environment as gymnasium does.
 

@@ -80,7 +80,7 @@ def _of_function(answer: Any, space: gymnasium.Space[Any]) -> str:
 def _checked(
     answer: Any, space: gymnasium.Space[Any], count: int, counts: NDArray[np.bool_] | None
 ) -> tuple[NDArray[Any], Any]:
-    """Return the actions and the state of an answer. If any is not valid, those that are not used are replaced.
+    """Return the actions and the state of an answer. If an action is invalid, unused rows take that of a used one.
 
     Raises:
         _AnswerError: if the answer is invalid; the message says what `predict` must return.

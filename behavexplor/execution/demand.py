@@ -1,5 +1,6 @@
 """Demand for workers: how much of the time the caller of a pool waits for results."""
 
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -11,29 +12,31 @@ _PERIOD: Final = 1.0  # least time over which this share is measured [s]
 
 
 class Demand:
-    """Measures for which share of the time a caller waits, anew in each period.
+    """Measures the share of the time that a caller waits, anew in each period.
 
-    The caller's work changes: it first loads what it needs, and learns most from the first results. One thread waits,
-    and another one asks for the share.
+    An older share says little, because the caller's work changes. One thread waits, and another one asks for the share.
     """
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._waits_since: float | None = None
         self.measure_anew()
 
     def measure_anew(self) -> None:
         """Forget what has been measured."""
-        self._begun, self._waited, self._share = time.monotonic(), 0.0, 0.0
+        with self._lock:
+            self._begun, self._waited, self._share = time.monotonic(), 0.0, 0.0
 
     @property
     def is_high(self) -> bool:
         """True if the caller waited for most of the latest period, so that another worker would help."""
-        now = time.monotonic()
-        elapsed = now - self._begun
-        if elapsed >= _PERIOD:
-            share = (self._waited + self._waits_for(now)) / elapsed
-            self._begun, self._waited, self._share = now, 0.0, share
-        return self._share > _MOST
+        with self._lock:
+            now = time.monotonic()
+            elapsed = now - self._begun
+            if elapsed >= _PERIOD:
+                share = (self._waited + self._waits_for(now)) / elapsed
+                self._begun, self._waited, self._share = now, 0.0, share
+            return self._share > _MOST
 
     def _waits_for(self, now: float) -> float:
         """Return for how long the caller has been waiting in this period, if it waits now [s]."""
@@ -43,12 +46,14 @@ class Demand:
     @contextmanager
     def waiting(self) -> Iterator[None]:
         """Return a context in which the caller waits."""
-        self._waits_since = time.monotonic()
+        with self._lock:
+            self._waits_since = time.monotonic()
         try:
             yield
         finally:
-            self._waited += self._waits_for(time.monotonic())
-            self._waits_since = None
+            with self._lock:
+                self._waited += self._waits_for(time.monotonic())
+                self._waits_since = None
 
 
 class AwaitedFuture(Future[Any]):

@@ -38,7 +38,7 @@ DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's:
 NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
 _TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
 _BLOCK = 8  # frames that share one bound in the search for the nearest line
-_FIRST_LOOK = 64  # number of exact distances computed first
+_FIRST_LOOK = 16  # number of exact distances computed first
 
 
 class Spec(Protocol):
@@ -267,13 +267,10 @@ def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> floa
         upper: upper bound of the least distance [m].
         exact: function from indices to exact distances.
     """
-    left = np.flatnonzero(lower - _TOLERANCE <= upper)
-    least, count = np.inf, _FIRST_LOOK
-    while len(left):
-        if count < len(left):  # those with the least bounds first
-            left = left[np.argsort(lower[left], kind="stable")]
-        least = min(least, float(exact(left[:count]).min()))
-        left = left[count:]
-        left = left[lower[left] < least - _TOLERANCE]
-        count *= 2
+    open_ = np.flatnonzero(lower - _TOLERANCE <= upper)
+    order = open_[np.argsort(lower[open_], kind="stable")]
+    least, start, count = np.inf, 0, _FIRST_LOOK
+    while start < len(order) and lower[order[start]] < least - _TOLERANCE:
+        least = min(least, float(exact(order[start : start + count]).min()))
+        start, count = start + count, 2 * count
     return least if least > RESOLUTION else 0.0
