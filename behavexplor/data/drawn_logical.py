@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any, Final, Self
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
 from behavexplor.data.logical import Mutations, Noise
@@ -193,12 +193,12 @@ class DrawnLogicalScenario:
 
     def shares(self, forms: Floats) -> Floats:
         """Return the shares in [0, 1] that stand for standard forms: quantiles for normal draws."""
-        return np.where(self._is_normal, ndtr(forms), forms)
+        return np.where(self._is_normal, scipy.special.ndtr(forms), forms)
 
     def of_shares(self, shares: Floats) -> Floats:
         """Return the standard forms of shares, rounded so that `shares` and this method return to equal forms."""
         uniform = np.minimum(np.round(shares, _DIGITS), 1 - 10.0**-_DIGITS)
-        normal = np.round(ndtri(np.clip(shares, _EDGE, 1 - _EDGE)), _DIGITS)
+        normal = np.round(scipy.special.ndtri(np.clip(shares, _EDGE, 1 - _EDGE)), _DIGITS)
         return np.where(self._is_normal, normal, uniform)
 
     @cached_property
