@@ -60,28 +60,31 @@ def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray
     Returns:
         Read-only matrix with the columns of `ATTRIBUTES`, shape (N', 8). N' = 0 if the trace has a single frame.
     """
-    time = trace.time[:-1]
-    if not len(time):
-        return np.zeros((0, len(ATTRIBUTES)), dtype=np.float32)
-    step = np.diff(trace.time)
-    heading = np.unwrap(trace.heading[:, 0])
-    velocity, acceleration = trace.velocity[:, 0], trace.acceleration[:, 0]
-    speed = np.hypot(velocity[:, 0], velocity[:, 1])
-    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
-    columns = [speed[:-1], np.diff(speed) / step]
-    for vector in (velocity[:-1], acceleration):
-        columns += [vector[:, 0] * cos + vector[:, 1] * sin, vector[:, 1] * cos - vector[:, 0] * sin]
-    columns += [np.diff(heading) / step, heading[:-1]]
+    from behavexplor.behavior.state_kernels import fill_states  # noqa: PLC0415 - numba is slow to import
 
-    grid = np.arange(int((time[-1] + 1e-9) / TIME_STEP) + 1) * TIME_STEP
-    states = np.stack([np.interp(grid, time, column) for column in columns], axis=1)
+    if len(trace.time) < 2:
+        return np.zeros((0, len(ATTRIBUTES)), dtype=np.float32)
+    heading = _without_jumps(trace.heading[:, 0])
+    speed = np.hypot(trace.velocity[:, 0, 0], trace.velocity[:, 0, 1])
+    motion = np.array([speed, heading, np.cos(heading), np.sin(heading)])
+    count = int((trace.time[-2] + 1e-9) / TIME_STEP) + 1
+    states, places, room = np.empty((count, len(ATTRIBUTES))), np.empty((count, 2)), np.empty((2, len(ATTRIBUTES)))
+    vectors = np.ascontiguousarray(trace.position), np.ascontiguousarray(trace.velocity)
+    fill_states(np.ascontiguousarray(trace.time), *vectors, motion, TIME_STEP, room, states, places)
     if heading_frame == "route":
-        position = np.stack([np.interp(grid, trace.time, trace.position[:, 0, axis]) for axis in (0, 1)], axis=1)
-        states[:, -1] -= project_on_polyline(position, trace.route)[1]
+        states[:, -1] -= project_on_polyline(places, trace.route)[1]
     states[:, -1] -= 2 * np.pi * np.rint(states[0, -1] / (2 * np.pi))
     matrix = states.astype(np.float32)
     matrix.setflags(write=False)
     return matrix
+
+
+def _without_jumps(heading: Floats) -> Floats:
+    """Return headings without jumps by a full turn, shape (T,) [rad]."""
+    turned = heading[1:] - heading[:-1]
+    if turned.min() > -np.pi and turned.max() < np.pi:  # most of them have none, and to find that takes half as long
+        return heading + 0.0
+    return np.unwrap(heading)
 
 
 def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padded") -> Floats:

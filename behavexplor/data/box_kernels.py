@@ -1,6 +1,7 @@
 """Compiled distances of boxes, see `behavexplor.data.geometry`, whose functions call these."""
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,25 +9,56 @@ from numpy.typing import NDArray
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+BLOCK: Final = 8  # points that share one bound in the search for the nearest segment
 
 
 @kernel_in_place
 def fill_box_distances(a: Floats, b: Floats, gaps: Floats) -> None:
     """Fill in the distance of each pair of boxes; corners of shape (n, 4, 2), distances of shape (n,)."""
     for i in range(len(gaps)):
-        gaps[i] = 0.0 if _overlap(a[i], b[i]) else min(_corners_to_edges(a[i], b[i]), _corners_to_edges(b[i], a[i]))
+        gaps[i] = _between_boxes(a[i], b[i])
 
 
 @kernel_in_place
-def fill_box_segment_distances(boxes: Floats, segments: Floats, gaps: Floats) -> None:
-    """Fill in the distance of each box, shape (n, 4, 2), from its segment, shape (n, 2, 2); distances of shape (n,)."""
+def fill_distances_from_first(
+    position: Floats, cos: Floats, sin: Floats, size: Floats, frame: Ints, vehicle: Ints, room: Floats, gaps: Floats
+) -> None:
+    """Fill in distances; see `behavexplor.data.geometry.distances_from_first`.
+
+    The directions of the first vehicle and of the others have the shape (2, n). `room` is for the corners of two boxes.
+    """
     for i in range(len(gaps)):
-        box, segment = boxes[i], segments[i]
+        t, other = frame[i], vehicle[i]
+        _fill_corners(position[t, 0], cos[0, i], sin[0, i], size[0], room[0])
+        _fill_corners(position[t, other], cos[1, i], sin[1, i], size[other], room[1])
+        gaps[i] = _between_boxes(room[0], room[1])
+
+
+@kernel_in_place
+def fill_distances_from_segments(
+    position: Floats,
+    cos: Floats,
+    sin: Floats,
+    size: Floats,
+    segments: Floats,
+    segment: Ints,
+    room: Floats,
+    gaps: Floats,
+) -> None:
+    """Fill in distances; see `behavexplor.data.geometry.distances_from_segments`.
+
+    The directions of the boxes have the shape (n,). `room` is for the corners of a box.
+    """
+    for i in range(len(gaps)):
+        box, line = room[0], segments[segment[i]]
+        _fill_corners(position[i], cos[i], sin[i], size, box)
         gaps[i] = 0.0
-        if not _meets(box, segment):
-            gaps[i] = min(_to_segment(box[0], segment[0], segment[1]), _corners_to_edges(segment, box))
+        if not _meets(box, line):
+            gaps[i] = min(_to_segment(box[0], line[0], line[1]), _corners_to_edges(line, box))
             for k in range(1, 4):
-                gaps[i] = min(gaps[i], _to_segment(box[k], segment[0], segment[1]))
+                gaps[i] = min(gaps[i], _to_segment(box[k], line[0], line[1]))
 
 
 @kernel_in_place
@@ -50,6 +82,88 @@ def fill_point_segment_distances(points: Floats, segments: Floats, gaps: Floats)
     for i in range(len(points)):
         for k in range(len(segments)):
             gaps[i, k] = _to_segment(points[i], segments[k, 0], segments[k, 1])
+
+
+@kernel_in_place
+def fill_near_segments(
+    points: Floats, segments: Floats, reach: float, within: float, gaps: Floats, point: Ints, segment: Ints
+) -> tuple[int, float]:
+    """Fill in the pairs that may have the least distance; see `behavexplor.data.geometry.near_segments`.
+
+    All points of a block lie within `spread` of its first one, whose distances from the segments are the `gaps`.
+
+    Returns:
+        The number of pairs, and the upper bound of the least distance [m].
+    """
+    upper, count = math.inf, 0
+    for block in range(len(gaps)):
+        for k in range(len(segments)):
+            gaps[block, k] = _to_segment(points[block * BLOCK], segments[k, 0], segments[k, 1])
+            upper = min(upper, gaps[block, k])
+    upper = max(upper - within, 0.0)
+    for block in range(len(gaps)):
+        first, end, spread = block * BLOCK, min((block + 1) * BLOCK, len(points)), 0.0
+        for i in range(first + 1, end):
+            stray = math.hypot(points[i, 0] - points[first, 0], points[i, 1] - points[first, 1])
+            spread = max(spread, stray)
+        for k in range(len(segments)):
+            if gaps[block, k] - spread - reach <= upper:
+                for i in range(first, end):
+                    point[count], segment[count] = i, k
+                    count += 1
+    return count, upper
+
+
+@kernel_in_place
+def fill_gaps_from_lines(
+    position: Floats, cos: Floats, sin: Floats, size: Floats, lines: Floats, line: Ints, gaps: Floats
+) -> None:
+    """Fill in gaps; see `behavexplor.data.geometry.gaps_from_lines`.
+
+    `cos` and `sin` are of the boxes' headings relative to their lines. The columns of `lines` are x and y of a point,
+    and the direction.
+    """
+    for i in range(len(gaps)):
+        k = line[i]
+        x, y, line_cos, line_sin = lines[k, 0], lines[k, 1], lines[k, 2], lines[k, 3]
+        across = abs((position[i, 1] - y) * line_cos - (position[i, 0] - x) * line_sin)
+        gaps[i] = across - (abs(sin[i]) * size[0] + abs(cos[i]) * size[1]) / 2
+
+
+@kernel_in_place
+def fill_changes(position: Floats, heading: Floats, frames: Ints) -> int:
+    """Fill in the frames in which the first vehicle differs from the frame before, and the first frame.
+
+    Args:
+        position: centers, shape (T, N, 2) [m].
+        heading: headings, shape (T, N) [rad].
+        frames: frames, in order, shape (T,); changed in place.
+
+    Returns:
+        The number of such frames.
+    """
+    count = 0
+    for t in range(len(heading)):
+        if t == 0 or not _is_still(position[t, :1], position[t - 1, :1], heading[t, :1], heading[t - 1, :1]):
+            frames[count] = t
+            count += 1
+    return count
+
+
+@kernel_inner
+def _fill_corners(position: Floats, cos: float, sin: float, size: Floats, corners: Floats) -> None:
+    """Fill in the corners of a box, as `behavexplor.data.geometry.box_corners` computes them."""
+    for k in range(4):
+        ahead = (0.5 if k < 2 else -0.5) * size[0]
+        aside = (-0.5 if 0 < k < 3 else 0.5) * size[1]
+        corners[k, 0] = ahead * cos - aside * sin + position[0]
+        corners[k, 1] = ahead * sin + aside * cos + position[1]
+
+
+@kernel_inner
+def _between_boxes(a: Floats, b: Floats) -> float:
+    """Return the distance between two boxes, corners of shape (4, 2)."""
+    return 0.0 if _overlap(a, b) else min(_corners_to_edges(a, b), _corners_to_edges(b, a))
 
 
 @kernel_inner

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
 
 _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
@@ -122,23 +123,106 @@ def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) 
     return lower, upper
 
 
-def box_segment_distance(box: Floats, segment: Floats) -> Floats:
-    """Compute the shortest distance between boxes and segments [m], 0 if a segment touches or enters the box.
+def changed_frames(position: Floats, heading: Floats) -> Ints:
+    """Return the frames in which the first vehicle differs from the frame before, and the first frame.
 
     Args:
-        box: corners, shape (..., 4, 2).
-        segment: end points, shape (..., 2, 2).
+        position: centers, shape (T, N, 2) [m].
+        heading: headings, shape (T, N) [rad].
+    """
+    from behavexplor.data.box_kernels import fill_changes  # noqa: PLC0415 - numba is slow to import
+
+    frames = np.empty(len(heading), dtype=np.intp)
+    return frames[: fill_changes(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)]
+
+
+def distances_from_first(position: Floats, heading: Floats, size: Floats, frame: Ints, vehicle: Ints) -> Floats:
+    """Compute the shortest distances between the box of the first vehicle and those of others, 0 if they touch.
+
+    Args:
+        position: centers, shape (T, N, 2) [m].
+        heading: headings, shape (T, N) [rad].
+        size: length and width of the vehicles, shape (N, 2) [m].
+        frame: frame of each distance, shape (n,).
+        vehicle: index of the other vehicle in it, shape (n,).
 
     Returns:
-        Distances, shape (...).
+        Distances, shape (n,) [m].
     """
-    from behavexplor.data.box_kernels import fill_box_segment_distances  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.box_kernels import fill_distances_from_first  # noqa: PLC0415 - numba is slow to import
 
-    shape = np.broadcast_shapes(box.shape[:-2], segment.shape[:-2])
-    box, segment = np.broadcast_to(box, (*shape, 4, 2)), np.broadcast_to(segment, (*shape, 2, 2))
-    gaps = np.empty(shape)
-    fill_box_segment_distances(_flat(box, 4), _flat(segment, 2), gaps.reshape(-1))
+    turned, gaps = np.empty((2, len(frame))), np.empty(len(frame))
+    turned[0], turned[1] = heading[frame, 0], heading[frame, vehicle]
+    directions = np.cos(turned), np.sin(turned)  # numpy's own functions, whose last bits differ from C's
+    fill_distances_from_first(np.ascontiguousarray(position), *directions, size, frame, vehicle, _room(), gaps)
     return gaps
+
+
+def distances_from_segments(position: Floats, heading: Floats, size: Floats, segments: Floats, segment: Ints) -> Floats:
+    """Compute the shortest distances between equal boxes and segments, 0 if a segment touches or enters the box.
+
+    Args:
+        position: centers, shape (n, 2) [m].
+        heading: headings, shape (n,) [rad].
+        size: length and width, shape (2,) [m].
+        segments: end points, shape (m, 2, 2) [m].
+        segment: index of each box's segment, shape (n,).
+
+    Returns:
+        Distances, shape (n,) [m].
+    """
+    from behavexplor.data.box_kernels import fill_distances_from_segments  # noqa: PLC0415 - numba is slow to import
+
+    gaps = np.empty(len(position))
+    directions = np.cos(heading), np.sin(heading)
+    fill_distances_from_segments(np.ascontiguousarray(position), *directions, size, segments, segment, _room(), gaps)
+    return gaps
+
+
+def near_segments(points: Floats, segments: Floats, reach: float, within: float) -> tuple[Ints, Ints, float]:
+    """Find the pairs of points and segments that may have the least distance of a box around a point from a segment.
+
+    Args:
+        points: centers of the boxes, which follow one another, shape (n, 2) [m].
+        segments: end points, shape (m, 2, 2) [m].
+        reach: radius of a circle around each box [m].
+        within: radius of a circle inside each box [m].
+
+    Returns:
+        Indices of the points and of the segments of the pairs, and an upper bound of the least distance [m].
+    """
+    from behavexplor.data.box_kernels import BLOCK, fill_near_segments  # noqa: PLC0415 - numba is slow to import
+
+    blocks = -(-len(points) // BLOCK)
+    gaps = np.empty((blocks, len(segments)))
+    point, segment = np.empty((2, blocks * BLOCK * len(segments)), dtype=np.intp)
+    count, upper = fill_near_segments(np.ascontiguousarray(points), segments, reach, within, gaps, point, segment)
+    return point[:count], segment[:count], upper
+
+
+def gaps_from_lines(position: Floats, heading: Floats, size: Floats, segments: Floats, segment: Ints) -> Floats:
+    """Compute the gaps between equal boxes and the infinite lines through segments, negative where they meet [m].
+
+    Args:
+        position: centers, shape (n, 2) [m].
+        heading: headings, shape (n,) [rad].
+        size: length and width, shape (2,) [m].
+        segments: end points, shape (m, 2, 2) [m].
+        segment: index of each box's segment, shape (n,).
+    """
+    from behavexplor.data.box_kernels import fill_gaps_from_lines  # noqa: PLC0415 - numba is slow to import
+
+    along = segments[:, 1] - segments[:, 0]
+    angle = np.arctan2(along[:, 1], along[:, 0])
+    turned, gaps = heading - angle[segment], np.empty(len(heading))
+    lines = np.column_stack([segments[:, 0], np.cos(angle), np.sin(angle)])
+    fill_gaps_from_lines(np.ascontiguousarray(position), np.cos(turned), np.sin(turned), size, lines, segment, gaps)
+    return gaps
+
+
+def _room() -> Floats:
+    """Return room for the corners of two boxes."""
+    return np.empty((2, 4, 2))
 
 
 def _flat(points: Floats, count: int) -> Floats:

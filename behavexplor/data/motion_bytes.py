@@ -1,4 +1,4 @@
-"""Motion as bytes that compress well: second differences over time, of which all but the lowest bytes are mostly 0."""
+"""Motion as few bytes that compress well: second differences over time."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,21 +17,23 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
         resolution: unit of the differences.
 
     Returns:
-        Bytes, shape (8, ..., T).
+        Bytes, shape (b, ..., T), of which each difference needs b.
     """
-    from behavexplor.data.motion_kernels import fill_bytes  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.motion_kernels import fill_bytes, fill_changes  # noqa: PLC0415 - numba is slow to import
 
     frames, *rest = motion.shape
-    planes = np.empty((8, *rest, frames), dtype=np.uint8)
-    fill_bytes(np.ascontiguousarray(motion).reshape(frames, -1), resolution, planes.reshape(8, -1, frames))
-    return planes
+    rows = np.ascontiguousarray(motion).reshape(frames, -1)
+    changes = np.empty(rows.shape[::-1], dtype=np.int64)
+    planes = np.empty((fill_changes(rows, resolution, changes), *changes.shape), dtype=np.uint8)
+    fill_bytes(changes, planes)
+    return planes.reshape(-1, *rest, frames)
 
 
 def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     """Return the motion that `pack_motion` packed, a read-only array of shape (T, ...).
 
     Args:
-        planes: bytes, shape (8, ..., T).
+        planes: bytes, shape (b, ..., T), b in [1, 8].
         frames: number of frames T.
         resolution: unit of the differences.
 
@@ -40,10 +42,10 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     """
     from behavexplor.data.motion_kernels import fill_values  # noqa: PLC0415 - numba is slow to import
 
-    if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] != 8 or planes.shape[-1] != frames:
+    if planes.dtype != np.uint8 or planes.ndim < 2 or not 1 <= len(planes) <= 8 or planes.shape[-1] != frames:
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
     motion = np.empty((frames, *planes.shape[1:-1]))
-    rows = np.array(planes, order="C").reshape(8, -1, frames)
+    rows = np.array(planes, order="C").reshape(len(planes), -1, frames)
     fill_values(rows, resolution, motion.reshape(frames, -1))
     motion.setflags(write=False)
     return motion

@@ -1,6 +1,7 @@
 """Compiled projection on polylines, see `behavexplor.data.geometry.project_on_polyline`, which calls it."""
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
+
+_SLACK: Final = 1e-6  # more than rounding changes a distance [m]
 
 
 @kernel_in_place
@@ -21,9 +24,10 @@ def fill_stations(points: Floats, vertices: Floats, pieces: Floats, ends: Floats
         ends: stations of the vertices [m], shape (P,).
         stations: stations of the points [m], shape (T,); changed in place.
     """
+    vertex, longest = 0, _longest(pieces)
     for t in range(len(points)):
         x, y = points[t, 0], points[t, 1]
-        vertex, least = _nearest(vertices, x, y), math.inf
+        vertex, least = _nearest(vertices, x, y, vertex, longest), math.inf
         for near in range(vertex - 2, vertex + 2):
             i = min(max(near, 0), len(pieces) - 1)
             dx, dy = pieces[i, 0], pieces[i, 1]
@@ -35,11 +39,41 @@ def fill_stations(points: Floats, vertices: Floats, pieces: Floats, ends: Floats
 
 
 @kernel_inner
-def _nearest(vertices: Floats, x: float, y: float) -> int:
-    nearest, least = 0, math.inf
-    for i in range(len(vertices)):
-        dx, dy = vertices[i, 0] - x, vertices[i, 1] - y
-        gap = dx * dx + dy * dy
-        if gap < least:
-            nearest, least = i, gap
+def _longest(pieces: Floats) -> float:
+    longest = 0.0
+    for i in range(len(pieces)):
+        longest = max(longest, pieces[i, 2])
+    return longest
+
+
+@kernel_inner
+def _nearest(vertices: Floats, x: float, y: float, guess: int, longest: float) -> int:
+    """Return the index of the vertex that is nearest to a point, the first of several.
+
+    From both ends, it looks for vertices nearer than the guess. The farther away a vertex is, the more of the next ones
+    cannot be nearer, and are left out.
+
+    Args:
+        vertices: vertices of the polyline, shape (P, 2) [m].
+        x: the point's x [m].
+        y: the point's y [m].
+        guess: index of a vertex that may be near. It changes only the time that this takes.
+        longest: greatest distance between neighboring vertices [m].
+    """
+    nearest, least = guess, _squared_distance(vertices[guess], x, y)
+    for first, step in ((0, 1), (len(vertices) - 1, -1)):
+        i = first
+        while (guess - i) * step > 0:
+            gap = _squared_distance(vertices[i], x, y)
+            if gap < least or (gap == least and i < nearest):
+                nearest, least = i, gap
+            farther = (math.sqrt(gap) - math.sqrt(least) - _SLACK) / longest
+            i += step * (int(farther) if farther > 1.0 else 1)
     return nearest
+
+
+@kernel_inner
+def _squared_distance(vertex: Floats, x: float, y: float) -> float:
+    dx, dy = vertex[0] - x, vertex[1] - y
+    squared: float = dx * dx + dy * dy
+    return squared

@@ -20,8 +20,9 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
-FORMAT = 2
-NPZ_FORMAT, NPZ_START = 1, b"PK"  # earlier versions wrote npz files
+FORMAT = 3
+LONG_FORMAT = 2  # earlier versions wrote eight bytes for each difference of motion
+NPZ_FORMAT, NPZ_START = 1, b"PK"  # and before that, npz files
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
 ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
 CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
@@ -229,7 +230,7 @@ class Trace:
         missing = {"format", "end", *_ARRAYS} - values.keys()
         if missing:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
-        if not np.array_equal(values["format"], NPZ_FORMAT if is_npz else FORMAT):
+        if values["format"].shape or values["format"] not in ((NPZ_FORMAT,) if is_npz else (LONG_FORMAT, FORMAT)):
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:

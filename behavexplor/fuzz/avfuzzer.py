@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.geometry import box_corners, box_distance
+from behavexplor.data.geometry import distances_from_first
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
@@ -281,9 +281,7 @@ def _distances(trace: Trace, frame: int) -> Floats:
 
 
 def _pair_distances(trace: Trace, frame: NDArray[np.intp], vehicle: NDArray[np.intp]) -> Floats:
-    ego = box_corners(trace.position[frame, 0], trace.heading[frame, 0], trace.size[0])
-    other = box_corners(trace.position[frame, vehicle], trace.heading[frame, vehicle], trace.size[vehicle])
-    return box_distance(ego, other)
+    return distances_from_first(trace.position, trace.heading, trace.size, frame, vehicle)
 
 
 def _fitness(individual: _Individual) -> float:

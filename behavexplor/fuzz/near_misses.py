@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import EPISODE_TIME, STANDING_SPEED, STANDSTILL_TIME
-from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, point_segment_distances
+from behavexplor.data.geometry import distances_from_first, distances_from_segments, point_segment_distances
 from behavexplor.data.trace import Trace
 from behavexplor.fuzz.aiming import Drive
 from behavexplor.judge.classes import ViolationClass, event_class
@@ -70,8 +70,7 @@ def _near_vehicles(trace: Trace, drive: Drive, reach: float) -> Iterator[NearMis
     for npc in range(1, len(trace.size)):
         closest = np.sort(np.argsort(gaps[:, npc - 1], kind="stable")[:_CLOSEST_FRAMES])
         at = frames[closest]
-        ego = box_corners(trace.position[at, 0], trace.heading[at, 0], trace.size[0])
-        distance = box_distance(ego, box_corners(trace.position[at, npc], trace.heading[at, npc], trace.size[npc]))
+        distance = distances_from_first(trace.position, trace.heading, trace.size, at, np.full(len(at), npc))
         nearest = int(distance.argmin())
         if distance[nearest] > reach or drive.speed[closest[nearest]] < STANDING_SPEED:
             continue
@@ -94,10 +93,10 @@ def _near_lines(trace: Trace, drive: Drive) -> Iterator[NearMiss]:
             row, line = np.unravel_index(int(considered.argmin()), gap.shape)
             if np.isinf(considered[row, line]):
                 continue
-            frame = int(drive.frame[row])
-            box = box_corners(trace.position[frame, 0], trace.heading[frame, 0], trace.size[0])
-            distance = float(box_segment_distance(box[None], lines[[line]])[0])
-            yield _miss(trace, ViolationEvent(R2, frame, int(line)), LEAST + LINE_WEIGHT * distance)
+            frame = drive.frame[[row]]
+            ego = trace.position[frame, 0], trace.heading[frame, 0], trace.size[0]
+            distance = float(distances_from_segments(*ego, lines, np.array([line]))[0])
+            yield _miss(trace, ViolationEvent(R2, int(frame[0]), int(line)), LEAST + LINE_WEIGHT * distance)
 
 
 def _is_right_of(pose: Floats, lines: Floats) -> NDArray[np.bool_]:

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.geometry import box_corners, box_segment_distance, point_segment_distances
+from behavexplor.data.geometry import distances_from_segments, gaps_from_lines, point_segment_distances
 from behavexplor.data.trace import OFF_ROAD, RESOLUTION, Trace
 from behavexplor.judge.fault import touched_npc
-from behavexplor.judge.specs import ERROR, Collision, Destination, Lines, gap_across
+from behavexplor.judge.specs import ERROR, Collision, Destination, Lines
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -73,10 +73,10 @@ def first_line_touch(trace: Trace) -> ViolationEvent | None:
     block, line = np.nonzero(point_segment_distances(position[first], lines) <= reach[:, None])
     frame = np.minimum(first[block, None] + np.arange(_BLOCK), len(position) - 1).ravel()
     line = np.repeat(line, _BLOCK)
-    near = gap_across(position[frame], heading[frame], trace.size[0], lines, line) <= RESOLUTION
+    near = gaps_from_lines(position[frame], heading[frame], trace.size[0], lines, line) <= RESOLUTION
     frame, line = frame[near], line[near]
-    box = box_corners(position[frame], heading[frame], trace.size[0])
-    touching = np.flatnonzero(box_segment_distance(box, lines[line]) <= RESOLUTION)
+    gap = distances_from_segments(position[frame], heading[frame], trace.size[0], lines, line)
+    touching = np.flatnonzero(gap <= RESOLUTION)
     if not len(touching):
         return None
     earliest = touching[frame[touching].argmin()]

@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.geometry import (
-    box_corners,
-    box_distance,
-    box_segment_distance,
+    changed_frames,
+    distances_from_first,
+    distances_from_segments,
     gap_bounds,
-    point_segment_distances,
+    gaps_from_lines,
+    near_segments,
 )
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, RESOLUTION, Trace
 from behavexplor.errors import InputError
@@ -37,7 +38,6 @@ ERROR: Final = "error"  # recorded in place of a violated spec if the ADS failed
 DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's: highway-env did not confirm a failure
 NOTHING_NEAR = 1000.0  # degree without any NPC or without any illegal line [m]
 _TOLERANCE = 1e-10  # slack of the bounds [m]; far below a trace's resolution, so that parallel motion makes few ties
-_BLOCK = 8  # frames that share one bound in the search for the nearest line
 _FIRST_LOOK = 16  # number of exact distances computed first
 
 
@@ -194,9 +194,7 @@ def _npc_distance(trace: Trace) -> float:
 
     def exact(pairs: Ints) -> Floats:
         frame, npc = np.divmod(pairs, len(trace.size) - 1)
-        ego_box = box_corners(position[frame, 0], heading[frame, 0], trace.size[0])
-        npc_box = box_corners(position[frame, npc + 1], heading[frame, npc + 1], trace.size[npc + 1])
-        return box_distance(ego_box, npc_box)
+        return distances_from_first(position, heading, trace.size, frame, npc + 1)
 
     return _least(lower.ravel(), upper, exact)
 
@@ -208,55 +206,17 @@ def _line_distance(trace: Trace) -> float:
     if not len(lines):
         return NOTHING_NEAR
     positions, headings = poses_until_arrival(trace)
-    frames = _changes(positions[:, 0, 0], positions[:, 0, 1], headings[:, 0])
+    frames = changed_frames(positions, headings)
     position, heading = positions[frames, 0], headings[frames, 0]
     reach, within = np.hypot(*trace.size[0]) / 2, trace.size[0].min() / 2
-
-    first = np.arange(0, len(frames), _BLOCK)  # all positions of a block lie within `spread` of its first one
-    stray = position - np.repeat(position[first], _BLOCK, axis=0)[: len(position)]
-    spread = np.maximum.reduceat(np.hypot(stray[:, 0], stray[:, 1]), first)
-    gap = point_segment_distances(position[first], lines)
-    upper = max(float(gap.min() - within), 0.0)
-    block, line = np.nonzero(gap - spread[:, None] - reach - _TOLERANCE <= upper)
-    frame = (first[block, None] + np.arange(_BLOCK)).ravel()
-    line = np.repeat(line, _BLOCK)[frame < len(frames)]
-    frame = frame[frame < len(frames)]
-    lower = gap_across(position[frame], heading[frame], trace.size[0], lines, line)
+    frame, line, upper = near_segments(position, lines, reach + _TOLERANCE, within)
+    lower = gaps_from_lines(position[frame], heading[frame], trace.size[0], lines, line)
 
     def exact(pairs: Ints) -> Floats:
         at = frame[pairs]
-        box = box_corners(position[at], heading[at], trace.size[0])
-        return box_segment_distance(box, lines[line[pairs]])
+        return distances_from_segments(position[at], heading[at], trace.size[0], lines, line[pairs])
 
     return _least(lower, upper, exact)
-
-
-def gap_across(position: Floats, heading: Floats, size: Floats, lines: Floats, line: Ints) -> Floats:
-    """Return the gaps between boxes and the infinite lines through segments, negative where they meet [m].
-
-    Args:
-        position: centers of the boxes, shape (n, 2) [m].
-        heading: headings of the boxes, shape (n,) [rad].
-        size: length and width of the boxes [m], shape (2,).
-        lines: end points of the segments, shape (m, 2, 2) [m].
-        line: index of each box's segment, shape (n,).
-    """
-    along = lines[:, 1] - lines[:, 0]
-    angle = np.arctan2(along[:, 1], along[:, 0])
-    cos, sin = np.cos(angle)[line], np.sin(angle)[line]
-    offset = position - lines[line, 0]
-    across = np.abs(offset[:, 1] * cos - offset[:, 0] * sin)
-    turned = heading - angle[line]
-    return np.asarray(across - (np.abs(np.sin(turned)) * size[0] + np.abs(np.cos(turned)) * size[1]) / 2)
-
-
-def _changes(*columns: Floats) -> Ints:
-    """Return the indices of the first row and of each row that differs from the row before; columns of shape (T,)."""
-    changed = np.ones(len(columns[0]), dtype=bool)
-    changed[1:] = False
-    for column in columns:
-        changed[1:] |= column[1:] != column[:-1]
-    return np.flatnonzero(changed)
 
 
 def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> float:
