@@ -124,7 +124,11 @@ class Simulation:
             count: number of episodes at a time. It is 1 if the ADS takes one observation at a time.
         """
         envs = self.compiled(count)
-        return None if envs is None else LockStep(envs, self._driver(envs.num_envs))
+        if envs is None:
+            return None
+        if hasattr(envs, "checks_actions"):
+            envs.checks_actions = False  # what an ADS answers is checked when it is asked
+        return LockStep(envs, self._driver(envs.num_envs))
 
     def _driver(self, count: int) -> Any:
         """Return what drives a number of episodes in lock-step."""

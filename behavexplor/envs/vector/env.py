@@ -66,6 +66,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     Attributes:
         gives_rewards: whether rewards are computed, True at first. If it is set to False, they are 0, and infos hold
             only the ends of episodes. Executions do not need them.
+        checks_actions: whether `step` checks the actions, True at first. If it is set to False, the caller has to.
 
     Raises:
         InputError: if the config is wrong, or asks for something that only the single environment supports.
@@ -109,7 +110,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._weights = np.array([self.config["reward"][name] for name in TERMS], dtype=np.float64)
-        self.gives_rewards = True
+        self.gives_rewards = self.checks_actions = True
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -153,7 +154,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """
         if self._has_idle:
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
-        check_actions(self.action_space, actions)
+        if self.checks_actions:
+            check_actions(self.action_space, actions)
         actions, end = np.asarray(actions), self._slots.numbers[:, END]
         values = np.ascontiguousarray(actions.reshape(self.num_envs, self._n_values), dtype=np.float64)
         active, ends = end == RUNNING, np.zeros((2, self.num_envs), dtype=bool)
