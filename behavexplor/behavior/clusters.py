@@ -66,7 +66,7 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
 
     checked_once = config_context(assume_finite=bool(np.isfinite(rows).all()))
-    with _thread_pools().limit(limits=1), checked_once, catch_warnings():
+    with _thread_pools().limit(limits=1), checked_once, catch_warnings(), hidden("pandas"):  # rows are no table
         simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
         fits = [
             KMeans(clusters, init=start, n_init=1, random_state=random_state, copy_x=False).fit(rows)

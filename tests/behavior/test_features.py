@@ -150,6 +150,33 @@ def test_the_compass_does_not_matter(turn):
     assert there == pytest.approx(here, abs=1e-5)
 
 
+def interpolated_by_numpy(trace):
+    """Return the states in the world's frame by NumPy's functions alone."""
+    time, step = trace.time[:-1], np.diff(trace.time)
+    heading, velocity = np.unwrap(trace.heading[:, 0]), trace.velocity[:, 0]
+    speed, change = np.hypot(*velocity.T), np.diff(velocity, axis=0) / step[:, None]
+    cos, sin = np.cos(heading[:-1]), np.sin(heading[:-1])
+    columns = [speed[:-1], np.diff(speed) / step]
+    for vector in (velocity[:-1], change):
+        columns += [vector[:, 0] * cos + vector[:, 1] * sin, vector[:, 1] * cos - vector[:, 0] * sin]
+    columns += [np.diff(heading) / step, heading[:-1]]
+    grid = np.arange(int((time[-1] + 1e-9) / 0.1) + 1) * 0.1
+    states = np.stack([np.interp(grid, time, values) for values in columns], axis=1)
+    states[:, -1] -= 2 * np.pi * np.rint(states[0, -1] / (2 * np.pi))
+    return states.astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_states_are_numpys_interpolation_to_the_last_bit(seed):
+    rng = np.random.default_rng(seed)
+    frames = int(rng.integers(2, 60))
+    steps = rng.choice([0.05, 0.1, rng.uniform(0.01, 0.3)], frames - 1)
+    heading = np.cumsum(rng.normal(0, 2.0 if seed % 2 else 0.1, frames))  # with jumps, or without
+    ego = np.column_stack([rng.normal(0, 9, (frames, 2)), heading])
+    trace = make_trace(ego, [ego + 10], time=np.concatenate([[0.0], np.cumsum(steps)]))
+    assert np.array_equal(state_matrix(trace, "world"), interpolated_by_numpy(trace))
+
+
 def test_headings_beyond_a_turn_do_not_jump():
     time, ego = circle(radius=5, speed=5, seconds=12, rate=20)
     ego[:, 2] = np.angle(np.exp(1j * ego[:, 2]))  # wrapped, as simulators record it

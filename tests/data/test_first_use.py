@@ -9,7 +9,7 @@ import pytest
 
 from behavexplor.data.first_use import hidden
 
-LOADED = 'print("pandas.core" in sys.modules, "matplotlib.figure" in sys.modules)\n'
+LOADED = 'print(*[name in sys.modules for name in ("pandas.core", "matplotlib.figure", "scipy.stats")])\n'
 
 
 def ran(code):
@@ -18,14 +18,16 @@ def ran(code):
     return result.stdout.split("\n")
 
 
-def test_a_campaign_in_one_process_loads_no_plots(tmp_path):
+def test_a_campaign_in_one_process_loads_no_tables_plots_or_statistics(tmp_path):
     code = f"""
 import sys
 from behavexplor.commands import main
 
 main("fuzz --quiet --workers 0 --ads constant --budget 2 --out {tmp_path}/run".split())
-{LOADED}"""
-    assert ran(code)[-2].endswith("False")
+{LOADED}
+print("sklearn.cluster" in sys.modules, "numpy.f2py.crackfortran" in sys.modules)
+"""
+    assert ran(code)[-3:-1] == ["False False False", "True False"]
 
 
 def test_workers_load_neither_tables_nor_plots():
@@ -49,7 +51,7 @@ from behavexplor.envs.making import make_registered
 
 make_registered("intersection-straight", {{}})
 {LOADED}"""
-    assert ran(code)[0] == "True True"
+    assert ran(code)[0] == "True True False"
 
 
 def test_clustering_loads_no_tables():
@@ -59,7 +61,44 @@ from behavexplor.behavior.clusters import load_clustering
 
 load_clustering()
 {LOADED}"""
-    assert ran(code)[0] == "False False"
+    assert ran(code)[0] == "False False True"  # statistics could be missed by another thread
+
+
+def test_what_clustering_left_out_is_loaded_when_it_is_needed():
+    code = """
+import sys
+from behavexplor.behavior.clusters import load_clustering
+from behavexplor.data.first_use import loaded_at_first_use
+
+with loaded_at_first_use():
+    load_clustering()
+print("scipy.stats" in sys.modules)
+from sklearn.metrics import label_ranking_average_precision_score
+from sklearn.preprocessing import PowerTransformer, QuantileTransformer
+
+print(label_ranking_average_precision_score([[1, 0, 0]], [[0.75, 0.5, 1]]))
+print("scipy.stats" in sys.modules)
+import scipy
+
+print(QuantileTransformer(n_quantiles=3, output_distribution="normal").fit_transform([[1.0], [2.0], [4.0]])[1])
+print(PowerTransformer().fit([[1.0], [2.0], [4.0]]).lambdas_.shape, round(scipy.stats.norm.cdf(0), 3))
+"""
+    assert ran(code)[:5] == ["False", "0.5", "True", "[0.]", "(1,) 0.5"]
+
+
+def test_statistics_that_are_loaded_stay_so():
+    code = """
+import scipy.stats
+from behavexplor.behavior.clusters import load_clustering
+from behavexplor.data.first_use import loaded_at_first_use
+
+with loaded_at_first_use():
+    load_clustering()
+from sklearn.metrics import _ranking
+
+print(_ranking.rankdata is scipy.stats.rankdata)
+"""
+    assert ran(code)[0] == "True"
 
 
 def test_a_module_that_was_not_loaded_is_loaded_at_its_first_use():
@@ -95,6 +134,27 @@ scaled = StandardScaler().set_output(transform="pandas").fit_transform(table)
 print(type(scaled).__name__, scaled.a.tolist())
 """
     assert ran(code)[0] == "DataFrame [-1.0, 1.0]"
+
+
+def test_a_module_that_waits_for_its_first_use_is_not_loaded_by_those_it_is_hidden_from():
+    code = """
+import sys
+from behavexplor.data.first_use import hidden, loaded_at_first_use
+
+with loaded_at_first_use():
+    import pandas
+with hidden("pandas"):
+    try:
+        import pandas as another
+    except ModuleNotFoundError as error:
+        print(error)
+print("pandas.core" in sys.modules, sys.modules["pandas"] is pandas)
+print(pandas.Series([1, 2]).sum(), "pandas.core" in sys.modules)
+with hidden("pandas"):
+    import pandas as another
+print(another is pandas)
+"""
+    assert ran(code)[:4] == ["No module named 'pandas'", "False True", "3 True", "True"]
 
 
 def test_a_module_is_hidden_in_one_thread_and_for_a_while(monkeypatch):

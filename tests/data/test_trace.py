@@ -223,13 +223,15 @@ def test_a_file_without_a_field_is_refused_by_its_name(field, write):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("format", np.array(3), "has format 3; this version reads format 2"),
-        ("format", np.ones(2), "this version reads format 2"),
+        ("format", np.array(4), "has format 4; this version reads format 3"),
+        ("format", np.array(1), "has format 1; this version reads format 3"),
+        ("format", np.ones(2), "this version reads format 3"),
         ("end", np.frombuffer(b"exploded", dtype=np.uint8), "end: expected one of"),
         ("end", np.array([200, 201], dtype=np.uint8), "end: expected one of"),
         ("position", np.zeros((8, 4, 2, 19), dtype=np.uint8), "wrong shape"),
         ("heading", np.zeros((8, 4, 20)), "wrong shape"),
-        ("velocity", np.zeros((7, 4, 2, 20), dtype=np.uint8), "wrong shape"),
+        ("velocity", np.zeros((9, 4, 2, 20), dtype=np.uint8), "wrong shape"),
+        ("velocity", np.zeros((0, 4, 2, 20), dtype=np.uint8), "wrong shape"),
         ("velocity", np.zeros(20, dtype=np.uint8), "wrong shape"),
         ("time", np.array(3.0), "Not a trace"),
     ],
