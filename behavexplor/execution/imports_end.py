@@ -10,7 +10,7 @@ import gc
 from behavexplor.data.first_use import end_loading_at_first_use
 from behavexplor.jit import load_compiler
 
-end_loading_at_first_use()
 load_compiler()
+end_loading_at_first_use()
 gc.freeze()
 gc.enable()
