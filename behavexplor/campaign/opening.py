@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.clusters import load_clustering
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.stage_clock import STARTING, StageClock
 from behavexplor.campaign.store import Store
+from behavexplor.campaign.warm_up import load_analysis
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.durable import write_durably
 from behavexplor.data.road_shape import ROAD_FILE
@@ -88,7 +88,7 @@ def opened(
                 else start_in_process(config.target, driver, recipe)
             )
             stack.callback(executor.shutdown, wait=False)
-            warnings = check_ads(executor, meanwhile=load_clustering)
+            warnings = check_ads(executor, meanwhile=load_analysis)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
