@@ -61,4 +61,4 @@ def slow_modules(env: str, ads: str) -> tuple[str, ...]:
     """
     entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.drawn.vector_env")
     policy = ("behavexplor.ads.sb3.policy",) if ads.endswith(".zip") else ()
-    return *policy, entry_point.partition(":")[0]  # PyTorch looks into all modules, which loads those that wait for it
+    return *policy, entry_point.partition(":")[0]  # PyTorch first: it looks into all modules, which loads late ones

@@ -20,7 +20,7 @@ from behavexplor.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 KILLS = 200
-BUDGET = 100
+BUDGET = 300  # a replay of so many takes longer than it takes to show the first screen
 CAMPAIGN = ["--ads", "constant:1", "--env", "lane-follow", "--budget", str(BUDGET), "--seed", "3"]
 PATIENCE = 120.0  # for what comes anyhow [s]
 
