@@ -6,7 +6,7 @@ import pytest
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.decision import CREEP, CRUISE, STOP, YIELD
 from behavexplor.ads.rule.lane_choice import ABORT
-from behavexplor.data.geometry import box_corners, box_distance, box_segment_distance, project_on_polyline
+from behavexplor.data.geometry import box_corners, box_distance, distances_from_segments, project_on_polyline
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.roads import crossing, straight_road
 from tests.ads.rule.world import SEDAN, drive
@@ -31,6 +31,14 @@ def boxes(frames):
     return box_corners(frames[:, [X, Y]], frames[:, HEADING], np.array(EGO_SIZE))
 
 
+def line_distance(frames, roadmap):
+    """Return the least distance of the ego from an illegal line."""
+    lines = roadmap.illegal_lines
+    frame, line = np.divmod(np.arange(len(frames) * len(lines)), len(lines))
+    poses = frames[frame][:, [X, Y]], frames[frame, HEADING]
+    return distances_from_segments(*poses, np.array(EGO_SIZE, dtype=float), lines, line).min()
+
+
 @pytest.mark.parametrize("roadmap", [STRAIGHT, LEFT], ids=["straight", "left"])
 def test_alone_it_arrives_on_its_center_line_within_all_limits(roadmap):
     frames, decisions = drive(roadmap)
@@ -39,7 +47,7 @@ def test_alone_it_arrives_on_its_center_line_within_all_limits(roadmap):
     assert along[-1] == pytest.approx(roadmap.destination, abs=2.5)
     assert 15 < frames[-1, TIME] < 21
     assert offset.max() < 0.3
-    assert box_segment_distance(boxes(frames)[:, None], roadmap.illegal_lines[None]).min() > 0.4
+    assert line_distance(frames, roadmap) > 0.4
     assert frames[:, SPEED].max() <= roadmap.speed_limit + 1e-6
     assert frames[:, SPEED].min() >= 0
     assert np.abs(np.diff(frames[:, ACCELERATION])).max() <= Parameters().jerk * 0.1 + 1e-9
@@ -89,7 +97,7 @@ def test_it_overtakes_a_slow_car_and_is_back_in_time(speed, lanes):
     frames, _ = drive(roadmap, car, seconds=60)
     assert np.hypot(*(frames[-1, [X, Y]] - roadmap.destination_point)) < 2.5
     assert frames[-1, TIME] < 35
-    assert box_segment_distance(boxes(frames)[:, None], roadmap.illegal_lines[None]).min() > 0.3
+    assert line_distance(frames, roadmap) > 0.3
     for frame, ego in zip(frames, boxes(frames), strict=True):
         x, y, heading, *_ = car(frame[TIME])[0]
         assert box_distance(ego, box_corners(np.array([x, y]), np.array(heading), np.array(SEDAN))) > 0.2
