@@ -41,9 +41,9 @@ def clusters_of(centers: Floats, mean: Floats, scale: Floats) -> Clusters:
 
 
 def load_clustering() -> None:
-    """Import the library that finds the clusters, without most of what clustering does not need.
+    """Import the library that finds the clusters, without pandas, and in commands also without scipy.stats.
 
-    With pandas, which it imports for tables, and scipy.stats, it takes three times as long.
+    Clustering needs neither, and importing both takes as long as importing the rest.
     """
     with hidden("pandas"), functions_loaded_late("scipy.stats"):
         import_module("sklearn.cluster")
@@ -66,7 +66,7 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
 
     checked_once = config_context(assume_finite=bool(np.isfinite(rows).all()))
-    with _thread_pools().limit(limits=1), checked_once, catch_warnings(), hidden("pandas"):  # rows are no table
+    with _thread_pools().limit(limits=1), checked_once, catch_warnings(), hidden("pandas"):  # for tables only
         simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
         fits = [
             KMeans(clusters, init=start, n_init=1, random_state=random_state, copy_x=False).fit(rows)

@@ -82,8 +82,8 @@ def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray
 def _without_jumps(heading: Floats) -> Floats:
     """Return headings without jumps by a full turn, shape (T,) [rad]."""
     turned = heading[1:] - heading[:-1]
-    if turned.min() > -np.pi and turned.max() < np.pi:  # most of them have none, and to find that takes half as long
-        return heading + 0.0
+    if turned.min() > -np.pi and turned.max() < np.pi:  # np.unwrap takes twice as long to find this
+        return heading + 0.0  # as np.unwrap does, so that -0 becomes 0
     return np.unwrap(heading)
 
 

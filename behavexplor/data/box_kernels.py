@@ -131,7 +131,7 @@ def fill_gaps_from_lines(
 
 
 @kernel_in_place
-def fill_changes(position: Floats, heading: Floats, frames: Ints) -> int:
+def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
     """Fill in the frames in which the first vehicle differs from the frame before, and the first frame.
 
     Args:

@@ -130,10 +130,10 @@ def changed_frames(position: Floats, heading: Floats) -> Ints:
         position: centers, shape (T, N, 2) [m].
         heading: headings, shape (T, N) [rad].
     """
-    from behavexplor.data.box_kernels import fill_changes  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.box_kernels import fill_changed_frames  # noqa: PLC0415 - numba is slow to import
 
     frames = np.empty(len(heading), dtype=np.intp)
-    return frames[: fill_changes(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)]
+    return frames[: fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)]
 
 
 def distances_from_first(position: Floats, heading: Floats, size: Floats, frame: Ints, vehicle: Ints) -> Floats:
@@ -203,12 +203,7 @@ def near_segments(points: Floats, segments: Floats, reach: float, within: float)
 def gaps_from_lines(position: Floats, heading: Floats, size: Floats, segments: Floats, segment: Ints) -> Floats:
     """Compute the gaps between equal boxes and the infinite lines through segments, negative where they meet [m].
 
-    Args:
-        position: centers, shape (n, 2) [m].
-        heading: headings, shape (n,) [rad].
-        size: length and width, shape (2,) [m].
-        segments: end points, shape (m, 2, 2) [m].
-        segment: index of each box's segment, shape (n,).
+    They are never greater than the distances that `distances_from_segments` computes from the same arguments.
     """
     from behavexplor.data.box_kernels import fill_gaps_from_lines  # noqa: PLC0415 - numba is slow to import
 

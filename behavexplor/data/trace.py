@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -140,11 +139,6 @@ class Trace:
     def duration(self) -> float:
         """Simulated time [s]."""
         return float(self.time[-1])
-
-    @cached_property
-    def acceleration(self) -> Floats:
-        """Mean acceleration from each frame to the next, shape (T - 1, N, 2) [m/s2]."""
-        return np.diff(self.velocity, axis=0) / np.diff(self.time)[:, None, None]
 
     @property
     def destination_distance(self) -> float:

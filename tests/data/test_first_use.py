@@ -61,7 +61,7 @@ from behavexplor.behavior.clusters import load_clustering
 
 load_clustering()
 {LOADED}"""
-    assert ran(code)[0] == "False False True"  # statistics could be missed by another thread
+    assert ran(code)[0] == "False False True"  # another thread may be importing scipy.stats
 
 
 def test_what_clustering_left_out_is_loaded_when_it_is_needed():

@@ -53,14 +53,6 @@ def test_arrays_are_read_only_copies():
         trace.decisions["code"] = np.zeros(3)
 
 
-def test_acceleration_is_the_change_of_velocity():
-    trace = replace(
-        TRACE, velocity=np.broadcast_to(TRACE.time[:, None, None] * np.array([3.0, -2.0]), TRACE.velocity.shape)
-    )
-    assert trace.acceleration.shape == (len(TRACE.time) - 1, 4, 2)
-    assert trace.acceleration == pytest.approx(np.broadcast_to([3.0, -2.0], trace.acceleration.shape), abs=1e-6)
-
-
 def test_destination_distance_is_the_last_one():
     position = np.array(TRACE.position)
     position[-1, 0] = TRACE.destination + (3.0, 4.0)
