@@ -8,6 +8,7 @@ and it would diverge from the kernels of the vector environment.
 
 import math
 from collections.abc import Callable
+from functools import cache
 from types import FunctionType, SimpleNamespace
 from typing import TypeVar, cast
 
@@ -37,13 +38,17 @@ _NUMPY = SimpleNamespace(
 )
 
 
+@cache
 def with_c_library(function: Function) -> Function:
-    """Return a copy of a function that uses the C library and plain dot products, for use as a method of a subclass.
+    """Return a copy of a function that uses the C library and plain dot products, for use in a method of a subclass.
 
     Args:
-        function: a function of highway-env. Its module imports numpy as `np`, and it applies trigonometry to
-            scalars, and `dot` and `linalg.norm` to vectors of length 2.
+        function: a function of highway-env, looked up at each call, since a program may replace it. Its module imports
+            numpy as `np`, and it applies trigonometry to scalars, and `dot` and `linalg.norm` to vectors of length 2.
+            A callable of another type is returned as it is.
     """
+    if not isinstance(function, FunctionType):
+        return function
     original = cast("FunctionType", function)
     names = {**original.__globals__, "np": _NUMPY}
     copy = FunctionType(original.__code__, names, original.__name__, original.__defaults__, original.__closure__)

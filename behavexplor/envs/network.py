@@ -74,14 +74,21 @@ class MapNetwork(RoadNetwork):  # type: ignore[misc]
 class _Straight(StraightLane):  # type: ignore[misc]
     """highway-env's straight lane with plain arithmetic; see `behavexplor.envs.c_library`."""
 
-    local_coordinates = with_c_library(StraightLane.local_coordinates)
+    def local_coordinates(self, position: Floats) -> tuple[float, float]:
+        """Return the station and the offset of a point [m]."""
+        return with_c_library(StraightLane.local_coordinates)(self, position)  # type: ignore[no-any-return]
 
 
 class _Arc(CircularLane):  # type: ignore[misc]
     """highway-env's circular lane with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
-    position = with_c_library(CircularLane.position)
-    local_coordinates = with_c_library(CircularLane.local_coordinates)
+    def position(self, longitudinal: float, lateral: float) -> Floats:
+        """Return the point at a station and an offset [m], shape (2,)."""
+        return with_c_library(CircularLane.position)(self, longitudinal, lateral)  # type: ignore[no-any-return]
+
+    def local_coordinates(self, position: Floats) -> tuple[float, float]:
+        """Return the station and the offset of a point [m]."""
+        return with_c_library(CircularLane.local_coordinates)(self, position)  # type: ignore[no-any-return]
 
 
 @cache

@@ -19,14 +19,22 @@ Floats = NDArray[np.float64]
 class EgoVehicle(Vehicle):  # type: ignore[misc]
     """highway-env's vehicle with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
-    step = with_c_library(Vehicle.step)
+    def step(self, dt: float) -> None:
+        """Move for a time [s]."""
+        with_c_library(Vehicle.step)(self, dt)
 
 
 class MetaEgoVehicle(MDPVehicle):  # type: ignore[misc]
     """highway-env's vehicle for meta-actions with the C library's trigonometry; see `behavexplor.envs.c_library`."""
 
-    step = with_c_library(MDPVehicle.step)
-    steering_control = with_c_library(MDPVehicle.steering_control)
+    def step(self, dt: float) -> None:
+        """Move for a time [s]."""
+        with_c_library(MDPVehicle.step)(self, dt)
+
+    def steering_control(self, target_lane_index: LaneIndex) -> float:
+        """Return the steering angle [rad] that leads to a lane."""
+        angle: float = with_c_library(MDPVehicle.steering_control)(self, target_lane_index)
+        return angle
 
 
 _EGOS = {Vehicle: EgoVehicle, MDPVehicle: MetaEgoVehicle}

@@ -101,9 +101,11 @@ def _unconfigured(simulation: Simulation) -> str | None:
 
 
 def _uncompiled(simulation: Simulation) -> str | None:
-    if not simulation.plain or simulation.logical.roadmap is not None:
+    if not simulation.plain:
         return None
     reason = simulation.plain.partition("; use gymnasium")[0]  # which those who make vector environments are told
+    if simulation.logical.roadmap is not None:
+        return f"One scenario is executed at a time, many times as slow as compiled: {reason}"
     return f"highway-env itself executes the scenarios, hundreds of times as slow as compiled: {reason}"
 
 

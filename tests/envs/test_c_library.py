@@ -2,6 +2,7 @@
 
 import math
 
+import gymnasium
 import highway_env.road.lane
 import highway_env.vehicle.controller
 import highway_env.vehicle.kinematics
@@ -88,8 +89,17 @@ def test_the_ego_s_class_follows_the_action_type(action, expected):
 
 def test_highway_env_itself_is_left_alone():
     assert Vehicle.step.__globals__["np"] is MDPVehicle.steering_control.__globals__["np"] is np
-    assert EgoVehicle.step.__globals__["np"] is not np
-    assert EgoVehicle.step.__code__ is Vehicle.step.__code__
+    assert with_c_library(Vehicle.step).__globals__["np"] is not np
+    assert with_c_library(Vehicle.step).__code__ is Vehicle.step.__code__
+
+
+def test_what_a_program_replaces_is_called(monkeypatch):
+    env = gymnasium.make("behavexplor/intersection-straight-v0").unwrapped
+    env.reset(seed=0)
+    monkeypatch.setattr(Vehicle, "step", lambda vehicle, dt: setattr(vehicle, "speed", 3.0))
+    env.step(np.array([0.0, 0.0]))
+    assert env.vehicle.speed == 3.0
+    assert with_c_library(abs) is abs
 
 
 def test_defaults_and_closures_are_kept():

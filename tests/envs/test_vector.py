@@ -1,5 +1,6 @@
 """The vector environment does what the single one does, step by step and in gymnasium's own format."""
 
+import copy
 import json
 import math
 import os
@@ -25,7 +26,7 @@ from behavexplor.envs.functional.lane_follow import LaneFollowEnv, LaneFollowVec
 from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
-from behavexplor.envs.vector.slots import FRAME
+from behavexplor.envs.vector.slots import FRAME, N_NPCS
 from behavexplor.errors import InputError
 
 TOLERANCE = 1e-9
@@ -612,3 +613,27 @@ def test_a_scenario_of_another_package(monkeypatch):
 def test_overridden_properties_are_noticed():
     with pytest.raises(InputError, match=r"OwnSpeedLimit\.vehicle"):
         vector_env(OwnSpeedLimit)(2)
+
+
+def make_lane_change():
+    env = gymnasium.make_vec("behavexplor/lane-change-v0", num_envs=2, vectorization_mode="vector_entry_point")
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize(("column", "value"), [(FRAME, 10**6), (FRAME, -1), (N_NPCS, 10**6), (N_NPCS, -1)])
+def test_a_decision_beyond_the_room_of_a_slot_is_refused(column, value):
+    env = make_lane_change()
+    env._slots.numbers[1, column] = value
+    before = copy.deepcopy(env._slots)
+    with pytest.raises(InputError, match="longer than its record"):
+        env.step(env.action_space.sample())
+    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(before, env._slots, strict=True))
+
+
+def test_a_scenario_beyond_the_room_of_a_slot_is_refused():
+    env = make_lane_change()
+    scenario = env.scenarios[0]
+    crowded = ScriptedScenario(scenario.functional, scenario.npcs * 100)
+    with pytest.raises(InputError, match=r"more than \d+ NPCs, for which there is room"):
+        env._begin(np.array([True, False]), [crowded, None])

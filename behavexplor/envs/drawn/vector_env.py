@@ -18,7 +18,6 @@ from behavexplor.envs.drawn.drawn_env import DrawnEnv
 from behavexplor.envs.drawn.episode_record import EpisodeRecord, Frame
 from behavexplor.envs.stock.lane_network import lane_indexes
 from behavexplor.envs.stock.slot_state import are_alike
-from behavexplor.envs.stock.source_gate import changed_sources
 from behavexplor.envs.stock.stock_env import StockVectorEnv
 from behavexplor.errors import InputError
 
@@ -186,9 +185,6 @@ def check_compiled(env: DrawnEnv, *, rewards: bool) -> None:
     Raises:
         InputError: if it does not.
     """
-    changed = changed_sources()
-    if changed:
-        raise InputError(f"This release of highway-env has another {', '.join(changed[:3])} than the compiled engine")
     harmless = _HARMLESS if rewards else (*_HARMLESS, RewardWrapper)
     for wrapper in env.wrappers:
         if not isinstance(wrapper, harmless):

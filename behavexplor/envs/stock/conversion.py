@@ -10,6 +10,7 @@ from highway_env.road.lane import AbstractLane
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import LaneIndex
 from highway_env.vehicle.objects import Obstacle, RoadObject
+from numpy.typing import NDArray
 
 from behavexplor.envs.kinematics import default_ranges
 from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
@@ -58,8 +59,9 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
     episode.n_side_lanes = _n_side_lanes(env)
     lanes = {index: lane for lane, index in enumerate(lane_indexes(road.network))}
     roads = road_numbers(road.network)
+    kinds = {cls: kind_of(cls) for cls in {type(thing) for thing in things}}
     for i, thing in enumerate(things):
-        kind = kind_of(type(thing))
+        kind = kinds[type(thing)]
         slots.traits[b, i] = traits_of(thing, kind)
         slots.vehicles[b, i] = np.zeros((), VEHICLE)
         slots.vehicles[b, i].number = i
@@ -67,7 +69,7 @@ def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
         if kind != OBSTACLE:
             _load_commands(slots.vehicles[b, i], thing)
         if kind in (MDP, IDM, LINEAR):
-            _load_targets(slots.vehicles[b, i], thing, lanes)
+            _load_targets(slots.vehicles[b, i], thing, lanes, world.speeds)
             _load_route(slots.vehicles[b, i], slots.routes[b, i], thing.route, roads)
     ego = world.templates[EGO]
     slots.traits[b, episode.ego].min_speed, slots.traits[b, episode.ego].max_speed = ego.min_speed, ego.max_speed
@@ -86,7 +88,11 @@ def _load_commands(vehicle: Vehicle, thing: Any) -> None:
         (vehicle.impact_x, vehicle.impact_y), vehicle.has_impact = thing.impact, True
 
 
-def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int]) -> None:
+def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: NDArray[np.float64]) -> None:
+    if not np.array_equal(getattr(thing, "target_speeds", speeds), speeds):
+        raise InputError(
+            f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}"
+        )
     vehicle.target_lane, vehicle.target_speed = lanes[tuple(thing.target_lane_index)], thing.target_speed
     vehicle.speed_index, vehicle.timer = getattr(thing, "speed_index", 0), getattr(thing, "timer", 0.0)
     vehicle.is_yielding = getattr(thing, "is_yielding", False)

@@ -11,6 +11,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.observation import TimeToCollisionObservation
 from highway_env.utils import class_from_path
 
+from behavexplor.envs.source_gate import OF_INTERSECTION
 from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import N_FLAGS, N_NUMBERS, Engine, Outcome
@@ -19,9 +20,8 @@ from behavexplor.envs.stock.observing import grid_view, make_view
 from behavexplor.envs.stock.pcg64 import N_WORDS
 from behavexplor.envs.stock.state import make_slots
 from behavexplor.envs.stock.stock_world import OTHER, make_world
-from behavexplor.envs.stock.task import INTERSECTION, make_starts, make_task, no_starts
+from behavexplor.envs.stock.task import INTERSECTION, Task, make_starts, make_task, no_starts
 
-_CHANGED_BY_INTERSECTION = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 _ROOM = 16  # more vehicles than in the first episode, for environments that place their own
 
 
@@ -52,14 +52,11 @@ def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool,
     )
 
 
-def most_at_start(env: AbstractEnv, kind: int, *, places_own: bool) -> int:
+def most_at_start(env: AbstractEnv, task: Task, *, places_own: bool) -> int:
     """Return the greatest number of vehicles and obstacles that an episode can begin with."""
-    count: int = len(env.road.vehicles) + len(env.road.objects)
     if places_own:
-        count = 2 * count + _ROOM
-    elif kind == INTERSECTION:
-        count = int(env.config["initial_vehicle_count"]) + 1
-    return count
+        return 2 * (len(env.road.vehicles) + len(env.road.objects)) + _ROOM
+    return int(task.rules[0].n_at_start) + len(task.starts.obstacles)
 
 
 def most_new(env: AbstractEnv, kind: int) -> int:
@@ -85,11 +82,11 @@ def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog)
 def kept_class(env_class: type[AbstractEnv], config: Mapping[str, Any] | None) -> Iterator[None]:
     """Undo what `IntersectionEnv` does to the class of its vehicles, which would change every other environment."""
     traffic = class_from_path({**env_class.default_config(), **(config or {})}["other_vehicles_type"])
-    before = {name: vars(traffic)[name] for name in _CHANGED_BY_INTERSECTION if name in vars(traffic)}
+    before = {name: vars(traffic)[name] for name in OF_INTERSECTION if name in vars(traffic)}
     try:
         yield
     finally:
-        for name in _CHANGED_BY_INTERSECTION:
+        for name in OF_INTERSECTION:
             if name in before:
                 setattr(traffic, name, before[name])
             elif name in vars(traffic):

@@ -26,7 +26,7 @@ Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 
 DECISION, BEGINNING, LOOK = range(3)  # stages of `advance`
-REFUSED: Final = -1  # what `advance` returns if an action is none of the choices
+REFUSED, FULL = -1, -2  # what `advance` returns if an action is none of the choices, or an episode has no room
 
 REWARD, SPEED, FIRST_TERM = range(3)  # rows of `Outcome.numbers`
 N_NUMBERS: Final = FIRST_TERM + MOST_TERMS
@@ -111,11 +111,12 @@ def advance(
         logs_start: whether the start is logged as the first frame.
 
     Returns:
-        The number of these slots whose episode has ended, or REFUSED if a choice is none of the commands. Nothing has
-        changed then.
+        The number of these slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if
+        the vehicles of a slot would not have room in it, FULL. Nothing has changed then.
     """
-    if not _are_known(actions):
-        return REFUSED
+    refusal = _refusal(engine.task, slots, chosen, actions, stage)
+    if refusal < 0:
+        return refusal
     world, task, is_decision, n_ended = engine.world, engine.task, stage == DECISION, 0
     is_intersection = task.rules[0].kind == INTERSECTION
     for b in range(len(chosen)):
@@ -153,11 +154,36 @@ def advance(
 
 
 @kernel_inner
+def _refusal(task: Task, slots: Slots, chosen: Bools, actions: Actions, stage: int) -> int:
+    """Return why nothing can be done; 0 if there is no reason."""
+    if not _are_known(actions):
+        return REFUSED
+    return 0 if _have_room(task, slots, chosen, stage) else FULL
+
+
+@kernel_inner
 def _are_known(actions: Actions) -> bool:
     n_known = 0
     for choice in actions.choices:
         n_known += 0 <= choice < len(actions.commands)
     return n_known == len(actions.choices)
+
+
+@kernel_inner
+def _have_room(task: Task, slots: Slots, chosen: Bools, stage: int) -> bool:
+    """Return whether the vehicles that the chosen episodes have, begin with or receive fit into their slots."""
+    n_places, rules = slots.vehicles.shape[1], task.rules[0]
+    for b in range(len(chosen)):
+        episode = slots.episodes[b]
+        n_things = episode.n_vehicles + episode.n_obstacles
+        if stage == BEGINNING:
+            n_things = max(rules.n_at_start, 1 + rules.n_others) + len(task.starts.obstacles)
+        elif stage == DECISION and rules.kind == INTERSECTION:
+            n_things += 1  # a vehicle may appear
+        is_odd = stage != BEGINNING and (min(episode.ego, episode.n_obstacles) < 0 or episode.ego >= episode.n_vehicles)
+        if chosen[b] and (is_odd or n_things > n_places):
+            return False
+    return True
 
 
 @kernel_inner

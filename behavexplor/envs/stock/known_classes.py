@@ -1,14 +1,13 @@
 """Which environments the compiled engine replaces: highway-env's own, and subclasses with other roads and starts."""
 
-from types import FunctionType
-
 from highway_env.envs.common.abstract import AbstractEnv
 
+from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.stock.task import KINDS
 from behavexplor.errors import InputError
 
 _STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
-_CHANGEABLE = _STARTS | {"__init__", "default_config"}
+_CHANGEABLE = _STARTS | {"__init__"}
 _REWARDS = frozenset({"_reward", "_rewards"})
 
 
@@ -29,15 +28,12 @@ def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[A
             f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
             f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"
         )
-    changeable = _CHANGEABLE if rewards else _CHANGEABLE | _REWARDS
-    for base in env_class.__mro__[: env_class.__mro__.index(known)]:
-        for name, value in vars(base).items():
-            is_method = isinstance(value, FunctionType | classmethod | staticmethod | property)
-            if is_method and hasattr(known, name) and name not in changeable:
-                raise InputError(
-                    f"The compiled engine does not know the method {base.__name__}.{name}; use gymnasium.make_vec with "
-                    f"vectorization_mode='sync'"
-                )
+    method = replaced(env_class, known, _CHANGEABLE if rewards else _CHANGEABLE | _REWARDS)
+    if method is not None:
+        raise InputError(
+            f"The compiled engine does not know the method {method}; use gymnasium.make_vec with "
+            f"vectorization_mode='sync'"
+        )
     return known
 
 

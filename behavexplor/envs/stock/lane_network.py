@@ -6,13 +6,14 @@ of `RoadNetwork.graph`. Ties between lanes are decided by that order.
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
+from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.errors import InputError
 
@@ -57,16 +58,8 @@ ROAD: Final = record_type(
 
 LINK: Final = record_type(lane=np.int64, offset=np.float64)
 
-_KINDS: dict[Any, int] = {
-    StraightLane.local_coordinates: STRAIGHT,
-    SineLane.local_coordinates: SINE,
-    CircularLane.local_coordinates: CIRCULAR,
-}
-_LANE_CLASSES = (StraightLane, SineLane, CircularLane)
-_GEOMETRY = (
-    *("position", "local_coordinates", "heading_at", "width_at", "on_lane", "is_reachable_from", "after_end"),
-    *("distance", "distance_with_heading", "local_angle"),
-)
+_CLASSES: Final = {STRAIGHT: StraightLane, SINE: SineLane, CIRCULAR: CircularLane}
+_CHANGEABLE: Final = frozenset({"__init__", "from_config", "to_config"})  # by subclasses, whose attributes are read
 
 
 class Network(NamedTuple):
@@ -159,9 +152,9 @@ def _describe(row: Lane, lane: AbstractLane, index: LaneIndex) -> None:
 
 def _kind(lane: AbstractLane, index: LaneIndex) -> int:
     """Return the kind of a lane. A subclass is of its parent's kind if it changes none of the geometry."""
-    for known in _LANE_CLASSES:
-        if all(getattr(type(lane), name) is getattr(known, name) for name in _GEOMETRY):
-            return _KINDS[known.local_coordinates]
+    for kind, known in _CLASSES.items():
+        if isinstance(lane, known) and replaced(type(lane), known, _CHANGEABLE) is None:
+            return kind
     raise InputError(
         f"The lane {index} is a {type(lane).__name__}, which the compiled engine does not know; use straight, sine "
         f"or circular lanes, or gymnasium.make_vec with vectorization_mode='sync'"

@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
-from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
+from highway_env.vehicle.behavior import LinearVehicle
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.lane_geometry import closest_lane, lane_heading, lane_point
@@ -21,7 +21,6 @@ FIRST_LANE: Any = np.int64(0)
 AS_EGO: Any = np.int64(EGO)
 AS_OTHER: Any = np.int64(OTHER)
 
-LOW_DELTA, HIGH_DELTA = map(float, IDMVehicle.DELTA_RANGE)
 _GAINS: tuple[tuple[float, ...], ...] = tuple(
     tuple(map(float, gains)) for gains in (*LinearVehicle.ACCELERATION_RANGE, *LinearVehicle.STEERING_RANGE)
 )
@@ -106,4 +105,4 @@ def draw_behavior(words: Words, scene: Scene, i: int) -> None:
         traits.heading_gain = low_steering[0] + uniform(words, 0.0, 1.0) * (high_steering[0] - low_steering[0])
         traits.offset_gain = low_steering[1] + uniform(words, 0.0, 1.0) * (high_steering[1] - low_steering[1])
     if traits.kind in (IDM, LINEAR):
-        traits.delta = uniform(words, LOW_DELTA, HIGH_DELTA)
+        traits.delta = uniform(words, traits.low_delta, traits.high_delta)

@@ -10,15 +10,15 @@ from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor import HIGHWAY_ENV
-from behavexplor.envs.stock.source_gate import changed_sources
+from behavexplor.envs.source_gate import ChangedError
 from behavexplor.envs.stock.stock_env import StockVectorEnv
 
 
 def vector_env(env_class: type[AbstractEnv], **arguments: Any) -> VectorEnv[Any, Any, Any]:
     """Make the compiled vector environment of a class of highway-env.
 
-    If the installed release of highway-env is another one than the compiled engine was ported from, and differs in what
-    was ported, highway-env itself runs, and a warning says so.
+    If the classes that run are not those that the compiled engine was ported from, because this program has replaced a
+    method or highway-env is another release, highway-env itself runs, and a warning says so.
 
     Args:
         env_class: the environment.
@@ -27,14 +27,14 @@ def vector_env(env_class: type[AbstractEnv], **arguments: Any) -> VectorEnv[Any,
     Raises:
         InputError: if the compiled engine does not support the environment or its configuration.
     """
-    changed = changed_sources()
-    if not changed:
+    try:
         return StockVectorEnv(env_class, **arguments)
-    warnings.warn(
-        f"The compiled engine is not used, because this release of highway-env has another {', '.join(changed[:3])}; "
-        f"highway-env itself runs, hundreds of times as slow",
-        stacklevel=2,
-    )
+    except ChangedError as error:
+        warnings.warn(
+            f"highway-env itself runs, hundreds of times as slow, because the {error.reason}: this program "
+            f"has replaced it, or highway-env is another release",
+            stacklevel=2,
+        )
     return _original(env_class, **arguments)
 
 

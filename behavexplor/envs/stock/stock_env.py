@@ -13,11 +13,19 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
+from behavexplor.envs.source_gate import TRAFFIC, ChangeGuard, check_ported, classes_of
 from behavexplor.envs.stock.config_check import check_config
-from behavexplor.envs.stock.engine_making import kept_class, make_engine, make_outcome, most_at_start, most_new
+from behavexplor.envs.stock.engine_making import (
+    kept_class,
+    make_engine,
+    make_outcome,
+    most_at_start,
+    most_new,
+)
 from behavexplor.envs.stock.episodes import (
     BEGINNING,
     DECISION,
+    FULL,
     LOOK,
     REFUSED,
     REWARD,
@@ -35,6 +43,7 @@ from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.stock.slot_state import SlotState, slot_state
 from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.task import KINDS
+from behavexplor.envs.stock.traits import classes_of_vehicles
 from behavexplor.envs.values import COUNT, FLAG, optional
 from behavexplor.envs.vector.action_decoding import command_table, make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
@@ -104,13 +113,16 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.places_own = has_own_starts(env_class)
         with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
+            classes = classes_of(self._single, classes_of_vehicles(self._single))
+            check_ported(classes)
             self._engine = make_engine(
                 self._single, self._kind, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
+        self._guard = ChangeGuard(classes, TRAFFIC if self.places_own else frozenset())
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
-        self._most_at_start = most_at_start(self._single, self._kind, places_own=self.places_own)
+        self._most_at_start = most_at_start(self._single, self._engine.task, places_own=self.places_own)
         n_places = self._most_at_start + most_new(self._single, self._kind)
         self._slots = make_slots(num_envs, n_places, n_steps)
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
@@ -224,6 +236,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             draws: the draws of some of them.
             logs_start: whether the frame log shows the starts.
         """
+        self._guard.check()
         actions: NDArray[Any] = self._sampled_space.sample()
         own = mask.copy()
         seen: dict[int, NDArray[Any]] = {}
@@ -254,13 +267,15 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended.
 
         Raises:
-            InputError: if the actions are not in the action space.
+            InputError: if the actions are not in the action space, or the vehicles of an episode have no room.
         """
         self._put(actions)
         state = (self._engine, self._slots, self._scratch, self._outcome)
         n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
         if n_ended == REFUSED:
             check_actions(self.action_space, actions)
+        if n_ended == FULL:
+            raise InputError(f"An episode has more vehicles than the {self._slots.vehicles.shape[1]} that have room")
         return n_ended
 
     def _put(self, actions: NDArray[Any]) -> None:

@@ -11,10 +11,11 @@ from highway_env.envs.exit_env import ExitEnv
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.envs.merge_env import MergeEnv
 from highway_env.road.regulation import RegulatedRoad
-from highway_env.road.road import LaneIndex
+from highway_env.road.road import LaneIndex, Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
+from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.stock.lane_network import Network, make_network
 from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.envs.stock.state import OBSTACLE, TRAITS
@@ -61,6 +62,7 @@ def make_world(env: AbstractEnv) -> World:
         InputError: if the environment has lanes, vehicles or actions that the engine does not know.
     """
     config = env.config
+    _check_road(env)
     return World(
         network=make_network(
             env.road.network,
@@ -71,6 +73,21 @@ def make_world(env: AbstractEnv) -> World:
         speeds=_target_speeds(env),
         templates=_make_templates(env),
     )
+
+
+def _check_road(env: AbstractEnv) -> None:
+    """Check that the road is one of highway-env's.
+
+    Raises:
+        InputError: if it is another one that behaves differently.
+    """
+    for thing, known in ((env.road, (RegulatedRoad, Road)), (env.road.network, (RoadNetwork,))):
+        parent = next((parent for parent in type(thing).__mro__ if parent in known), None)
+        changed = f"{type(thing).__name__}" if parent is None else replaced(type(thing), parent, {"__init__"})
+        if changed is not None:
+            raise InputError(
+                f"The compiled engine does not know {changed}; use gymnasium.make_vec with vectorization_mode='sync'"
+            )
 
 
 def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:

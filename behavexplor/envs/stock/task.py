@@ -109,6 +109,8 @@ _START_LANES = MappingProxyType(  # lanes on which vehicles start, by the names 
     }
 )
 
+_N_PLACED = MappingProxyType({MERGE: 5, ROUNDABOUT: 5, U_TURN: 7, TWO_WAY: 6})  # vehicles, with the ego; see `resets`
+
 DRAWN: Final = -1  # a lane or destination that is drawn at each reset
 
 TASK: Final = record_type(
@@ -122,6 +124,7 @@ TASK: Final = record_type(
     duration=np.float64,  # [s]; infinite: the environment does not truncate
     most_decisions=np.float64,  # after which an episode is truncated; infinite: no limit
     ends_off_road=np.bool_,
+    n_at_start=np.int64,  # greatest number of vehicles with which an episode begins
     n_others=np.int64,  # vehicles besides the ego
     n_warm_up=np.int64,  # frames before the ego enters the intersection
     ego_lane=np.int64,  # number of the ego's lane on the highway, or DRAWN
@@ -183,6 +186,7 @@ def make_task(env: AbstractEnv, kind: int, starts: Starts, most_decisions: int |
     row.kind, row.most_decisions = kind, most_decisions or np.inf
     _put_rewards(row, env.config, kind)
     _put_starts(row, env.config, kind)
+    row.n_at_start = _N_PLACED.get(kind, 1 + row.n_others)
     weights = [env.config.get(name, 0) for name in TERMS[kind]]
     return Task(rules, np.array(weights, dtype=np.float64), starts)
 

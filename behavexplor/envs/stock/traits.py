@@ -5,11 +5,14 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.utils import class_from_path
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
-from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
+from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
+from behavexplor.envs.source_gate import TRAFFIC, replaced
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, TRAITS, Traits
 from behavexplor.errors import InputError
 
@@ -20,12 +23,7 @@ _CLASSES: Final[dict[int, type[RoadObject]]] = {
     LINEAR: LinearVehicle,
     OBSTACLE: Obstacle,
 }
-_BEHAVIOR: Final = (
-    *("act", "step", "clip_actions", "on_state_update", "predict_trajectory_constant_speed", "velocity", "direction"),
-    *("handle_collisions", "_is_colliding", "polygon", "lane_distance_to", "front_distance_to", "follow_road"),
-    *("steering_control", "speed_control", "acceleration", "desired_gap", "change_lane_policy", "mobil"),
-    *("acceleration_features", "steering_features", "index_to_speed", "speed_to_index"),
-)
+_CHANGEABLE: Final = TRAFFIC | {"LENGTH", "WIDTH", "MIN_SPEED", "MAX_SPEED"}  # parameters that are read
 _PARAMETERS: Final = {  # fields of `TRAITS`, and their names in highway-env
     "max_acceleration": "ACC_MAX",
     "comfort_acceleration": "COMFORT_ACC_MAX",
@@ -40,7 +38,6 @@ _PARAMETERS: Final = {  # fields of `TRAITS`, and their names in highway-env
 }
 _ACCELERATION_GAINS: Final = ("speed_gain", "front_speed_gain", "front_gap_gain")
 _STEERING_GAINS: Final = ("heading_gain", "offset_gain")
-_CONTROL: Final = ("TAU_PURSUIT", "KP_A", "KP_HEADING", "KP_LATERAL", "MAX_STEERING_ANGLE")
 
 
 def kind_of(cls: type[RoadObject]) -> int:
@@ -50,14 +47,21 @@ def kind_of(cls: type[RoadObject]) -> int:
         InputError: if the class behaves differently from all those that the engine knows.
     """
     for kind, known in _CLASSES.items():
-        same_behavior = all(getattr(cls, name, None) is getattr(known, name, None) for name in _BEHAVIOR)
-        if issubclass(cls, known) and same_behavior:
+        if issubclass(cls, known) and replaced(cls, known, _CHANGEABLE) is None:
             return kind
+    parent = next((parent for parent in cls.__mro__ if parent in _CLASSES.values()), cls)
+    reason = replaced(cls, parent, _CHANGEABLE) or "its class"
     names = ", ".join(known.__name__ for known in _CLASSES.values())
     raise InputError(
-        f"The compiled engine does not know how a {cls.__name__} drives; it knows {names} and their subclasses with "
-        f"other parameters; use gymnasium.make_vec with vectorization_mode='sync'"
+        f"The compiled engine does not know how a {cls.__name__} drives, because of {reason}; it knows {names} and "
+        f"their subclasses with other parameters; use gymnasium.make_vec with vectorization_mode='sync'"
     )
+
+
+def classes_of_vehicles(env: AbstractEnv) -> tuple[type[RoadObject], ...]:
+    """Return the classes of the vehicles and obstacles that episodes of an environment may have."""
+    traffic = class_from_path(env.config["other_vehicles_type"])
+    return *_CLASSES.values(), traffic, *(type(thing) for thing in (*env.road.vehicles, *env.road.objects))
 
 
 def traits_of(source: Any, kind: int) -> Traits:
@@ -66,6 +70,10 @@ def traits_of(source: Any, kind: int) -> Traits:
     Raises:
         InputError: if it has parameters that the engine does not read.
     """
+    own = () if isinstance(source, type) else vars(source)
+    for name in own:
+        if name not in _CHANGEABLE and hasattr(type(source), name):
+            raise InputError(f"The compiled engine does not support a vehicle with a {name} of its own")
     traits: Traits = np.zeros(1, TRAITS)[0]
     traits.kind, traits.length, traits.width = kind, source.LENGTH, source.WIDTH
     traits.diameter = math.sqrt(source.LENGTH**2 + source.WIDTH**2)
@@ -75,8 +83,6 @@ def traits_of(source: Any, kind: int) -> Traits:
     if kind == OBSTACLE:
         return traits
     traits.min_speed, traits.max_speed = source.MIN_SPEED, source.MAX_SPEED
-    if kind != PLAIN:
-        _check_control(source)
     if kind in (IDM, LINEAR):
         _read_driver(traits, source)
     if kind == LINEAR:
@@ -100,15 +106,10 @@ def give_traits(vehicle: Any, traits: Traits) -> None:
         vehicle.STEERING_PARAMETERS = np.array([traits[field] for field in _STEERING_GAINS])
 
 
-def _check_control(source: Any) -> None:
-    for name in _CONTROL:
-        if getattr(source, name) != getattr(ControlledVehicle, name):
-            raise InputError(f"The compiled engine does not support vehicles with another {name} than highway-env's")
-
-
 def _read_driver(traits: Traits, source: Any) -> None:
     """Read the parameters of the reactive traffic."""
     _put(traits, tuple(_PARAMETERS), [getattr(source, name) for name in _PARAMETERS.values()])
+    traits.low_delta, traits.high_delta = source.DELTA_RANGE
     traits.gap_divisor = 2 * math.sqrt(-source.COMFORT_ACC_MAX * source.COMFORT_ACC_MIN)
     traits.changes_lanes = getattr(source, "enable_lane_change", True)
 

@@ -17,6 +17,7 @@ from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
+from behavexplor.envs.source_gate import ChangeGuard, check_ported, classes_of
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
@@ -87,6 +88,9 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._mode = chosen_mode(autoreset_mode)
         single = self.env_class(config)
         check_supported(single)
+        classes = classes_of(single, map(type, single.road.vehicles))
+        check_ported(classes)
+        self._guard = ChangeGuard(classes)
         self.num_envs = num_envs
         self.config = single.config
         self.logical = single.logical
@@ -160,6 +164,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         values = np.ascontiguousarray(actions.reshape(self.num_envs, self._n_values), dtype=np.float64)
         active, ends = end == RUNNING, np.zeros((2, self.num_envs), dtype=bool)
         n_ended = self._step_slots(self._world, self._slots, values, self._commands(actions), active, ends)
+        if n_ended < 0:
+            raise InputError("An episode is longer than its record has room for: make the environment again")
         terminated, truncated = ends
         self._observe(active)
         terms, rewards = None, np.zeros(self.num_envs)
@@ -183,7 +189,12 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         return self._observations.copy(), rewards, terminated, truncated, infos
 
     def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
-        """Begin an episode in the chosen slots, with the given scenario or a sampled one."""
+        """Begin an episode in the chosen slots, with the given scenario or a sampled one.
+
+        Raises:
+            InputError: if a scenario has no room in a slot, or classes have changed since the environment was made.
+        """
+        self._guard.check()
         begun: dict[int, ScriptedScenario] = {}
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None
@@ -192,7 +203,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 scenario = self.logical.sample(generator)
             begun[b] = scenario
         npcs = npc_arrays(list(begun.values()), self.logical.roadmap, self._n_waypoints)
-        self._begin_slots(self._world, self._slots, np.flatnonzero(mask), *npcs)
+        if not self._begin_slots(self._world, self._slots, np.flatnonzero(mask), *npcs):
+            raise InputError(f"A scenario has more than {self._slots.npc.shape[1]} NPCs, for which there is room")
         infos = np.full(self.num_envs, None, dtype=object)
         for b, scenario in begun.items():
             self.scenarios[b] = infos[b] = scenario

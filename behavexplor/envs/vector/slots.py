@@ -114,8 +114,10 @@ def make_slots(
 @kernel_in_place
 def begin_episodes(
     world: World, slots: Slots, chosen: Ints, counts: Ints, routes: Ints, sizes: Floats, waypoints: Floats
-) -> None:
+) -> bool:
     """Begin an episode in each chosen slot. The NPCs of all these episodes follow one another in the arrays.
+
+    Return whether they have room in the slots. If not, nothing is changed.
 
     Args:
         world: the environment's map and rules.
@@ -127,11 +129,19 @@ def begin_episodes(
         waypoints: position [m] and speed [m/s] of each waypoint, padded with copies of the last one, shape
             (n_npcs, waypoints, 2).
     """
+    n_npcs = 0
+    for k in range(len(chosen)):
+        if not (0 <= chosen[k] < len(slots.numbers) and 0 <= counts[k] <= slots.npc.shape[1]):
+            return False
+        n_npcs += counts[k]
+    if n_npcs > min(len(routes), len(sizes), len(waypoints)) or waypoints.shape[1] >= slots.phases.shape[2]:
+        return False
     first = 0
     for k in range(len(chosen)):
         end = first + counts[k]
         _begin(world, slots, chosen[k], routes[first:end], sizes[first:end], waypoints[first:end])
         first = end
+    return True
 
 
 @kernel_inner

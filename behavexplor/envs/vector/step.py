@@ -65,6 +65,8 @@ _is_rear_end = kernel_inner(is_rear_end)
 def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools, ends: Bools) -> int:
     """Simulate until the next decision, or until an episode ends. Return the number of episodes that have ended now.
 
+    If the record of an episode has no room for another decision, nothing is changed, and -1 is returned.
+
     Args:
         world: the environment's map and rules.
         slots: the slots, changed in place.
@@ -74,6 +76,25 @@ def step(world: World, slots: Slots, actions: Floats, commands: Floats, active: 
         active: whether each slot is stepped, shape (B,).
         ends: whether each episode is terminated, and whether it is truncated, shape (2, B); all False at first.
     """
+    return (
+        _step_active(world, slots, actions, commands, active, ends) if _have_room(world, slots, actions, active) else -1
+    )
+
+
+@kernel_inner
+def _have_room(world: World, slots: Slots, actions: Floats, active: Bools) -> bool:
+    """Return whether the slots have room for another decision of the active episodes."""
+    rules, (n_decisions, n_values) = world.rules, slots.actions.shape[1:]
+    for b in range(len(active)):
+        frame, n_npcs = slots.numbers[b, FRAME], slots.numbers[b, N_NPCS]
+        goes_on = 0 <= frame < rules.max_frames and frame // rules.substeps < n_decisions
+        if active[b] and not (goes_on and 0 <= n_npcs <= slots.npc.shape[1]):
+            return False
+    return bool(rules.max_frames <= slots.record.shape[1] - 1 and actions.shape[1] <= n_values)
+
+
+@kernel_inner
+def _step_active(world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools, ends: Bools) -> int:
     ended = 0
     rules, ego, numbers, record = world.rules, slots.ego, slots.numbers, slots.record
     for b in range(len(active)):

@@ -11,12 +11,14 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from highway_env.envs import HighwayEnvFast, IntersectionEnv, MergeEnv, ParkingEnv, TwoWayEnv
 from highway_env.envs.merge_env import MergeGenericEnv
+from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
+from behavexplor.envs import source_gate
 from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.envs.stock import StockVectorEnv, registered
@@ -215,13 +217,80 @@ def test_gymnasium_makes_the_compiled_environment_and_the_original():
 
 
 def test_another_release_of_highway_env_runs_itself_and_says_so(monkeypatch):
-    monkeypatch.setattr(registered, "changed_sources", lambda: ("behavior.IDMVehicle.act", "road.Road.step"))
-    with pytest.warns(UserWarning, match=r"another behavior.IDMVehicle.act, road.Road.step; highway-env itself runs"):
+    digests = copy.deepcopy(source_gate.ported_sources())
+    digests["highway_env.vehicle.behavior"]["IDMVehicle"]["act"] = "0" * 16
+    digests["highway_env.road.road"]["Road"]["gone"] = "0" * 16
+    monkeypatch.setattr(source_gate, "ported_sources", lambda: digests)
+    with pytest.warns(UserWarning, match=r"highway-env itself runs, .* another Road.gone, IDMVehicle.act than"):
         env = registered.vector_env(TwoWayEnv, num_envs=2, autoreset_mode="SameStep", max_episode_steps=3)
     assert isinstance(env, SyncVectorEnv)
     assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     env.reset(seed=0)
     assert [bool((step := env.step(np.ones(2, dtype=np.int64)))[2].any() or step[3].all()) for _ in range(3)][-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("n_vehicles", 10**6), ("n_obstacles", 10**6), ("n_obstacles", -3), ("ego", -1), ("ego", 4)]
+)
+def test_a_decision_beyond_the_room_of_a_slot_is_refused(name, value):
+    env = StockVectorEnv(HighwayEnvFast, 2, {"vehicles_count": 3})
+    env.reset(seed=0)
+    env._slots.episodes[name][1] = value
+    before = copy.deepcopy(env._slots)
+    with pytest.raises(InputError, match="more vehicles than the 4 that have room"):
+        env.step(np.ones(2, dtype=np.int64))
+    assert all(np.array_equal(*pair) for pair in zip(before, env._slots, strict=True))
+
+
+@pytest.mark.parametrize("name", ["n_at_start", "n_others"])
+def test_a_start_beyond_the_room_of_a_slot_is_refused(name):
+    env = StockVectorEnv(HighwayEnvFast, 2, {"vehicles_count": 3})
+    env._engine.task.rules[name] = 10**6
+    with pytest.raises(InputError, match="have room"):
+        env.reset(seed=0)
+
+
+def test_a_vehicle_with_target_speeds_of_its_own_is_refused():
+    env = StockVectorEnv(HighwayEnvFast, 1, {"vehicles_count": 3})
+    start = HighwayEnvFast({"vehicles_count": 3})
+    start.vehicle.target_speeds = np.linspace(0, 90, 30)
+    with pytest.raises(InputError, match="A vehicle has the target speeds"):
+        env.reset(options={"starts": {0: start}})
+
+
+def test_a_vehicle_with_a_parameter_of_its_own_that_is_not_read_is_refused():
+    env = StockVectorEnv(HighwayEnvFast, 1, {"vehicles_count": 3})
+    start = HighwayEnvFast({"vehicles_count": 3})
+    start.road.vehicles[1].KP_HEADING = 3.0
+    with pytest.raises(InputError, match="a KP_HEADING of its own"):
+        env.reset(options={"starts": {0: start}})
+
+
+class Dense(IDMVehicle):
+    DELTA_RANGE = (1.0, 1.5)
+
+
+class Blind(Road):
+    def neighbour_vehicles(self, vehicle, lane_index=None):
+        return None, None
+
+
+class BlindEnv(HighwayEnvFast):
+    def _create_vehicles(self):
+        super()._create_vehicles()
+        self.road.__class__ = Blind
+
+
+def test_the_range_of_an_exponent_is_that_of_the_class():
+    config = {"other_vehicles_type": f"{__name__}.Dense", "duration": 6, "vehicles_count": 8}
+    result = compare("highway-fast-v0", config, decisions=12)
+    assert not result.different
+    assert result.worst < 1e-6
+
+
+def test_a_road_that_behaves_differently_is_refused_by_name():
+    with pytest.raises(InputError, match=r"Blind.neighbour_vehicles; .*vectorization_mode='sync'"):
+        StockVectorEnv(BlindEnv)
 
 
 def test_a_sub_environment_rests_after_its_episode_without_autoreset():
