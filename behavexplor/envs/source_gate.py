@@ -23,7 +23,6 @@ import highway_env.envs.common.observation as observations
 import numpy as np
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
-from highway_env.vehicle.behavior import IDMVehicle
 
 from behavexplor.errors import InputError
 
@@ -35,13 +34,6 @@ DRAWING: Final = frozenset(  # of an environment, which change pictures only
     {"metadata", "render", "close", "update_metadata", "set_record_video_wrapper", "_automatic_rendering"}
 )
 READ: Final = frozenset({"default_config"})  # of an environment, which the engine reads when it is made
-TRAFFIC: Final = frozenset(  # parameters of classes of vehicles that the engine reads when it is made
-    {
-        *("ACC_MAX", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "DELTA_RANGE"),
-        *("POLITENESS", "LANE_CHANGE_MIN_ACC_GAIN", "LANE_CHANGE_MAX_BRAKING_IMPOSED", "LANE_CHANGE_DELAY"),
-        *("ACCELERATION_PARAMETERS", "STEERING_PARAMETERS"),
-    }
-)
 OF_INTERSECTION: Final = (
     MappingProxyType(  # highway-env's own values, and those that `IntersectionEnv` sets in the class
         {"DISTANCE_WANTED": (10.0, 7), "COMFORT_ACC_MAX": (3.0, 6), "COMFORT_ACC_MIN": (-5.0, -3)}
@@ -65,13 +57,17 @@ def classes_of(env: AbstractEnv, vehicles: Iterable[type]) -> tuple[type, ...]:
     return tuple(parent for parent in parents if _package(parent) not in ("builtins", "typing", "abc"))
 
 
-def changes(classes: Iterable[type]) -> tuple[str, ...]:
+def changes(classes: Iterable[type], read: Collection[str] = ()) -> tuple[str, ...]:
     """Return the names of functions and constants of classes that are others than those that were ported.
 
     A class of a user's own package has none: whether the engine supports it is checked elsewhere.
+
+    Args:
+        classes: the classes; see `classes_of`.
+        read: names of parameters that the engine reads from the classes.
     """
-    found = [f"{_short(owner)}.{name}" for owner in (*classes, *MODULES) for name in _changes_of(owner)]
-    return *found, *_changed_imports()
+    pairs = ((owner, name) for owner in (*classes, *MODULES) for name in _changes_of(owner) if name not in read)
+    return *(f"{_short(owner)}.{name}" for owner, name in pairs), *_changed_imports()
 
 
 def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | None:
@@ -110,16 +106,17 @@ class ChangedError(InputError):
         super().__init__(f"The {self.reason}; use gymnasium.make_vec with vectorization_mode='sync' for the original")
 
 
-def check_ported(classes: Iterable[type]) -> None:
+def check_ported(classes: Iterable[type], read: Collection[str] = ()) -> None:
     """Check that an environment consists of what the engine was ported from.
 
     Args:
         classes: its classes; see `classes_of`.
+        read: names of parameters that the engine reads from them.
 
     Raises:
         ChangedError: if it does not. The message names what is different.
     """
-    names = changes(classes)
+    names = changes(classes, read)
     if names:
         raise ChangedError(names)
 
@@ -210,8 +207,6 @@ def _changes_of(owner: Owner) -> Iterator[str]:
     present = {name: value for name, value in vars(owner).items() if _counts(owner, name, value)}
     digests = _digests(module) if package == "highway_env" else {}
     for name in sorted(present.keys() | ported.keys()):
-        if name in TRAFFIC and isinstance(owner, type) and issubclass(owner, IDMVehicle):
-            continue
         if name not in present or not _is_ported(owner, name, present[name], ported.get(name), digests):
             yield name
 

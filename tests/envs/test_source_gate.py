@@ -24,6 +24,7 @@ from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.envs.source_gate import MODULES, ChangeGuard, changes, ported_sources, present_sources, replaced
 from behavexplor.envs.stock import StockVectorEnv
+from behavexplor.envs.stock.traits import TRAFFIC
 from behavexplor.errors import InputError
 from tests.envs.patches import MOMENTS, classes_of_engines, in_child, other, patches
 
@@ -33,7 +34,7 @@ READ = ("default_config", "logical", "track_config_path", "metaclass__")
 
 def test_highway_env_is_the_one_that_was_ported():
     present = json.dumps(present_sources([*classes_of_engines(), *MODULES]), indent=1)
-    assert not changes(classes_of_engines()), f"compare these with the port, then update source_digests.json: {present}"
+    assert not changes(classes_of_engines(), TRAFFIC), f"compare these with the port, then update source_digests.json: {present}"
 
 
 def test_every_class_of_the_engines_was_ported():
@@ -56,9 +57,8 @@ def test_every_name_is_noticed_before_and_after_an_environment_is_made(monkeypat
                 guard.check()
                 continue
             label = f"{owner.__name__.rpartition('.')[2]}.{name}"
-            is_read = name in source_gate.TRAFFIC and issubclass(owner, IDMVehicle)
             is_initial = owner is gymnasium.Env and name in ("render_mode", "spec")  # which environments replace
-            assert (label in changes(classes)) != (is_read or is_initial), label
+            assert (label in changes(classes, TRAFFIC)) != (name in TRAFFIC or is_initial), label
             if vars(owner)[name] is not changed:
                 with pytest.raises(InputError, match=f"{label} changed after the compiled environment was made"):
                     guard.check()
@@ -102,7 +102,7 @@ def test_what_the_file_of_another_release_adds_is_no_change(monkeypatch):
     ported["highway_env.road.lane"]["StraightLane"]["gone"] = "0" * 16
     del ported["highway_env.road.road"]["Road"]
     lane = type(IntersectionEnv().road.network.lanes_list()[0])
-    named = changes([IDMVehicle, ControlledVehicle, lane, Road])
+    named = changes([IDMVehicle, ControlledVehicle, lane, Road], TRAFFIC)
     assert named == (
         "IDMVehicle.act",
         "IDMVehicle.mobil",

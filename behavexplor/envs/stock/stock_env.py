@@ -13,7 +13,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
-from behavexplor.envs.source_gate import TRAFFIC, ChangeGuard, check_ported, classes_of
+from behavexplor.envs.source_gate import ChangeGuard, check_ported, classes_of
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import (
     kept_class,
@@ -43,7 +43,7 @@ from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.stock.slot_state import SlotState, slot_state
 from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.task import KINDS
-from behavexplor.envs.stock.traits import classes_of_vehicles
+from behavexplor.envs.stock.traits import TRAFFIC, classes_of_vehicles
 from behavexplor.envs.values import COUNT, FLAG, optional
 from behavexplor.envs.vector.action_decoding import command_table, make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
@@ -114,7 +114,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
             classes = classes_of(self._single, classes_of_vehicles(self._single))
-            check_ported(classes)
+            check_ported(classes, TRAFFIC)
             self._engine = make_engine(
                 self._single, self._kind, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )

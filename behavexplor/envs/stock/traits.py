@@ -12,7 +12,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
-from behavexplor.envs.source_gate import TRAFFIC, replaced
+from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.stock.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, TRAITS, Traits
 from behavexplor.errors import InputError
 
@@ -23,7 +23,6 @@ _CLASSES: Final[dict[int, type[RoadObject]]] = {
     LINEAR: LinearVehicle,
     OBSTACLE: Obstacle,
 }
-_CHANGEABLE: Final = TRAFFIC | {"LENGTH", "WIDTH", "MIN_SPEED", "MAX_SPEED"}  # parameters that are read
 _PARAMETERS: Final = {  # fields of `TRAITS`, and their names in highway-env
     "max_acceleration": "ACC_MAX",
     "comfort_acceleration": "COMFORT_ACC_MAX",
@@ -36,6 +35,10 @@ _PARAMETERS: Final = {  # fields of `TRAITS`, and their names in highway-env
     "max_braking": "LANE_CHANGE_MAX_BRAKING_IMPOSED",
     "lane_change_delay": "LANE_CHANGE_DELAY",
 }
+TRAFFIC: Final = frozenset(  # parameters that are read from the classes of the traffic
+    {*_PARAMETERS.values(), "DELTA_RANGE", "ACCELERATION_PARAMETERS", "STEERING_PARAMETERS"}
+)
+_CHANGEABLE: Final = TRAFFIC | {"LENGTH", "WIDTH", "MIN_SPEED", "MAX_SPEED"}  # by subclasses
 _ACCELERATION_GAINS: Final = ("speed_gain", "front_speed_gain", "front_gap_gain")
 _STEERING_GAINS: Final = ("heading_gain", "offset_gain")
 
