@@ -46,6 +46,13 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
     _check_wrappers(given)
     if given.spec is None:
         raise InputError(f"The environment {brief(given)} has no spec, so it cannot be made again: use gymnasium.make")
+    from behavexplor.envs.source_gate import REWARDS, replaced_in  # noqa: PLC0415 - slow to import, and only objects need it
+
+    method = replaced_in(given.unwrapped, REWARDS)
+    if method is not None:
+        raise InputError(
+            f"The environment is made again in a campaign, without its {method}: override it in a subclass"
+        )
     config = getattr(given.unwrapped, "config", {})
     _check_limit(given.spec, config)
     own, is_stated = default_config(given.spec.id), is_stock(given.spec.id)

@@ -13,6 +13,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from behavexplor.envs.source_gate import replaced_in
 from behavexplor.envs.stock import vector_env
 from behavexplor.envs.vector import DrivingVectorEnv
 from behavexplor.errors import InputError
@@ -150,6 +151,9 @@ class HighwayVecEnv(LockStepVecEnv):
     def __init__(self, env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
         single = env_fns[0]()
         wrappers = _wrappers(single)
+        method = replaced_in(single.unwrapped)
+        if method is not None:
+            raise InputError(f"The compiled environments do not have the {method} of this environment; use DummyVecEnv")
         limits = [wrapper._max_episode_steps for wrapper in wrappers if isinstance(wrapper, TimeLimit)]  # noqa: SLF001
         self._monitor = next((wrapper for wrapper in wrappers if isinstance(wrapper, Monitor)), None)
         self._returns, self._lengths = np.zeros(len(env_fns)), np.zeros(len(env_fns), dtype=np.int64)

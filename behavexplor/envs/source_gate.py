@@ -33,6 +33,7 @@ MODULES: Final = (utils, grids, observations, actions)  # whose functions were p
 DRAWING: Final = frozenset(  # of an environment, which change pictures only
     {"metadata", "render", "close", "update_metadata", "set_record_video_wrapper", "_automatic_rendering"}
 )
+REWARDS: Final = frozenset({"_reward", "_rewards"})  # which drivers are not told
 READ: Final = frozenset({"default_config"})  # of an environment, which the engine reads when it is made
 OF_INTERSECTION: Final = (
     MappingProxyType(  # highway-env's own values, and those that `IntersectionEnv` sets in the class
@@ -85,6 +86,23 @@ def replaced(cls: type, known: type, allowed: Collection[str] = ()) -> str | Non
             hides = hasattr(type(value), "__set__") and name in attributes
             if name not in free and _is_rule(name, value) and (hasattr(known, name) or hides):
                 return f"{base.__name__}.{name}"
+    return None
+
+
+def replaced_in(env: object, allowed: Collection[str] = ()) -> str | None:
+    """Return the name of a method that a program has replaced in an object, such as "HighwayEnv._reward".
+
+    Args:
+        env: the object.
+        allowed: names that it may have replaced.
+
+    Returns:
+        The name; None if there is none.
+    """
+    for name in vars(env).keys() - DRAWING - set(allowed):
+        parent = next((parent for parent in type(env).__mro__ if name in vars(parent)), None)
+        if parent is not None and _codes(vars(parent)[name]) is not None:
+            return f"{type(env).__name__}.{name}"
     return None
 
 

@@ -10,6 +10,7 @@ from copy import deepcopy
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv
 from highway_env import utils
 from highway_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv
@@ -19,10 +20,20 @@ from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+import behavexplor
 from behavexplor.envs import source_gate
 from behavexplor.envs.driving import DrivingEnv
+from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
-from behavexplor.envs.source_gate import MODULES, ChangeGuard, changes, ported_sources, present_sources, replaced
+from behavexplor.envs.source_gate import (
+    MODULES,
+    ChangeGuard,
+    changes,
+    ported_sources,
+    present_sources,
+    replaced,
+    replaced_in,
+)
 from behavexplor.envs.stock import StockVectorEnv
 from behavexplor.envs.stock.traits import TRAFFIC
 from behavexplor.errors import InputError
@@ -34,7 +45,9 @@ READ = ("default_config", "logical", "track_config_path", "metaclass__")
 
 def test_highway_env_is_the_one_that_was_ported():
     present = json.dumps(present_sources([*classes_of_engines(), *MODULES]), indent=1)
-    assert not changes(classes_of_engines(), TRAFFIC), f"compare these with the port, then update source_digests.json: {present}"
+    assert not changes(classes_of_engines(), TRAFFIC), (
+        f"compare these with the port, then update source_digests.json: {present}"
+    )
 
 
 def test_every_class_of_the_engines_was_ported():
@@ -283,3 +296,23 @@ def test_no_patch_of_two_names_ends_the_interpreter_or_is_ignored():
         tries.append(([one, two._replace(world=one.world)], MOMENTS[k % 3]))
     outcomes = in_child(tries)
     assert [one for one, outcome in zip(tries, outcomes, strict=True) if outcome == "different"] == []
+
+
+def endless(spec="highway-fast-v0"):
+    """An environment in which a program has replaced a method of the object alone."""
+    env = gymnasium.make(spec, config={"duration": 3})
+    env.unwrapped._is_terminated = lambda: False
+    return env
+
+
+def test_a_method_that_is_replaced_in_an_object_is_refused_by_name(monkeypatch):
+    assert replaced_in(endless().unwrapped) == "HighwayEnvFast._is_terminated"
+    assert replaced_in(gymnasium.make("highway-fast-v0").unwrapped) is None
+    with pytest.raises(InputError, match=r"HighwayEnvFast._is_terminated of this environment; use DummyVecEnv"):
+        HighwayVecEnv([endless])
+    with pytest.raises(InputError, match=r"without its HighwayEnvFast._is_terminated: override it in a subclass"):
+        behavexplor.find_failures(lambda _: 1, endless(), budget=1)
+    monkeypatch.setitem(gymnasium.registry, "own/endless-v0", EnvSpec("own/endless-v0", lambda **_: endless()))
+    env = make_env("own/endless-v0", {})
+    with pytest.raises(InputError, match=r"HighwayEnvFast._is_terminated of this environment object"):
+        make_vector_env(env, 2, {})

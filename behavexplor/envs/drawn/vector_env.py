@@ -16,6 +16,8 @@ from behavexplor.envs.drawn.course import LaneIndex
 from behavexplor.envs.drawn.draw_order import SPAWN, Place, decision_order, forms_of, start_order
 from behavexplor.envs.drawn.drawn_env import DrawnEnv
 from behavexplor.envs.drawn.episode_record import EpisodeRecord, Frame
+from behavexplor.envs.source_gate import REWARDS, replaced_in
+from behavexplor.envs.stock.known_classes import STARTS
 from behavexplor.envs.stock.lane_network import lane_indexes
 from behavexplor.envs.stock.slot_state import are_alike
 from behavexplor.envs.stock.stock_env import StockVectorEnv
@@ -185,6 +187,9 @@ def check_compiled(env: DrawnEnv, *, rewards: bool) -> None:
     Raises:
         InputError: if it does not.
     """
+    method = replaced_in(env.inner, STARTS if rewards else STARTS | REWARDS)
+    if method is not None:
+        raise InputError(f"The compiled engine does not know the method {method} of this environment object")
     harmless = _HARMLESS if rewards else (*_HARMLESS, RewardWrapper)
     for wrapper in env.wrappers:
         if not isinstance(wrapper, harmless):

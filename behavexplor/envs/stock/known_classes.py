@@ -2,13 +2,12 @@
 
 from highway_env.envs.common.abstract import AbstractEnv
 
-from behavexplor.envs.source_gate import replaced
+from behavexplor.envs.source_gate import REWARDS, replaced
 from behavexplor.envs.stock.task import KINDS
 from behavexplor.errors import InputError
 
-_STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
-_CHANGEABLE = _STARTS | {"__init__"}
-_REWARDS = frozenset({"_reward", "_rewards"})
+STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
+_CHANGEABLE = STARTS | {"__init__"}
 
 
 def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[AbstractEnv]:
@@ -28,7 +27,7 @@ def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[A
             f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
             f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"
         )
-    method = replaced(env_class, known, _CHANGEABLE if rewards else _CHANGEABLE | _REWARDS)
+    method = replaced(env_class, known, _CHANGEABLE if rewards else _CHANGEABLE | REWARDS)
     if method is not None:
         raise InputError(
             f"The compiled engine does not know the method {method}; use gymnasium.make_vec with "
@@ -40,4 +39,4 @@ def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[A
 def has_own_starts(env_class: type[AbstractEnv]) -> bool:
     """Return whether an environment changes the road or the first vehicles of the class whose rules it follows."""
     known = known_class(env_class, rewards=False)
-    return any(getattr(env_class, name, None) is not getattr(known, name, None) for name in _STARTS)
+    return any(getattr(env_class, name, None) is not getattr(known, name, None) for name in STARTS)
