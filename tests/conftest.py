@@ -28,6 +28,14 @@ def imports_of_workers():
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def list_of_own_folders(tmp_path_factory):
+    """Keep the user's own state as it is: what tests make is listed elsewhere, also by the programs that they start."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def vehicles_of_highway_env() -> None:
     """Begin each test with highway-env's own vehicles, which its intersection changes for the whole process."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import IN_MEMORY, as_driver, check_name
-from behavexplor.ads.sb3.description import trained_in
+from behavexplor.ads.sb3.description import named_env
 from behavexplor.errors import InputError, brief
 
 _HARMLESS: Final = ("VecMonitor", "VecCheckNan")  # wrappers of Stable-Baselines3 that change nothing
@@ -21,12 +21,22 @@ class GivenDriver:
         name: name of the driver in a run's configuration. Any process can load the driver by it, unless the name
             begins with `behavexplor.ads.loading.IN_MEMORY`.
         driver: the driver itself; None if it is given by name.
-        env: environment in which it was trained; None if unknown.
+        env: environment in which a model in memory was trained; None if unknown.
+        is_named: whether the user gave its name.
     """
 
     name: str
     driver: ADS | None = None
     env: str | None = None
+    is_named: bool = False
+
+    def trained_in(self, env: Any) -> Any:
+        """Return the environment that was chosen, or else that in which the driver was trained; None if unknown.
+
+        Raises:
+            InputError: if the files beside a policy name an environment of another package.
+        """
+        return env or (named_env(None, self.name) if self.is_named else self.env)
 
 
 def given_driver(given: Any) -> GivenDriver:
@@ -44,7 +54,7 @@ def given_driver(given: Any) -> GivenDriver:
         return given
     if isinstance(given, str | Path):
         check_name(str(given))
-        return GivenDriver(str(given), env=trained_in(str(given)))
+        return GivenDriver(str(given), is_named=True)
     if _is_model(given):
         if (learned := _learned(given)) is not None:
             return learned

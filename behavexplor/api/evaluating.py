@@ -49,7 +49,7 @@ def evaluate(
             f"An evaluation draws scenarios uniformly and has no use for {unused[0]}: give scenarios and seed"
         )
     given = given_driver(driver)
-    name, changes = environment_of(env or given.env or CampaignConfig.env)
+    name, changes = environment_of(given.trained_in(env) or CampaignConfig.env)
     values = {"env": name, "ads": given.name, "env_config": given_config(changes, env_config), **settings}
     target = campaign_config(values).target
     count = worker_count(given, target, workers)

@@ -1,6 +1,6 @@
 """A run as an object, with its records, failures and classes, and methods for all that can be done with them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
@@ -14,6 +14,7 @@ from behavexplor.api.dataframes import frame_of
 from behavexplor.api.observers import Observer
 from behavexplor.api.replays import Replay
 from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.provenance import ALL, DRIVING, JUDGED, Consent, accepted
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.repetition import Repetition, repeat_execution
 from behavexplor.campaign.run_summary import RunSummary, summarize
@@ -46,6 +47,9 @@ class Run:
         folder: the run folder.
         driver: the driver of the campaign, as `behavexplor.find_failures` takes it. It is needed only to execute
             something, and only if the driver was an object in memory.
+        trust: digests ("sha256:...") of a folder that was made elsewhere and whose code may be run, and of policy files
+            that may run code while they are loaded.
+        unconfined: whether a third-party driver may write files and use the network.
 
     Attributes:
         folder: the run folder.
@@ -54,14 +58,30 @@ class Run:
         InputError: if the folder is not a run folder, or the driver is not that of the run.
     """
 
-    def __init__(self, folder: str | Path, driver: Any = None) -> None:
+    def __init__(
+        self, folder: str | Path, driver: Any = None, *, trust: str | Sequence[str] = (), unconfined: bool = False
+    ) -> None:
         self.folder = Path(folder)
+        self._consent = Consent((trust,) if isinstance(trust, str) else tuple(trust), unconfined)
         self._given = GivenDriver(self.config.ads) if driver is None else self._checked(driver)
 
     @cached_property
     def config(self) -> CampaignConfig:
-        """The configuration of the campaign."""
-        return stored_config(self.folder)
+        """The configuration of the campaign, as the folder says it. What is executed goes through `_accepted`."""
+        return stored_config(self.folder).says
+
+    def _accepted(self, runs: Collection[str] = DRIVING) -> CampaignConfig:
+        """Return the configuration by which something may be executed.
+
+        Args:
+            runs: keys of the code that would be run, see `behavexplor.campaign.provenance`.
+
+        Raises:
+            InputError: if the folder names code that the user has not agreed to.
+        """
+        given = self._given
+        consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())
+        return accepted(stored_config(self.folder), consent, runs)
 
     @property
     def summary(self) -> RunSummary:
@@ -152,8 +172,9 @@ class Run:
         Raises:
             InputError: if the driver cannot be loaded.
         """
-        count = worker_count(self._given, self.config.target, workers)
-        return RunTriage(self.folder, count, afresh=afresh, driver=self._given.driver).examine(lambda _: None)
+        config = self._accepted(JUDGED)
+        count = worker_count(self._given, config.target, workers)
+        return RunTriage(self.folder, config, count, afresh=afresh, driver=self._given.driver).examine(lambda _: None)
 
     def minimize(self, numbers: Iterable[int] | None = None, *, workers: int | None = None) -> list[Minimized]:
         """Find the simplest scenarios in which failures still happen. Minimized failures are not minimized again.
@@ -171,13 +192,14 @@ class Run:
         given = None if numbers is None else [int(number) for number in numbers]
         if given == []:  # such as the index of a table without rows
             return []
-        count = worker_count(self._given, self.config.target, workers)
+        config = self._accepted(JUDGED)
+        count = worker_count(self._given, config.target, workers)
         with closing(Store.read(self.folder)) as store:
             chosen = chosen_failures(store, given or [])
             findings = known_findings(self.folder)
             known = known_minimized(self.folder, findings)
             waiting = [number for number in chosen if number not in known]
-            for one in minimize_failures(store, self.config, waiting, findings, count, self._given.driver):
+            for one in minimize_failures(store, config, waiting, findings, count, self._given.driver):
                 known[one.id] = one
         return [known[number] for number in chosen]
 
@@ -224,12 +246,13 @@ class Run:
             behavexplor.Interrupted: after Ctrl-C.
         """
         self._given = self._given if driver is None else self._checked(driver)
-        config = self.config if budget is None else replace(self.config, budget=str(budget))
+        config = self._accepted(ALL)
+        config = config if budget is None else replace(config, budget=str(budget))
         choices: dict[str, Any] = {"workers": workers, "stop_after": stop_after, "progress": progress}
         try:
             conduct(config, self.folder, self._given, resume=True, **choices)
         finally:
-            self.__dict__.pop("config")  # it may have another budget now, also after Ctrl-C
+            self.__dict__.pop("config", None)  # it may have another budget now, also after Ctrl-C
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:
@@ -251,7 +274,7 @@ class Run:
             store.close()
 
     def _executor(self) -> Executor:
-        target = self.config.target
+        target = self._accepted().target
         if self._given.driver is not None:
             return start_in_process(target, self._given.driver)
         return start_executor(target, fewest_workers(target))
@@ -295,14 +318,18 @@ def written(path: Path, text: str) -> Path:
     return path
 
 
-def open_run(folder: str | Path, driver: Any = None) -> Run:
+def open_run(
+    folder: str | Path, driver: Any = None, *, trust: str | Sequence[str] = (), unconfined: bool = False
+) -> Run:
     """Open a run folder that the command or the Python interface has written.
 
     Args:
         folder: the run folder.
         driver: the driver, if it was an object in memory; see `Run`.
+        trust: digests of what may run code although it was made elsewhere; see `Run`.
+        unconfined: whether a third-party driver may write files and use the network.
 
     Raises:
         InputError: if the folder is not a run folder, or the driver is not that of the run.
     """
-    return Run(folder, driver)
+    return Run(folder, driver, trust=trust, unconfined=unconfined)

@@ -15,6 +15,7 @@ from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.config import CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.damage import DATABASE
+from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import Executor
@@ -73,7 +74,7 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
     folder = root / run.folder
     if not (folder / DATABASE).is_file():
         return RunState(0, finished=False)
-    check_same_campaign(stored_config(folder), run, str(folder))
+    check_same_campaign(stored_config(folder).says, run, str(folder))
     count, budget = _stored_executions(folder), int(run.config.budget)
     if count > budget:
         raise InputError(f"{folder} has {count} executions, more than the budget {budget}: choose another --out")
@@ -181,6 +182,8 @@ class ExperimentRunner:
         while self._waiting and len(self._running) < at_a_time and not self.stopping:
             run = self._waiting.popleft()
             folder = self._root / run.folder
+            if self._cluster:  # the folder is made on a node, and comes here later
+                remember(own_run(run.config, folder))
             request = campaign_request(run.config, folder, self._workers, remote=bool(self._cluster))
             self._running[executor.submit(RUN, request)] = run
 

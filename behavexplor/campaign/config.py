@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Self
 
@@ -115,9 +115,7 @@ class CampaignConfig:
         for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
             if not 0 < limit < 1e9:
                 raise InputError(f"{name} {limit} must be greater than 0")
-        for digest in self.trust:
-            if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
-                raise InputError(f"--trust {digest!r} must be sha256: and the 64 hexadecimal digits of a policy file")
+        check_digests(self.trust)
 
     @property
     def target(self) -> Target:
@@ -141,12 +139,61 @@ class CampaignConfig:
         Raises:
             InputError: if a value cannot be stored, such as a number of numpy in the options of the method.
         """
-        values = {**asdict(self), "trust": list(self.trust), "specs": list(self.specs)}
+        plain = asdict(self)
+        values = {one.name: plain[one.name] for one in fields(CampaignConfig)}  # without those of derived classes
+        values |= {"trust": list(self.trust), "specs": list(self.specs)}
         try:
             return yaml.safe_dump(values, sort_keys=False)
         except yaml.representer.RepresenterError as error:
             what = brief(error.args[-1])
             raise InputError(f"The configuration cannot be stored: {what} is not plain data") from None
+
+
+@dataclass(frozen=True)
+class StoredConfig:
+    """What a run folder says its campaign is. Anyone may have written it, so it may be shown and compared only.
+
+    To execute something by it, make a configuration of it with `behavexplor.campaign.provenance.accepted`.
+
+    Attributes:
+        folder: the run folder.
+        says: the configuration in it.
+    """
+
+    folder: Path
+    says: CampaignConfig
+
+
+def check_digests(trust: Iterable[str]) -> None:
+    """Check the form of digests.
+
+    Raises:
+        InputError: if one has another form.
+    """
+    for digest in trust:
+        if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
+            raise InputError(
+                f"--trust {digest!r} must be sha256: and the 64 hexadecimal digits of a policy file or a folder"
+            )
+
+
+def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:
+    """Check that what a file says of trust and confinement stands on the command line, too. It does not count alone.
+
+    Args:
+        values: what the file says, by key.
+        given: what the command line says, by key.
+        file: name of the file for the message.
+
+    Raises:
+        InputError: if something does not; the message names the flag.
+    """
+    trusted = values.get("trust")
+    for digest in trusted if isinstance(trusted, list | tuple) else ():
+        if digest not in given.get("trust", ()):
+            raise InputError(f"{file} trusts {digest}, which counts only on the command line: add --trust {digest}")
+    if values.get("unconfined") and "unconfined" not in given:
+        raise InputError(f"{file} says `unconfined`, which counts only on the command line: add --unconfined")
 
 
 def campaign_config(values: Mapping[str, Any]) -> CampaignConfig:
@@ -179,8 +226,8 @@ def read_config(name: str) -> dict[str, Any]:
     return read_yaml(path)
 
 
-def stored_config(run: Path) -> CampaignConfig:
-    """Return the configuration of the campaign in a run folder.
+def stored_config(run: Path) -> StoredConfig:
+    """Return what a run folder says its campaign is.
 
     Raises:
         InputError: if it is missing or damaged.
@@ -191,7 +238,7 @@ def stored_config(run: Path) -> CampaignConfig:
     values = read_yaml(path)
     if not values:
         raise InputError(f"{path} is empty, so the configuration of the run is lost: restore it or start a new run")
-    return campaign_config({"revision": 1, **values})
+    return StoredConfig(run, campaign_config({"revision": 1, **values}))
 
 
 def check_revision(config: CampaignConfig, what: str) -> None:

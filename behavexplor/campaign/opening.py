@@ -9,6 +9,7 @@ from pathlib import Path
 from behavexplor.ads.interface import ADS
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
+from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.stage_clock import STARTING, StageClock
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.warm_up import load_analysis
@@ -53,6 +54,8 @@ def opened(
 ) -> Iterator[Ready]:
     """Prepare a campaign, and release its resources afterwards.
 
+    The folder is this machine's from then on: a new one at once, and a resumed one when what it has came out again.
+
     Args:
         config: configuration of the campaign.
         folder: run folder, new or empty unless the campaign is resumed.
@@ -73,7 +76,8 @@ def opened(
             used, or if the campaign has another revision.
     """
     begun = time.monotonic()
-    check_revision(stored_config(folder) if resume else config, str(folder))
+    check_revision(stored_config(folder).says if resume else config, str(folder))
+    own = own_run(config, folder)  # before the code that it names is run
     recipe = evaluator_recipe(config.target, config.batch)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
@@ -91,6 +95,8 @@ def opened(
             warnings = check_ads(executor, meanwhile=load_analysis)
         logical = logical or logical_of_target(executor, config.env)
         search = search or search_method(config, logical)
+        if not resume and (warning := remember(own)) is not None:
+            warnings.append(warning)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         if isinstance(logical, DrawnLogicalScenario) and not (folder / ROAD_FILE).is_file():
@@ -98,7 +104,10 @@ def opened(
         clock = StageClock(store.stages)
         clock.seconds[STARTING] = time.monotonic() - begun
         campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)
+        stored = store.end
         yield Ready(campaign, store, warnings)
+        if resume and campaign.progress.executions >= stored:  # what was stored came out again
+            remember(own)
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:
@@ -110,7 +119,7 @@ def _reopened(run: Path, config: CampaignConfig) -> Store:
     store = Store.reopen(run)
     try:
         _check_budget(run, config, len(store))
-        if not _is_shorter(config.budget, stored_config(run).budget):
+        if not _is_shorter(config.budget, stored_config(run).says.budget):
             store.write_config(config.to_yaml())
     except InputError:
         store.close()

@@ -89,7 +89,7 @@ def summarize(run: Path) -> RunSummary:
     Raises:
         InputError: if the folder is not a run folder, or is damaged.
     """
-    config = stored_config(run)
+    config = stored_config(run).says
     store = Store.read(run)
     try:
         return summary_of(config, list(store.records()), store.elapsed)

@@ -88,7 +88,7 @@ def _notices(*, quiet: bool) -> Iterator[None]:
 def _run(given: Sequence[str]) -> int:
     """Run the command that the arguments name, and return the exit code."""
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory
-        sys.path.insert(0, "")
+        sys.path.append("")  # last, so that no file in a foreign folder takes the place of a library
     try:
         begin_imports(given)
         import tyro  # noqa: PLC0415 - only the command line needs it

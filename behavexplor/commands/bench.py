@@ -3,8 +3,9 @@
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -18,9 +19,11 @@ from behavexplor.bench.table import Table
 from behavexplor.bench.tables import tables
 from behavexplor.bench.writing import table_csv, table_latex, table_markdown
 from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.config import check_said_twice
 from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.report import PAGE
 from behavexplor.commands.terminal_tables import text
@@ -35,14 +38,16 @@ from behavexplor.report.experiment_page import experiment_page
 _MAX_JOBS = 1024
 
 
-def bench(
+def bench(  # noqa: PLR0913 - one argument for each flag
     experiment: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="EXPERIMENT")],
     *,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/NAME)")] = None,
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the available cores)")] = None,
     cluster: Annotated[str, tyro.conf.arg(metavar="ray|dask[:ADDRESS]", help_behavior_hint="")] = "",
+    trust: Trust = (),
     dry_run: bool = False,
     tables_only: bool = False,
+    unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Compare search methods: run each with several seeds in every environment and with every driving system.
@@ -55,11 +60,18 @@ def bench(
         out: Folder of the experiment.
         jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
         cluster: Run the campaigns on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
+        trust: Allow the policy file with this digest ("sha256:...") to execute code on load. May be repeated.
         dry_run: Only show the number of campaigns and how long they will take.
         tables_only: Only write the tables of the finished campaigns.
+        unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
         quiet: Print only the tables.
     """
     chosen = read_experiment(experiment)
+    if not tables_only:
+        said: dict[str, Any] = {"trust": trust, **({"unconfined": True} if unconfined else {})}
+        check_said_twice({"trust": chosen.trust, "unconfined": chosen.unconfined}, said, experiment)
+    trusted = tuple(dict.fromkeys((*chosen.trust, *trust)))
+    chosen = replace(chosen, trust=trusted, unconfined=unconfined or chosen.unconfined)
     jobs = _checked_jobs(jobs, cluster)
     root = out or RUNS / chosen.name
     archived = read_archive(chosen.runs(), root)

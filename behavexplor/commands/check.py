@@ -3,12 +3,13 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from junitparser import Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
+from behavexplor.commands.flags import Trust
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
@@ -21,7 +22,7 @@ def check(
     *,
     ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
+    trust: Trust = (),
     stochastic: bool = False,
     unconfined: bool = False,
     junit: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
@@ -34,7 +35,7 @@ def check(
         ads: Driving system under test, as for fuzz.
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
-        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
         stochastic: Draw the actions of a stochastic policy, as in its training.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         junit: Also write the results to this file as JUnit XML, which CI systems show.
@@ -42,10 +43,10 @@ def check(
     """
     suite = Suite.read(folder)
     count = min(chosen_workers(workers), len(suite.cases))
-    settings = {"trust": (trust,) if trust else (), "unconfined": unconfined, "stochastic": stochastic}
+    settings: dict[str, Any] = {"trust": trust, "unconfined": unconfined, "stochastic": stochastic}
     waiting = patience(lambda note: None if quiet else print(note, file=sys.stderr))
     try:
-        with waiting, opened_driver(suite, ads or suite.driver, count, **settings) as drive:
+        with waiting, opened_driver(suite, ads, count, **settings) as drive:
             outcomes = list(drive.all_of(suite.cases))
     except RuntimeError as error:
         print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from behavexplor.ads.loading import check_name
-from behavexplor.ads.sb3.description import trained_in
+from behavexplor.ads.sb3.description import named_env
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
@@ -22,10 +22,10 @@ from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
+from behavexplor.fuzz.methods import GIVEN
 from behavexplor.repair.pair_campaigns import (
     DIFFERENCES,
     FIRST,
-    GIVEN,
     PAGE,
     SECOND,
     SETTINGS,
@@ -98,7 +98,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         check_name(name)
     config = campaign_config(
         {
-            "env": env or trained_in(first) or _DEFAULTS.env,
+            "env": named_env(env, first) or _DEFAULTS.env,
             "ads": first,
             **SETTINGS,
             "budget": str(scenarios),

@@ -15,7 +15,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from behavexplor.ads.sb3.description import trained_in
+from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
@@ -88,7 +88,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
     if seed < 0:
         raise InputError(f"--seed {seed} must not be negative")
-    env = env or trained_in(ads) or _ENV
+    env = named_env(env, ads) or _ENV
     run = _Run(scenarios, seed, chosen_workers(workers), quiet)
     settings = read_yaml(env_config) if env_config else None
     target = Target(

@@ -1,6 +1,5 @@
 """`behavexplor export`: write executions as files that other tools can play."""
 
-import json
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -11,15 +10,17 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from behavexplor.campaign.config import CONFIG, stored_config
+from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
+from behavexplor.campaign.provenance import ADS, DRIVING, Consent, accepted
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
+from behavexplor.commands.flags import Trust
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_plan import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
-from behavexplor.envs.making import make_env
+from behavexplor.envs.making import make_env, make_recorded
 from behavexplor.errors import InputError, missing_library
 from behavexplor.exchange.csv_table import write_table
 from behavexplor.exchange.scenes import Scene, movers_of
@@ -41,6 +42,7 @@ def export(
     npcs: Annotated[Literal["trajectories", "routes"], tyro.conf.arg(help_behavior_hint="(default: trajectories)")] = (
         "trajectories"
     ),
+    trust: Trust = (),
 ) -> int:
     """Write executions of a run as files that other tools can play (docs/exchange.md).
 
@@ -53,6 +55,7 @@ def export(
         format: Format of the files.
         ego: The ego as it was recorded, or free, for the driver of the other tool: only its start and destination.
         npcs: Scripted vehicles as trajectories, or as routes with speed profiles.
+        trust: Allow the folder with this digest ("sha256:...") to execute code: that of its environment.
     """
     if format == "openscenario":
         check_libraries()
@@ -61,8 +64,9 @@ def export(
     store = Store.read(run)
     try:
         chosen = numbers or tuple(record.id for record in store.records() if record.failed)
+        config = stored_config(run).says if format == "csv" else _accepted(run, trust)
         out.mkdir(parents=True, exist_ok=True)
-        write = _Scenes(run, out, is_ego_free=ego == "free", as_routes=npcs == "routes").write
+        write = _Scenes(run, config, out, is_ego_free=ego == "free", as_routes=npcs == "routes").write
         for number in chosen:
             execution = store.execution(number)
             if format == "csv":
@@ -75,6 +79,11 @@ def export(
         store.close()
     print(f"{len(chosen)} execution{'s' * (len(chosen) != 1)} written to {out}")
     return OK
+
+
+def _accepted(run: Path, trust: tuple[str, ...]) -> CampaignConfig:
+    """Return the configuration of a run whose environment may be made. Nothing is driven."""
+    return accepted(stored_config(run), Consent(trust), DRIVING - {ADS})
 
 
 def check_libraries() -> None:
@@ -91,7 +100,7 @@ def check_libraries() -> None:
 @lru_cache(maxsize=1)
 def _stock_env(setup: Setup) -> Any:
     """Return a stock environment, which takes longer to make than a scene to write."""
-    return make_env(setup.env, json.loads(setup.config), setup.traffic)
+    return make_recorded(setup)
 
 
 def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) -> tuple[RoadPlan, LogicalScenario]:
@@ -119,8 +128,8 @@ def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) 
 class _Scenes:
     """The folder of exported scenes. Executions on the same road share its file."""
 
-    def __init__(self, run: Path, out: Path, *, is_ego_free: bool, as_routes: bool) -> None:
-        self._config = stored_config(run)
+    def __init__(self, run: Path, config: CampaignConfig, out: Path, *, is_ego_free: bool, as_routes: bool) -> None:
+        self._config = config
         self._date = datetime.fromtimestamp(int((run / CONFIG).stat().st_mtime), UTC)
         self._out = out
         self._is_ego_free = is_ego_free

@@ -7,6 +7,7 @@ import tyro
 
 from behavexplor.errors import InputError
 
+Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
 Switch = Annotated[bool | None, tyro.conf.DisallowNone]  # --name or --no-name; None without either
 
 

@@ -15,12 +15,21 @@ import tyro
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.loading import SYSTEMS
-from behavexplor.ads.sb3.description import trained_in
+from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import Campaign, ExecutionError
-from behavexplor.campaign.config import Budget, CampaignConfig, campaign_config, read_config, read_yaml, stored_config
+from behavexplor.campaign.config import (
+    Budget,
+    CampaignConfig,
+    campaign_config,
+    check_said_twice,
+    read_config,
+    read_yaml,
+    stored_config,
+)
 from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.provenance import Consent, accepted
 from behavexplor.campaign.run_names import run_folder
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
@@ -28,7 +37,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.flags import Switch, check_unchanged, flag
+from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
@@ -64,7 +73,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     batch: Annotated[int | None, flag("N", _DEFAULTS.batch)] = None,
     workers: Annotated[int | None, flag("N", "the available cores")] = None,
     cluster: Annotated[str | None, flag("ray|dask[:ADDRESS]", None)] = None,
-    trust: Annotated[str | None, flag("DIGEST", None)] = None,
+    trust: Trust = (),
     env_config: Annotated[Path | None, flag("FILE", None)] = None,
     traffic: Annotated[Literal["default", "wide"] | None, flag("default|wide", _DEFAULTS.traffic)] = None,
     spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, flag("MODULE:NAME", None)] = (),
@@ -93,7 +102,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
             ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
         cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
-        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
@@ -114,7 +123,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     """
     flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
     flags |= {
-        "trust": (trust,) if trust else None,
+        "trust": trust or None,
         "unconfined": unconfined,
         "stochastic": stochastic,
         "confirm": confirm,
@@ -212,10 +221,12 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
 
 
 def _new_config(given: dict[str, Any], specs: Sequence[str], file: str | None) -> CampaignConfig:
-    values = {**(read_config(file) if file else {}), **given}
+    said = read_config(file) if file else {}
+    check_said_twice(said, given, file or "")
+    values = {**said, **given}
     if specs:
         values["specs"] = [*values.get("specs", ()), *specs]
-    trained = trained_in(values["ads"]) if isinstance(values.get("ads"), str) else None
+    trained = named_env(values.get("env"), values["ads"]) if isinstance(values.get("ads"), str) else None
     return campaign_config({**({"env": trained} if trained else {}), **values})
 
 
@@ -223,11 +234,13 @@ def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     """Return the configuration in a run folder, possibly with another budget.
 
     Raises:
-        InputError: if a flag would change anything but the budget.
+        InputError: if a flag would change anything but the budget, or code would be run without the user's word.
     """
-    stored = stored_config(run)
-    check_unchanged({name: value for name, value in given.items() if name != "budget"}, stored, "run")
-    return replace(stored, budget=given.get("budget", stored.budget))
+    stored, said = stored_config(run), {name: value for name, value in given.items() if name != "trust"}
+    check_unchanged({name: value for name, value in said.items() if name != "budget"}, stored.says, "run")
+    names = tuple(value for value in said.values() if isinstance(value, str))
+    config = accepted(stored, Consent(given.get("trust", ()), given.get("unconfined", False), names))
+    return replace(config, budget=given.get("budget", config.budget))
 
 
 def _stoppable(campaign: Campaign, display: Display) -> AbstractContextManager[None]:

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import tyro
 
-from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.export import check_libraries, road_of
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.named_code import env_code
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
@@ -69,7 +69,7 @@ def importing(
 def _check_environment(scene: Scene, env: str | None) -> None:
     """Check that a file does not choose which code of other packages is loaded."""
     name = scene.environment
-    is_ours = name in FUNCTIONAL_SCENARIOS or ":" not in name
+    is_ours = not env_code(name)
     if env is not None and env != name:
         raise InputError(f"The scene belongs to the environment {name!r}, not to {env!r}")
     if env is None and not is_ours:

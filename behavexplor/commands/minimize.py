@@ -10,8 +10,10 @@ from typing import Annotated
 import tyro
 
 from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.wording import counted
@@ -28,7 +30,9 @@ def minimize(
     *,
     every: Annotated[bool, tyro.conf.arg(name="all")] = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    trust: Trust = (),
     afresh: bool = False,
+    unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Find the simplest scenario in which a failure still happens: the fewest vehicles, and the plainest values.
@@ -41,13 +45,15 @@ def minimize(
         numbers: Numbers of failed executions; by default the first failure of each class.
         every: Minimize all failures.
         workers: Number of worker processes; 0 uses this process. The results do not depend on it.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
         afresh: Minimize failures again that have been minimized before. Those for which triage has found another fault
             or cause since then are always minimized again.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
     """
     if every and numbers:
         raise InputError("Give either numbers of executions or --all")
-    count = chosen_workers(workers)
+    count, config = chosen_workers(workers), accepted(stored_config(run), Consent(trust, unconfined), JUDGED)
     with closing(Store.read(run)) as store:
         chosen = chosen_failures(store, numbers, every=every)
         findings = known_findings(run)
@@ -56,7 +62,6 @@ def minimize(
         waiting = [number for number in chosen if number not in found]
         try:
             with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-                config = stored_config(run)
                 for minimal in minimize_failures(store, config, waiting, findings, count):
                     found[minimal.id] = minimal
                     meter.show(len(found) - len(chosen) + len(waiting))

@@ -9,9 +9,11 @@ from typing import Annotated
 import tyro
 
 from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.provenance import DRIVING, Consent, accepted
 from behavexplor.campaign.repetition import repeat_execution
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
+from behavexplor.commands.flags import Trust
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import CRASHED, Trace
@@ -36,7 +38,9 @@ def replay(
     out: Annotated[
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: replays/ in RUN)")
     ] = None,
+    trust: Trust = (),
     avoided: bool = False,
+    unconfined: bool = False,
 ) -> int:
     """Draw one execution as an animation (GIF) and its decisive frame (PNG), and run it again.
 
@@ -46,12 +50,14 @@ def replay(
         run: The run folder.
         number: Number of the execution, as in `records`.
         out: Folder for the pictures.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
         avoided: Draw how the ego could have avoided the collision instead, if `triage` has called it preventable.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
     """
     store = Store.read(run)
     execution = store.execution(number)
     store.close()
-    config = stored_config(run)
+    config = accepted(stored_config(run), Consent(trust, unconfined), DRIVING)
     if avoided:
         return _avoid(execution, config, run, out or run / "replays")
     if (failure := execution.record.error) is not None:

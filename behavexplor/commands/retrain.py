@@ -2,17 +2,19 @@
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
-from behavexplor.ads.sb3.description import trained_in
+from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, read_yaml
+from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
 from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.flags import check_unchanged, flag
+from behavexplor.commands.flags import Trust, check_unchanged, flag
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
@@ -38,6 +40,7 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     resume: Annotated[Path | None, flag("FOLDER", None)] = None,
     env_config: Annotated[Path | None, flag("FILE", None)] = None,
     traffic: Annotated[Literal["default", "wide"] | None, flag("default|wide", RetrainingConfig.traffic)] = None,
+    trust: Trust = (),
     quiet: bool = False,
 ) -> int:
     """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
@@ -62,6 +65,8 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         resume: Resume the retraining in this folder.
         env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        trust: With --resume, allow the folder with this digest ("sha256:...") to execute code: that of its environment
+            and of its search method.
         quiet: Print only the result.
     """
     try:
@@ -85,12 +90,16 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
             raise InputError("A policy and --out cannot be given with --resume")
         folder, config = resume, resumed_config(RetrainingConfig, resume / CONFIG, "retraining")
         check_unchanged(given, config, "retraining")
+        names = tuple(value for value in given.values() if isinstance(value, str))
+        agreed(replace(config.claim, place=folder / CONFIG), Consent(trust, names=names))
     else:
         if not policy:
             raise InputError("Give a policy to train further, such as model.zip or runs/lane-change-ppo-0/policy.npz")
-        config = RetrainingConfig(**{"env": trained_in(policy) or CampaignConfig.env, **given, "policy": policy})
+        config = RetrainingConfig(**{**given, "env": named_env(env, policy) or CampaignConfig.env, "policy": policy})
         folder = out or RUNS / f"{config.env.rpartition(':')[2]}-retrain-{config.seed}"
+        own = own_digests(config.claim)
         retraining.check(config)
+        remember(own)
         begin_training(folder, CONFIG, config)
     return _run(config, folder, quiet=quiet)
 

@@ -10,8 +10,10 @@ from typing import Annotated
 import tyro
 
 from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
@@ -30,6 +32,8 @@ def suite(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    trust: Trust = (),
+    unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
@@ -41,13 +45,15 @@ def suite(
         runs: Run folders of one environment.
         out: Folder of the suite, new or empty.
         workers: Number of worker processes; 0 uses this process. The suite does not depend on it.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the summary.
     """
     if not runs:
         raise InputError("Give at least one run folder, such as runs/my-run")
     check_free(out)  # before failures are minimized, which takes minutes
     count = chosen_workers(workers)
-    configs = [(run, stored_config(run)) for run in runs]
+    configs = [(run, accepted(stored_config(run), Consent(trust, unconfined), JUDGED)) for run in runs]
     check_same_driving(configs[0], configs[1:])
     cases: dict[str, Case] = {}
     try:

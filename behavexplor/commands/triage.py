@@ -9,7 +9,10 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.wording import class_count, hanging
@@ -28,7 +31,9 @@ def triage(
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
     *,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
+    trust: Trust = (),
     afresh: bool = False,
+    unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Classify the failures of a run, and find out whose fault they were and how they could have been avoided.
@@ -39,10 +44,13 @@ def triage(
     Args:
         run: The run folder.
         workers: Number of worker processes; 0 uses this process. The findings do not depend on it.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
         afresh: Examine all failures again.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the tables.
     """
-    running = RunTriage(run, chosen_workers(workers), afresh=afresh)
+    count, config = chosen_workers(workers), accepted(stored_config(run), Consent(trust, unconfined), JUDGED)
+    running = RunTriage(run, config, count, afresh=afresh)
     try:
         with Meter(sys.stderr, len(running.waiting), "failures", quiet=quiet) as meter:
             found = running.examine(meter.show)

@@ -1,7 +1,7 @@
 """Target: the driving system under test, its environment, and the limits of the processes in which it runs."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from behavexplor.data.drawn_scenario import DEFAULT
@@ -26,6 +26,8 @@ class Target:
         traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the driving system draws its actions instead of deciding deterministically.
         confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
+        modules: digests of the modules that a folder names and that were checked, by module; a process loads these
+            bytes and no others, see `behavexplor.execution.checked_imports`. Modules that the user names need none.
     """
 
     env: str
@@ -38,6 +40,7 @@ class Target:
     traffic: str = DEFAULT
     confirm: bool = True
     stochastic: bool = False
+    modules: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only

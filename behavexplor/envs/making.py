@@ -1,6 +1,8 @@
 """Make environments by name: those with scripted vehicles, and highway-env's own ones, whose draws are the scenario."""
 
 import importlib
+import json
+import sys
 import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
@@ -13,7 +15,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
-from behavexplor.data.drawn_scenario import DEFAULT
+from behavexplor.data.drawn_scenario import DEFAULT, Setup
+from behavexplor.data.named_code import env_code, traffic_code
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, unknown_name
 
@@ -124,6 +127,21 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
     from behavexplor.envs.drawn.drawn_env import DrawnEnv  # noqa: PLC0415 - slow to import
 
     return DrawnEnv(name, made, traffic)
+
+
+def make_recorded(setup: Setup) -> Any:
+    """Make the stock environment of a recorded scenario, as `make_env` does.
+
+    A record may come from anyone and brings no code: what it names must be part of highway-env, or loaded already.
+
+    Raises:
+        InputError: if it names anything else, or the environment cannot be made.
+    """
+    config = json.loads(setup.config)
+    for code in (*env_code(setup.env), *traffic_code(config)):
+        if not (code.module in sys.modules or code.name in gymnasium.registry):
+            raise InputError(f"The recorded scenario names {code}, which its run does not use, so it was not loaded")
+    return make_env(setup.env, config, setup.traffic)
 
 
 def _check_ego(name: str, env: gymnasium.Env[Any, Any]) -> None:

@@ -13,6 +13,7 @@ from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed, driven_compiled
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
@@ -86,6 +87,7 @@ class Evaluator(Service):
         """
         try:
             with collected_notices() as self._notices:
+                import_checked(self.target.modules)
                 self.simulation = simulation_of(self.target, self.driver)
         except InputError as error:
             raise InputError(_explained(str(error))) from None

@@ -5,13 +5,13 @@ import json
 import platform
 import socket
 import sys
-from collections.abc import Iterable, Sequence
-from importlib.machinery import PathFinder
+from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
 from behavexplor.ads.loading import SYSTEMS
+from behavexplor.execution.checked_imports import source_files
 
 FINGERPRINT: Final = "fingerprint"  # the function of a service
 NODE: Final = "node"  # key of the host name
@@ -90,20 +90,8 @@ def _ads_digest(name: str) -> dict[str, str]:
     if path.exists():
         files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
         return {name: _digest(path.parent, files)}
-    source = _source(module)
+    source = source_files(module).get(module)
     return {} if source is None else {f"file of {module}": _digest(source.parent, [source])}
-
-
-def _source(module: str) -> Path | None:
-    """Return the source file of a module without importing the module or its packages; None if there is none."""
-    places: Sequence[str] | None = None
-    origin = None
-    for i in range(len(parts := module.split("."))):
-        spec = PathFinder.find_spec(".".join(parts[: i + 1]), places)
-        if spec is None:
-            return None
-        places, origin = spec.submodule_search_locations, spec.origin
-    return None if origin is None else Path(origin)
 
 
 def _digest(folder: Path, files: Iterable[Path]) -> str:

@@ -14,6 +14,7 @@ from behavexplor.ads.sb3.highway import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DECLARED, DEFAULT
 from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
@@ -80,6 +81,7 @@ class Simulation:
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
         given = dict(env_config or {})
+        _check_traffic(ads, trained, given)
         if stock:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
@@ -158,6 +160,20 @@ class Simulation:
         except InputError as error:
             self.plain = str(error)
             return None
+
+
+def _check_traffic(ads: Any, trained: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    """Refuse code that the files beside a policy name.
+
+    Raises:
+        InputError: if they name a class of vehicles that the given configuration does not replace.
+    """
+    named = traffic_code(trained)
+    if named and _source(ads) == FILE and TRAFFIC_CLASS not in given:
+        raise InputError(
+            f"The files beside {ads} name the class {named[0].name} for the traffic, which was not loaded: give the "
+            f"configuration by --env-config FILE (in Python, env_config) if it shall drive"
+        )
 
 
 def _source(ads: Any) -> str:

@@ -2,6 +2,7 @@
 
 from importlib import import_module
 from types import MappingProxyType
+from typing import Final
 
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.fuzz.search import SearchMethod
@@ -19,6 +20,8 @@ METHODS = MappingProxyType(
         "uniform": "behavexplor.fuzz.uniform:Uniform",
     }
 )
+GIVEN: Final = "behavexplor.fuzz.given:Given"  # no search, see there
+SHIPPED: Final = frozenset({*METHODS, *METHODS.values(), GIVEN})
 
 
 def load_method(name: str) -> type[SearchMethod]:

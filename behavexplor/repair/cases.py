@@ -1,7 +1,7 @@
 """Suites and their cases as plain data: a folder with `suite.yaml` and one YAML file for each case."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final, Self
@@ -9,13 +9,13 @@ from typing import Any, Final, Self
 import yaml
 
 from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.provenance import Claim, code_of, own_digests, remember
 from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario
 from behavexplor.data.durable import write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.judge.robustness import load_specs
 
 FORMAT: Final = 1
 SUITE: Final = "suite.yaml"
@@ -91,7 +91,7 @@ class Suite:
             settings: further fields of the target.
         """
         config = dict(self.env_config)
-        first = self.cases[0].load_scenario() if self.cases else None
+        first = min(self.cases, key=lambda case: case.name).load_scenario() if self.cases else None
         if isinstance(first, DrawnScenario):
             config |= first.setup.scene_config
         if ads == self.driver and self.stochastic:
@@ -100,7 +100,7 @@ class Suite:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read a suite from its folder.
+        """Read a suite from its folder. Nothing that it names is imported; see `behavexplor.repair.checking`.
 
         Raises:
             InputError: if a file is missing or wrong; the message names it.
@@ -116,10 +116,18 @@ class Suite:
             raise InputError(f"{folder / CASES} has no scenarios")
         cases = [checked(Case, read_yaml(path), str(path)) for path in paths]
         suite = checked(cls, values, str(folder / SUITE))
-        names = {spec.name for spec in load_specs(suite.specs)}
         for path, case in zip(paths, cases, strict=True):
-            _check(path, case, names)
+            _check(path, case)
         return cls(**{**asdict(suite), "cases": tuple(cases)})
+
+    @property
+    def claim(self) -> Claim:
+        """What the suite says that may have code run."""
+        target = self.target(self.driver)
+        config = None if target.env_config is None else dict(target.env_config)
+        values = {name: value for name, value in asdict(self).items() if name != "cases"}
+        code = code_of(self.env, self.driver, "", self.specs, config)
+        return Claim(Path(SUITE), {**values, "env_config": config}, code, self.driver, hint=", or name it by --ads")
 
     def write(self, folder: Path) -> None:
         """Write the suite and its test file into a folder.
@@ -128,6 +136,7 @@ class Suite:
             InputError: if the folder has such files already, or cannot be written.
         """
         check_free(folder)
+        remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine
         try:
             (folder / CASES).mkdir(parents=True, exist_ok=True)
             for case in self.cases:
@@ -161,19 +170,16 @@ def check_free(folder: Path) -> None:
         raise InputError(f"{folder} cannot be read: {error.strerror}") from None
 
 
-def _check(path: Path, case: Case, names: Sequence[str] | set[str]) -> None:
-    """Check what the fields of a case say.
+def _check(path: Path, case: Case) -> None:
+    """Check what the fields of a case say, but for the names in `holds`.
 
     Raises:
-        InputError: if the scenario is not valid, or a spec is unknown.
+        InputError: if the scenario is not valid.
     """
     try:
         case.load_scenario()
     except InputError as error:
         raise InputError(f"{path}: scenario: {error}") from None
-    unknown = [name for name in case.holds if name not in names]
-    if unknown or not case.holds:
-        raise InputError(f"{path}: holds: expected one or more of {', '.join(sorted(names))}, got {list(case.holds)}")
 
 
 def _case_text(case: Case) -> str:
@@ -207,7 +213,7 @@ SUITE = Suite.read(Path(__file__).parent)
 
 @pytest.fixture(scope="module")
 def drive():
-    with opened_driver(SUITE, os.environ.get("ADS", SUITE.driver)) as drive:
+    with opened_driver(SUITE, os.environ.get("ADS"), trust=os.environ.get("TRUST", "").split()) as drive:
         yield drive
 
 

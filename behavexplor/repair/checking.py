@@ -6,9 +6,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from behavexplor.campaign.provenance import ADS, JUDGED, Consent, agreed
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
-from behavexplor.errors import sentence
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import Executor
@@ -84,22 +85,44 @@ class Checker:
         return Outcome(case, tuple(name for name in violated if name in case.holds), words)
 
 
+def _check_names(suite: Suite, known: Sequence[str]) -> None:
+    """Check the specs that have to hold.
+
+    Raises:
+        InputError: if a case names none, or an unknown one.
+    """
+    for case in suite.cases:
+        if not case.holds or not set(case.holds) <= set(known):
+            raise InputError(
+                f"{case.name}: holds: expected one or more of {', '.join(sorted(known))}, got {list(case.holds)}"
+            )
+
+
 @contextmanager
-def opened_driver(suite: Suite, ads: str, workers: int = 1, **settings: Any) -> Iterator[Checker]:
+def opened_driver(
+    suite: Suite, ads: str | None, workers: int = 1, trust: Sequence[str] = (), **settings: Any
+) -> Iterator[Checker]:
     """Load a driver, and return what drives the cases of a suite with it.
 
     Args:
         suite: the suite.
-        ads: name of the driver.
+        ads: name of the driver; None for that of the suite.
         workers: number of worker processes; 0 uses this process.
+        trust: digests of policy files that may run code, and of suites from elsewhere whose code may be run.
         settings: further fields of the `behavexplor.data.target.Target`.
 
     Raises:
-        InputError: if the driver cannot be loaded, or does not fit the environment.
+        InputError: if the suite names code that the user has not agreed to, the driver cannot be loaded or does not fit
+            the environment, or a case names an unknown spec.
     """
-    executor = start_executor(suite.target(ads, **settings), workers)
+    consent = Consent(tuple(trust), names=() if ads is None else (ads,))
+    found = agreed(suite.claim, consent, JUDGED if ads in (None, suite.driver) else JUDGED - {ADS})
+    target = suite.target(ads or suite.driver, trust=consent.trust, modules=found.modules, **settings)
+    executor = start_executor(target, workers)
     try:
+        specs = load_specs(suite.specs)
+        _check_names(suite, [spec.name for spec in specs])
         check_loading(executor)
-        yield Checker(executor, logical_of_target(executor, suite.env), load_specs(suite.specs))
+        yield Checker(executor, logical_of_target(executor, suite.env), specs)
     finally:
         executor.shutdown(wait=False)

@@ -24,7 +24,6 @@ from behavexplor.repair.pairs import Pairs, paired
 FIRST, SECOND, PAGE = "first", "second", "comparison.html"  # run folders and page of a comparison
 SETTINGS: Mapping[str, Any] = {"method": "uniform", "batch": 32}  # of both campaigns
 DIFFERENCES = "differences.jsonl"
-GIVEN = "behavexplor.fuzz.given:Given"
 
 Observe = Callable[[int], None]
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 import yaml
 from pydantic import ConfigDict
 
+from behavexplor.campaign.provenance import Claim, code_of
 from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.durable import write_durably
@@ -94,6 +95,12 @@ class RetrainingConfig:
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML."""
         return yaml.safe_dump(asdict(self), sort_keys=False)
+
+    @property
+    def claim(self) -> Claim:
+        """What the configuration says that may have code run. A policy is read without running code."""
+        code = code_of(self.env, "", self.method if self.searches else "", (), self.env_config)
+        return Claim(Path(CONFIG), asdict(self), code)
 
     @property
     def searches(self) -> bool:

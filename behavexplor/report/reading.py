@@ -144,7 +144,7 @@ def read_run(folder: Path) -> Run:
     Raises:
         InputError: if the folder is not a run folder, has no executions yet, or is damaged.
     """
-    config = stored_config(folder)
+    config = stored_config(folder).says
     triage = Triage.read(folder) if (folder / TRIAGE).is_file() else None
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()

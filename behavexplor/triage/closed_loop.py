@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.careful import CarefulDriver
 from behavexplor.data.conventions import MANEUVERS
-from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.drawn_scenario import DrawnScenario, config_text
 from behavexplor.data.trace import CRASHED, Trace
-from behavexplor.envs.making import make_env, make_vector_env
+from behavexplor.envs.making import make_recorded, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.rollout import rollout, rollout_all
@@ -97,7 +97,7 @@ def _with_meta_actions(scenario: DrawnScenario) -> tuple[Any, DrawnScenario]:
         InputError: if the environment cannot be configured so.
     """
     config = CarefulDriver().fitted(json.loads(scenario.setup.config))
-    env: Any = make_env(scenario.setup.env, config, scenario.setup.traffic)
+    env: Any = make_recorded(replace(scenario.setup, config=config_text(config)))
     return env, replace(scenario, setup=env.logical.setup)
 
 

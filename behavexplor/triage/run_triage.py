@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from behavexplor.ads.interface import ADS
-from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import write_durably
@@ -39,6 +39,7 @@ class RunTriage:
 
     Args:
         run: the run folder.
+        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
         workers: number of worker processes; 0 uses this process.
         afresh: whether to examine all failures again.
         driver: object of this process that drives in place of the driving system that the configuration names; None
@@ -51,9 +52,10 @@ class RunTriage:
         InputError: if the folder is not a run folder, or is damaged.
     """
 
-    def __init__(self, run: Path, workers: int, *, afresh: bool = False, driver: ADS | None = None) -> None:
-        self._run, self._workers, self._driver = run, workers, driver
-        self._config = stored_config(run)
+    def __init__(
+        self, run: Path, config: CampaignConfig, workers: int, *, afresh: bool = False, driver: ADS | None = None
+    ) -> None:
+        self._run, self._config, self._workers, self._driver = run, config, workers, driver
         self._store = Store.read(run)
         self._total = len(self._store)
         self._known = {} if afresh else known_findings(run)

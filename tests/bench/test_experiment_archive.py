@@ -30,7 +30,7 @@ def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     file = folder / "small.yaml"
     file.write_text(TEXT)
-    assert main(["bench", str(file), "--out", str(folder / "out"), "--quiet"]) == 0
+    assert main(["bench", str(file), "--out", str(folder / "out"), "--quiet", "--unconfined"]) == 0
     return file, folder / "out"
 
 
@@ -67,9 +67,9 @@ def test_an_experiment_continues_from_the_archive(whole, tmp_path, capsys):
     more = tmp_path / "small.yaml"
     more.write_text(TEXT.replace("seeds: 1", "seeds: 2"))
     folder = moved(whole, tmp_path / "out")
-    assert main(["bench", str(more), "--out", str(folder), "--dry-run"]) == 0
+    assert main(["bench", str(more), "--out", str(folder), "--dry-run", "--unconfined"]) == 0
     assert "4 finished; 80 executions left" in capsys.readouterr().out
-    assert main(["bench", str(more), "--out", str(folder), "--quiet"]) == 0
+    assert main(["bench", str(more), "--out", str(folder), "--quiet", "--unconfined"]) == 0
     assert "8 of 8 campaigns finished" in capsys.readouterr().out
     assert not list(folder.glob("runs/*/*/*/1"))
     assert len(list(folder.glob("runs/*/*/*/2"))) == 4

@@ -55,7 +55,7 @@ def write(folder, budget, text=TEXT):
 
 def start(*arguments):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "behavexplor", "bench", *map(str, arguments)]
+    command = [sys.executable, "-m", "behavexplor", "bench", "--unconfined", *map(str, arguments)]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment
     )
@@ -136,14 +136,14 @@ def test_what_is_finished_is_not_run_again_and_tables_are_the_same_files(whole):
     before = {path: path.read_bytes() for path in out.rglob("*") if path.suffix in {".csv", ".tex", ".txt", ".svg"}}
     times = {path: path.stat().st_mtime_ns for path in out.rglob("campaign.db")}
     for flag in ("--tables-only", "--quiet"):
-        assert main(["bench", str(folder / "small.yaml"), "--out", str(out), flag]) == 0
+        assert main(["bench", str(folder / "small.yaml"), "--unconfined", "--out", str(out), flag]) == 0
     assert {path: path.read_bytes() for path in before} == before
     assert {path: path.stat().st_mtime_ns for path in times} == times
 
 
 def test_a_dry_run_says_how_much_is_left_and_makes_nothing(whole, tmp_path, capsys):
     folder, _ = whole
-    command = ["bench", str(folder / "small.yaml"), "--dry-run", "--out"]
+    command = ["bench", str(folder / "small.yaml"), "--unconfined", "--dry-run", "--out"]
     assert main([*command, str(tmp_path / "new"), "--jobs", "2"]) == 0
     printed = capsys.readouterr().out
     assert "4 campaigns of 20 executions" in printed

@@ -87,7 +87,8 @@ def test_the_same_seed_prints_the_same_records(finished, tmp_path, extra):
 
 def test_the_stored_configuration_makes_the_same_run(finished, tmp_path):
     folder, _ = finished
-    result = run("fuzz", "--config", folder / "config.yaml", "--workers", 1, "--out", tmp_path / "again")
+    flags = ["--config", folder / "config.yaml", "--unconfined"]  # which counts on the command line only
+    result = run("fuzz", *flags, "--workers", 1, "--out", tmp_path / "again")
     assert result.returncode == 0
     assert run("records", tmp_path / "again").stdout == run("records", folder).stdout
 
@@ -97,10 +98,11 @@ def test_the_stored_configuration_makes_the_same_run(finished, tmp_path):
 def test_a_switch_overrides_the_configuration_in_both_directions(tmp_path, name, value):
     (tmp_path / "config.yaml").write_text(f"ads: learned:intersection-straight\nbudget: 1\n{name}: {not value}\n")
     flags = ["--config", tmp_path / "config.yaml", "--workers", 0, "--quiet"]
-    for given, expected in (([], not value), ([f"--{'' if value else 'no-'}{name}"], value)):
+    said = [] if name == "unconfined" and not value else [([], not value)]  # which a file cannot say alone
+    for given, expected in (*said, ([f"--{'' if value else 'no-'}{name}"], value)):
         folder = tmp_path / f"run{len(given)}"
         assert run("fuzz", *flags, *given, "--out", folder).returncode == 0
-        assert getattr(stored_config(folder), name) is expected
+        assert getattr(stored_config(folder).says, name) is expected
 
 
 def test_the_fuzz_package_is_the_fuzz_command(tmp_path):
@@ -138,6 +140,8 @@ def test_a_replay_that_differs_is_said_to(finished, tmp_path, monkeypatch):
     other.close()
     store.close()
     result = run("replay", copy, 0)
+    digest = re.search(r"--trust (\S+)", result.stderr)[1]  # which no campaign here has made
+    result = run("replay", copy, 0, "--trust", digest)
     assert result.returncode == 1
     assert "NOT reproduced: running it again gave a different trace" in result.stderr
 

@@ -38,7 +38,7 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
     flags = ["--env", "merge-v0", "--scenarios", "2", "--workers", "0", "--quiet", "--no-confirm"]
     assert main(["compare", *drivers, *flags, "--out", str(tmp_path / "out")]) == OK
     assert "2 scenarios of merge-v0" in capsys.readouterr().out
-    assert not stored_config(tmp_path / "out" / "second").confirm
+    assert not stored_config(tmp_path / "out" / "second").says.confirm
 
 
 def test_what_was_driven_is_shown_even_if_a_file_of_it_cannot_be_written(tmp_path, monkeypatch, capsys):

@@ -7,7 +7,7 @@ import io
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -57,7 +57,8 @@ class Archive:
 
     Attributes:
         path: path of the file.
-        digest: digest of the whole file, "sha256:...".
+        packed: the whole file.
+        digest: its digest, "sha256:...".
         settings: entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them.
         numbers: all settings that are a number, such as the hyperparameters of the training.
         weights: contents of the member `policy.pth`.
@@ -67,6 +68,7 @@ class Archive:
     """
 
     path: Path
+    packed: bytes = field(repr=False)
     digest: str
     settings: Mapping[str, Any]
     numbers: Mapping[str, int | float | bool]
@@ -100,6 +102,7 @@ def read_archive(path: Path) -> Archive:
     numbers = {key: value for key, value in data.items() if isinstance(value, int | float)}
     return Archive(
         path,
+        packed,
         digest,
         MappingProxyType(settings),
         MappingProxyType(numbers),

@@ -74,7 +74,7 @@ def build_trusted(archive: Archive) -> BasePolicy:
     from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - only where code may run
 
     try:
-        data, _, _ = load_from_zip_file(str(archive.path), device="cpu")
+        data, _, _ = load_from_zip_file(io.BytesIO(archive.packed), device="cpu")  # the bytes whose digest is trusted
     except Exception as error:  # the file's own code can raise anything
         raise InputError(f"{archive.path} cannot be loaded: {type(error).__name__}: {error}") from error
     saved = data or {}

@@ -12,6 +12,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
+from behavexplor.data.named_code import env_code
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError, brief, unknown_name
 
@@ -75,6 +76,41 @@ def find_model(path: Path) -> Path:
         listed = ", ".join(model.name for model in models) or "none"
         raise InputError(f"{path} must contain one model (a .zip file), but has {listed}: name the file")
     return chosen[0]
+
+
+def files_of_model(ads: str) -> list[Path]:
+    """Return the file of a model and the files beside it that tell how it drives; none for a driver of another kind.
+
+    Args:
+        ads: name of a driving system.
+    """
+    if not (ads.endswith(".zip") or Path(ads).is_dir()):
+        return []
+    try:
+        model = find_model(Path(ads))
+    except InputError:  # which is said when the policy is loaded
+        return []
+    folders = (model.parent, *(arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))))
+    beside = [folder / name for folder in folders for name in ("args.yml", "config.yml", *STATISTICS)]
+    return [path for path in (model, *map(model.with_suffix, OWN), *beside) if path.is_file()]
+
+
+def named_env(env: str | None, ads: str) -> str | None:
+    """Return the environment that was named, or else that in which a policy was trained, if it brings no code.
+
+    Args:
+        env: name of an environment; None if none was given.
+        ads: name of a driving system, of any kind.
+
+    Raises:
+        InputError: if the files beside the policy name an environment of another package.
+    """
+    found = env or trained_in(ads)
+    if env is None and found is not None and env_code(found):
+        raise InputError(
+            f"The files beside {ads} name {found!r} of another package: add --env {found} (in Python, env) to load it"
+        )
+    return found
 
 
 def trained_in(ads: str) -> str | None:

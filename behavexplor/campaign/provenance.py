@@ -1,0 +1,250 @@
+"""Whether code may run because a folder says so: if the user agrees now, or if this machine has made the folder.
+
+Run folders, suites and retrainings name drivers, environments, specs and search methods by the modules to import. They
+also say which pickles may be executed and whether a driver is confined. All of this goes through `agreed` before
+anything is imported; `accepted` does it for runs. What a user types on the command line, or passes to a function, is
+the user's own word.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from behavexplor.ads.loading import IN_MEMORY, is_shipped
+from behavexplor.ads.sb3.description import files_of_model
+from behavexplor.campaign.config import CONFIG, CampaignConfig, StoredConfig, campaign_config, check_digests
+from behavexplor.campaign.own_folders import add_own, is_own, list_path
+from behavexplor.data.named_code import Code, attribute_code, env_code, traffic_code
+from behavexplor.data.target import Target
+from behavexplor.data.untrusted import parse_yaml
+from behavexplor.errors import InputError
+from behavexplor.execution.checked_imports import digests_of, import_checked, source_files
+from behavexplor.fuzz.methods import SHIPPED
+
+ADS, ENV, ENV_CONFIG, METHOD, SPECS = "ads", "env", "env_config", "method", "specs"  # keys that may name code
+DRIVING: Final = frozenset({ADS, ENV, ENV_CONFIG})
+JUDGED: Final = DRIVING | {SPECS}
+ALL: Final = JUDGED | {METHOD}
+_IN_WORKERS: Final = JUDGED  # what a process imports that executes scenarios
+_HERE: Final = ALL - {ADS}  # what this process imports
+
+
+@dataclass(frozen=True)
+class Consent:
+    """What the user agrees to on this command line, or in this call.
+
+    Attributes:
+        trust: digests ("sha256:...") of folders and of policy files.
+        unconfined: whether drivers may write files and use the network.
+        names: names of code that the user has given, such as "my_driver:MyDriver".
+
+    Raises:
+        InputError: if a digest has a wrong form.
+    """
+
+    trust: tuple[str, ...] = ()
+    unconfined: bool = False
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_digests(self.trust)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a folder says that may have code run.
+
+    Attributes:
+        place: the file that says it.
+        values: the whole configuration as plain values, of which digests are made.
+        code: the code that it names.
+        policy: name of the driver. If it is a policy file, this file is part of the digests.
+        asks: whether it says something of trust or confinement.
+        hint: another way to agree, for the message.
+    """
+
+    place: Path
+    values: Mapping[str, Any]
+    code: tuple[Code, ...]
+    policy: str = ""
+    asks: bool = False
+    hint: str = ""
+
+    def digests(self, *parts: Sequence[Code]) -> tuple[dict[str, str], list[str]]:
+        """Return the digests of all modules, and for each part of the code that of the folder with this part."""
+        modules = digests_of(one.module for one in self.code)
+        read = [(path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files_of_model(self.policy)]
+        return modules, [digest_of(self.values, _of(modules, part), read) for part in parts]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What may be done as a folder says.
+
+    Attributes:
+        is_own: whether what the folder says of trust and confinement counts.
+        modules: digests of the modules that it names and that workers import.
+        digests: digests of the folder, where they were needed.
+    """
+
+    is_own: bool = False
+    modules: Mapping[str, str] = field(default_factory=dict)
+    digests: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class AcceptedConfig(CampaignConfig):
+    """The configuration of a run folder, by which something may be executed; `accepted` makes it.
+
+    Attributes:
+        modules: see `Agreement.modules`.
+    """
+
+    modules: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def target(self) -> Target:
+        """The driving system and its environment; see `behavexplor.campaign.config.CampaignConfig.target`."""
+        return replace(super().target, modules=self.modules)
+
+
+def digest_of(values: Mapping[str, Any], modules: Mapping[str, str], policy: Sequence[tuple[str, str]] = ()) -> str:
+    """Return the digest of a configuration and of files, "sha256:...".
+
+    Args:
+        values: the configuration as plain values.
+        modules: digests of the files of modules, by module.
+        policy: names and digests of the files of a policy.
+    """
+    text = json.dumps([values, modules, policy], sort_keys=True, default=str)
+    return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = ALL) -> Agreement:
+    """Check that what a folder names may be run, and import what this process needs of it.
+
+    Args:
+        claim: what the folder says.
+        consent: what the user agrees to.
+        runs: keys of the code that would be run.
+
+    Raises:
+        InputError: if something would be run that the user has not agreed to; the message says what, and how to agree.
+    """
+    left = [one for one in claim.code if one.name not in consent.names and (one.key != ADS or ADS in runs)]
+    running = [one for one in left if one.key in runs]
+    asks = claim.asks and ADS in runs
+    if not running and not asks:
+        return Agreement()
+    modules, digests = claim.digests(claim.code, left)
+    if any(digest in consent.trust or is_own(digest) for digest in digests):
+        import_checked(_of(modules, [one for one in running if one.key in _HERE]))
+        return Agreement(True, _of(modules, [one for one in running if one.key in _IN_WORKERS]), tuple(digests))
+    if running:
+        raise _refusal(claim, running, digests[-1])
+    return Agreement(digests=tuple(digests))
+
+
+def accepted(
+    stored: StoredConfig,
+    consent: Consent = Consent(),
+    runs: Collection[str] = ALL,
+) -> AcceptedConfig:
+    """Return the configuration of a run folder, by which something may be executed.
+
+    What the folder says of trust and confinement counts only if this machine has made it, or if the user trusts it.
+
+    Args:
+        stored: what the folder says.
+        consent: what the user agrees to.
+        runs: keys of the code that would be run.
+
+    Raises:
+        InputError: see `agreed`.
+    """
+    config = stored.says
+    found = agreed(claim_of(config, stored.folder / CONFIG), consent, runs)
+    trust = tuple(digest for digest in consent.trust if digest not in found.digests)
+    values = {one.name: getattr(config, one.name) for one in fields(CampaignConfig)}
+    values["trust"] = tuple(dict.fromkeys((*config.trust, *trust))) if found.is_own else trust
+    values["unconfined"] = consent.unconfined or (found.is_own and config.unconfined)
+    return AcceptedConfig(**values, modules=found.modules)
+
+
+def claim_of(config: CampaignConfig, place: Path) -> Claim:
+    """Return what the configuration of a campaign says that may have code run. A campaign may get another budget."""
+    stated = {one.name: getattr(config, one.name) for one in fields(CampaignConfig) if one.name != "budget"}
+    usual = CampaignConfig()
+    values = {name: value for name, value in stated.items() if value != getattr(usual, name)}
+    code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
+    asks = bool(config.trust or config.unconfined) and not is_shipped(config.ads)
+    return Claim(place, {**values, "revision": config.revision}, code, config.ads, asks)
+
+
+def code_of(
+    env: str, ads: str = "", method: str = "", specs: Sequence[str] = (), env_config: Mapping[str, Any] | None = None
+) -> tuple[Code, ...]:
+    """Return the code that the values of a configuration name; see `behavexplor.campaign.config.CampaignConfig`."""
+    is_module = ":" in ads and not (is_shipped(ads) or ads.endswith(".zip") or Path(ads).exists())
+    return (
+        *(attribute_code(ADS, ads) if is_module and ads.partition(":")[0] != IN_MEMORY else ()),
+        *env_code(env),
+        *(attribute_code(METHOD, method) if method and method not in SHIPPED else ()),
+        *(one for spec in specs for one in attribute_code(SPECS, spec)),
+        *traffic_code(env_config),
+    )
+
+
+def own_run(config: CampaignConfig, folder: Path) -> tuple[str, ...]:
+    """Return the digests by which a run folder will be known as this machine's; see `own_digests`."""
+    as_read = campaign_config(parse_yaml(config.to_yaml()))
+    return own_digests(claim_of(as_read, folder / CONFIG))
+
+
+def own_digests(claim: Claim) -> tuple[str, ...]:
+    """Return the digests by which a folder will be known as this machine's: with its driver, and without it.
+
+    The latter counts where the user names the driver. They are taken before any code is run. A folder that brings no
+    code needs none.
+    """
+    if not (claim.code or claim.asks):
+        return ()
+    return tuple(claim.digests(claim.code, [one for one in claim.code if one.key != ADS])[1])
+
+
+def remember(digests: Iterable[str]) -> str | None:
+    """Write durably that a folder is this machine's, before the folder can be found, so that it can be continued.
+
+    Returns:
+        A warning if that is not possible; None if it is.
+    """
+    try:
+        for digest in dict.fromkeys(digests):
+            add_own(digest)
+    except OSError as error:
+        reason = error.strerror or error
+        return f"{list_path()} cannot be written ({reason}), so to continue here, the folder will have to be trusted"
+    return None
+
+
+def _of(modules: Mapping[str, str], code: Iterable[Code]) -> dict[str, str]:
+    """Return the digests of the modules of code, and of their packages."""
+    inside = tuple(f"{one.module}." for one in code)
+    return {name: digest for name, digest in modules.items() if any(one.startswith(f"{name}.") for one in inside)}
+
+
+def _refusal(claim: Claim, running: Sequence[Code], digest: str) -> InputError:
+    listed = " and ".join(f"{one}{_place(one)}" for one in running)
+    return InputError(
+        f"{claim.place} would have {listed} run, but this machine has not made this folder, or it has changed since: "
+        f"if you trust it, add --trust {digest} (in Python, trust){claim.hint}"
+    )
+
+
+def _place(code: Code) -> str:
+    """Return where code is, for messages."""
+    path = source_files(code.module).get(code.module)
+    return "" if path is None else f" from {path}"
