@@ -16,7 +16,7 @@ from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.building import build_trusted
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.ads.sb3.policy import load_policy
-from behavexplor.campaign.config import CONFIG, stored_config
+from behavexplor.campaign.config import CONFIG, StoredConfig, stored_config
 from behavexplor.campaign.own_folders import list_path
 from behavexplor.campaign.provenance import Consent, accepted
 from behavexplor.commands import BAD_INPUT, OK, main
@@ -194,6 +194,23 @@ def test_a_suite_runs_none(key, theirs, capsys):
     if key == "specs":
         assert main(["check", str(theirs / "suite"), "--ads", "idm", "--workers", "0"]) == BAD_INPUT
     assert not (theirs / "canary").exists()
+
+
+def test_what_a_run_says_is_only_shown_and_compared():
+    """A new reader of run folders that executes something calls `accepted`; one that shows something is added here."""
+    package = ROOT / "behavexplor"
+    readers = {path.relative_to(package).as_posix() for path in package.rglob("*.py") if ".says" in path.read_text()}
+    assert readers == {
+        "api/run.py",
+        "bench/runs.py",
+        "campaign/opening.py",
+        "campaign/provenance.py",
+        "campaign/run_summary.py",
+        "commands/export.py",
+        "commands/fuzz.py",
+        "report/reading.py",
+    }
+    assert not hasattr(StoredConfig, "target")
 
 
 def test_a_recorded_scenario_brings_none(theirs):

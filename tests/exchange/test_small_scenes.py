@@ -50,6 +50,10 @@ def test_a_later_export_leaves_the_roads_of_earlier_ones(tmp_path):
     plans = [plan_of_map(logical_scenario(env).roadmap) for env in ("lane-follow", "intersection-left")]
     written = []
     for plan, number in ((plans[0], 3), (plans[1], 4), (plans[0], 5)):
-        written.append(_Scenes(tmp_path / "run", tmp_path, is_ego_free=False, as_routes=False)._road_file(plan, number))
+        written.append(
+            _Scenes(
+                tmp_path / "run", CampaignConfig(env="own"), tmp_path, is_ego_free=False, as_routes=False
+            )._road_file(plan, number)
+        )
     assert written == ["own.xodr", "own-000004.xodr", "own.xodr"]
     assert {path.name for path in tmp_path.glob("*.xodr")} == {*written}
