@@ -28,8 +28,14 @@ def sentence(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text with escapes in place of all characters that are not printable."""
-    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in text)
+    r"""Return a text for a terminal: each character that is not printable becomes an escape, such as \x1b or \u202e.
+
+    Newlines and tabs stay. Control characters, marks of direction and surrogates do not: they could change what the
+    terminal shows, or what it is told to do.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() or char in "\n\t" else ascii(char)[1:-1] for char in text)
 
 
 def place_of(error: Exception) -> str:

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from behavexplor.errors import LONGEST, InputError, sentence, unknown_name
+from behavexplor.errors import LONGEST, InputError, printable, sentence, unknown_name
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,26 @@ from behavexplor.errors import LONGEST, InputError, sentence, unknown_name
 )
 def test_a_message_is_one_printable_line(message, shown):
     assert str(InputError(message)) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("one\n\ttwo, schön \U0001f697\n", "one\n\ttwo, schön \U0001f697\n"),
+        ("\x1b]52;c;bHM=\x07\x1b[2J", "\\x1b]52;c;bHM=\\x07\\x1b[2J"),
+        ("100 %\r0 %\x08\x0b\x0c", "100 %\\r0 %\\x08\\x0b\\x0c"),
+        ("one\u2028two\u2029three\x85", "one\\u2028two\\u2029three\\x85"),
+    ],
+)
+def test_a_terminal_is_shown_escapes_in_place_of_what_could_change_it(text, shown):
+    assert printable(text) == shown
+
+
+def test_no_control_character_mark_of_direction_or_surrogate_reaches_a_terminal():
+    codes = [*range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)]
+    for char in map(chr, [*codes, 0xD800, 0xDFFF, 0xFEFF, 0xE0001]):
+        assert (printable(char) == char) == (char in "\n\t")
+        assert printable(char).replace("\n", "").replace("\t", "").isascii()
 
 
 @pytest.mark.parametrize("message", ["x" * 10**6, "\x1b" * 10**6, "a b " * 10**6, " " * 10**6 + "x"])

@@ -123,8 +123,8 @@ def _failed(error: Exception) -> int:
     if isinstance(error, OSError) and not has_temporary_folder():
         print(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
         return BAD_INPUT
-    for line in "".join(traceback.format_exception(error)).splitlines():
-        print(printable(line), file=sys.stderr)  # an exception may quote what a file or a driver contains
+    said = "".join(traceback.format_exception(error))  # which may quote what a file or a driver contains
+    print(printable(said), end="", file=sys.stderr)
     place = _own_place(error)
     if place is not None:
         print(f"{program()}: The error is in {place}, which behavexplor has called", file=sys.stderr)
@@ -143,7 +143,7 @@ def _own_place(error: Exception) -> str | None:
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         file = Path(frame.filename)
         if file.is_file() and not any(file.resolve().is_relative_to(folder.resolve()) for folder in ours):
-            return printable(f"{file.name}, line {frame.lineno}")
+            return sentence(f"{file.name}, line {frame.lineno}")
     return None
 
 
