@@ -1,8 +1,9 @@
-"""Confinement: a process permanently gives up its right to write files and to use the network.
+"""Confinement: a process permanently gives up its right to write files, to use the network and to use a terminal.
 
 It is meant for driving systems that are third-party code. They may read what the user may read, compute, and answer.
 Only Linux offers this to an unprivileged process: Landlock (https://docs.kernel.org/userspace-api/landlock.html) blocks
-writing, and a seccomp filter blocks new sockets. Both apply to all threads and processes that are started afterwards.
+writing and devices, and a seccomp filter blocks new sockets and the calls that put input into a terminal. Both apply to
+all threads and processes that are started afterwards.
 """
 
 import errno
@@ -10,16 +11,20 @@ import tempfile
 from pathlib import Path
 from typing import Final
 
-# Devices that GPU computing, shared memory between threads, and discarded output write to.
-_DEVICES: Final = ("null", "zero", "full", "tty", "shm", "nvidia*", "nvidia-caps", "dri", "kfd")
+# Devices that GPU computing, shared memory between threads, and discarded output use. No other one can be opened, so
+# that no terminal can.
+_DEVICES: Final = ("null", "zero", "full", "random", "urandom", "shm", "nvidia*", "dri", "kfd")
 # Calls that create sockets, directly or through io_uring. Socket pairs within the process and its children still work.
 _SYSTEM_CALLS: Final = ("socket", "io_uring_setup")
+# Requests of `ioctl` that put input into a terminal, or change what a terminal belongs to.
+_TERMINAL_REQUESTS: Final = ("TIOCSTI", "TIOCLINUX", "TIOCSCTTY", "TIOCSETD", "TIOCCONS")
+_REQUEST_BITS: Final = 0xFFFFFFFF  # of the 64 bits of the argument, which is all that Linux looks at
 
 
 def confine() -> tuple[str, ...]:
-    """Block file writes and network access for this thread, and for all threads and processes that it starts.
+    """Block file writes, network access and terminals for this thread, and for all threads and processes it starts.
 
-    Writing remains possible in the temporary folder of `tempfile`.
+    Writing remains possible in the temporary folder of `tempfile`. Files that are open, such as a terminal, stay open.
 
     Returns:
         Actions that this system cannot prevent, such as "write files".
@@ -33,21 +38,27 @@ def confine() -> tuple[str, ...]:
 
 
 def _seal_files() -> bool:
-    """Block writing files, and from Linux 6.12 on signals to outside processes. Return whether writing is blocked."""
+    """Block writing files and opening devices, and from Linux 6.12 on signals to outside processes.
+
+    Returns:
+        Whether writing and devices are blocked.
+    """
     try:
         from landlockpy import AccessFS, LandlockError, Ruleset, Scope, supported  # noqa: PLC0415 - Linux only
     except ModuleNotFoundError:
         return False
-    reading = AccessFS.EXECUTE | AccessFS.READ_FILE | AccessFS.READ_DIR
-    writing = ~(reading | AccessFS.IOCTL_DEV)
-    of_a_file = AccessFS.WRITE_FILE | AccessFS.TRUNCATE
+    sealed = ~(AccessFS.EXECUTE | AccessFS.READ_DIR | AccessFS.IOCTL_DEV)
+    of_a_file = AccessFS.READ_FILE | AccessFS.WRITE_FILE | AccessFS.TRUNCATE
+    readable = [place for place in Path("/").iterdir() if place.name != "dev" and not place.is_symlink()]
     devices = [device for pattern in _DEVICES for device in Path("/dev").glob(pattern)]
     try:
         if not supported():
             return False
-        with Ruleset(handled_fs=writing, scoped=Scope.SIGNAL | Scope.ABSTRACT_UNIX_SOCKET) as ruleset:
+        with Ruleset(handled_fs=sealed, scoped=Scope.SIGNAL | Scope.ABSTRACT_UNIX_SOCKET) as ruleset:
             for place in (Path(tempfile.gettempdir()), *devices):
-                ruleset.allow_path(place, writing if place.is_dir() else of_a_file)
+                ruleset.allow_path(place, sealed if place.is_dir() else of_a_file)
+            for place in readable:
+                ruleset.allow_path(place, AccessFS.READ_FILE)
             ruleset.restrict()
     except LandlockError:
         return False
@@ -55,8 +66,10 @@ def _seal_files() -> bool:
 
 
 def _seal_network() -> bool:
-    """Block new sockets. Return whether they are blocked."""
+    """Block new sockets, and input into terminals. Return whether they are blocked."""
     try:
+        import termios  # noqa: PLC0415 - not on Windows
+
         import pyseccomp  # noqa: PLC0415 - Linux only
     except (ImportError, OSError, RuntimeError):  # without libseccomp
         return False
@@ -64,6 +77,9 @@ def _seal_network() -> bool:
         calls = pyseccomp.SyscallFilter(pyseccomp.ALLOW)
         for name in _SYSTEM_CALLS:
             calls.add_rule(pyseccomp.ERRNO(errno.EACCES), name)
+        for name in _TERMINAL_REQUESTS:
+            request = pyseccomp.Arg(1, pyseccomp.MASKED_EQ, _REQUEST_BITS, getattr(termios, name))
+            calls.add_rule(pyseccomp.ERRNO(errno.EACCES), "ioctl", request)
         calls.load()
     except (OSError, RuntimeError, ValueError):
         return False

@@ -45,6 +45,7 @@ class Evaluator(Service):
     Attributes:
         confirms: whether highway-env itself confirms each failure that the compiled engine finds.
         target: the driving system and its environment.
+        is_confined: whether the driving system is third-party code.
         driver: object of this process that drives in place of the driving system of that name; None for none.
         functions: see `behavexplor.execution.service.Service`.
         batch: executes many scenarios in lock-step; None if the ADS or the environment cannot.
@@ -54,6 +55,7 @@ class Evaluator(Service):
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
         self.target = Target(**target)
+        self.is_confined = needs_confinement(self.target)
         self._lock_step = lock_step
         self.driver: ADS | None = None
         self.functions: Mapping[str, Callable[[bytes], bytes]] = {
@@ -70,12 +72,12 @@ class Evaluator(Service):
 
     def prepare(self) -> None:
         """Compile the kernels that confined workers need, because those workers cannot write the compilation cache."""
-        if needs_confinement(self.target):
+        if self.is_confined:
             compile_kernels(self.target.env)
 
     def confine(self) -> None:
         """Confine this process if the ADS is third-party code; see `behavexplor.execution.confinement`."""
-        if needs_confinement(self.target):
+        if self.is_confined:
             keep_no_code()
             self._unprevented = confine()
 

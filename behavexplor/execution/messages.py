@@ -7,6 +7,8 @@ from typing import Any, Final, NamedTuple, Self
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
 
+STARTED: Final = b""  # the supervisor's first message: it has written all that a process is started with
+
 # Tags: the first byte of an answer.
 READY: Final = b"C"  # the service has begun; followed by the capacity of its batch
 RESULT: Final = b"R"  # followed by the result of a call

@@ -23,10 +23,11 @@ from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import Executor
-from behavexplor.execution.messages import READY, SUSPECT, Request, settle, split_key
+from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, settle, split_key
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.shared_imports import CAN_SHARE, GUARD, share_imports
 from behavexplor.execution.worker import CLOSED, serve
+from behavexplor.execution.worker_output import CAN_LEAVE, WorkerOutput
 
 BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
 CRASHES: Final = 2  # an ADS is blamed after this many worker crashes during the same single execution
@@ -76,10 +77,11 @@ class WorkerPool(Executor):
 
     def __init__(self, n_workers: int, recipe: Recipe, time_limit: float, memory_limit: float) -> None:
         share_imports(recipe.preload)
-        recipe.make().prepare()
+        service = recipe.make()
+        service.prepare()
         self._recipe = recipe
         self._folder = TemporaryDirectory(prefix="behavexplor-", ignore_cleanup_errors=True)
-        self._serving = (recipe, memory_limit, self._folder.name)
+        self._serving = (recipe, memory_limit, self._folder.name, service.is_confined)
         self._time_limit = time_limit
         self._keys = count()
         self._demand = Demand()
@@ -139,14 +141,20 @@ class WorkerPool(Executor):
             while not self._aborted and not self._is_done():
                 self._start_others()
                 self._hand_out()
-                busy = {worker.connection: worker for worker in self._workers if worker and worker.is_listened_to}
+                started = [worker for worker in self._workers if worker]
+                busy = {worker.connection: worker for worker in started if worker.is_listened_to}
+                pipes = [worker.output for worker in started if worker.output]
+                outputs = {output.connection: output for output in pipes if not output.connection.closed}
                 deadline = min((worker.deadline for worker in busy.values()), default=None)
                 patience = None if deadline in (None, math.inf) else max(deadline - time.monotonic(), 0.0)
-                ready = set(wait([self._woken, *busy], patience))
+                ready = set(wait([self._woken, *busy, *outputs], patience))
                 if self._woken in ready:
                     self._woken.recv_bytes()
                 for connection, worker in busy.items():
                     self._listen(worker, answered=connection in ready)
+                for connection, output in outputs.items():
+                    if connection in ready:
+                        output.pass_on()
         except OSError as error:  # the system is out of processes, files or memory
             self._failed = f"no worker could be started: {error}"
         finally:
@@ -273,6 +281,7 @@ class _Worker:
 
     Attributes:
         connection: the supervisor's end of the pipe.
+        output: what a confined worker prints; None for another one, which prints on the supervisor's terminal itself.
         tasks: unanswered calls by key.
         capacity: number of calls that the worker can process in one batch.
         is_ready: whether the worker has loaded its service.
@@ -281,15 +290,21 @@ class _Worker:
         deadline: time at which the answer is overdue, on the monotonic clock [s].
     """
 
-    def __init__(self, recipe: Recipe, memory_limit: float, folder: str) -> None:
+    def __init__(self, recipe: Recipe, memory_limit: float, folder: str, is_confined: bool) -> None:
         context: Any = multiprocessing.get_context("forkserver" if CAN_SHARE else "spawn")
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)
-        arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ))
+        self.output = WorkerOutput() if is_confined and CAN_LEAVE else None
+        pipe = self.output.theirs if self.output else None
+        arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ), pipe)
         self._process = context.Process(target=serve, args=arguments, daemon=not recipe.long_calls)
         self._process.start()
         theirs.close()
+        if pipe is not None:
+            pipe.close()
+        with suppress(OSError):  # the worker has died, which `_listen` will notice
+            self.connection.send_bytes(STARTED)
         self.tasks: dict[int, _Task] = {}
         self.capacity = 1
         self.is_ready = False
@@ -350,10 +365,15 @@ class _Worker:
         self._process.terminate()
 
     def kill(self) -> None:
-        """Kill the process and close the pipe."""
+        """Kill the process, with the children of a confined one, and close the pipes."""
+        if self.output is not None and self._process.is_alive():
+            with suppress(ProcessLookupError):  # it has no group of its own yet
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
         self._process.join()
         self.connection.close()
+        if self.output is not None:
+            self.output.pass_on(ended=True)
 
     def _wait_for(self, seconds: float) -> None:
         self.patience, self.deadline = seconds, time.monotonic() + seconds

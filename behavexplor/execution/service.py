@@ -35,10 +35,13 @@ class Service:
 
     Attributes:
         functions: functions from bytes to bytes, by name.
+        is_confined: whether third-party code will run in the process, which then gives up rights, see `confine`, and
+            has no terminal.
         batch: batch that processes many calls of `Recipe.batched` at a time; None if each call is made alone.
     """
 
     functions: Mapping[str, Callable[[bytes], bytes]]
+    is_confined: bool = False
     batch: Batch | None = None
 
     def prepare(self) -> None:

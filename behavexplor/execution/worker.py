@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,6 +23,7 @@ from behavexplor.execution.asking import share_asking
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.shared_imports import collections_off
+from behavexplor.execution.worker_output import leave_terminal
 
 try:
     import resource
@@ -38,6 +40,7 @@ def serve(
     memory_limit: float,
     folder: str,
     environment: Mapping[str, str],
+    output: Connection | None,
 ) -> None:
     """Answer requests until the other end of the connection is closed.
 
@@ -51,6 +54,7 @@ def serve(
         folder: folder for temporary files.
         environment: environment variables of the supervisor; the process that this one was forked from may have had
             others.
+        output: pipe for what the process prints; None if it prints where its supervisor does.
     """
     os.environ.clear()
     os.environ.update(environment)
@@ -61,6 +65,11 @@ def serve(
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it complains about a HOME that cannot be written
     share_asking(asking)
     _limit_memory(memory_limit)
+    if output is not None:
+        leave_terminal(output)
+    with suppress(EOFError, OSError):  # the supervisor has ended
+        connection.recv_bytes()  # `STARTED`
+        _be_killed_with_supervisor(with_children=output is not None)
     service = recipe.make()
     if recipe.long_calls:
         signal.signal(signal.SIGTERM, lambda *_: service.stop())
@@ -140,6 +149,25 @@ def _limit_memory(gibibytes: float) -> None:
     if resource is not None and hasattr(resource, "RLIMIT_DATA") and math.isfinite(gibibytes):
         with suppress(ValueError, OSError):  # a lower limit is set already
             resource.setrlimit(resource.RLIMIT_DATA, (int(gibibytes * 2**30),) * 2)
+
+
+def _be_killed_with_supervisor(*, with_children: bool) -> None:
+    """Let Linux kill this process when the supervisor's process ends, even while an ADS keeps all threads from running.
+
+    Linux sends the signal at any event on the pipe by which this process was started. Once the supervisor has written
+    all, only its end is left.
+
+    Args:
+        with_children: whether to kill all processes of this one's group, too, which must be its own.
+    """
+    supervisor = multiprocessing.parent_process()
+    if supervisor is None or sys.platform != "linux":
+        return
+    import fcntl  # noqa: PLC0415 - not on Windows
+
+    fcntl.fcntl(supervisor.sentinel, fcntl.F_SETOWN, -os.getpid() if with_children else os.getpid())
+    fcntl.fcntl(supervisor.sentinel, fcntl.F_SETSIG, signal.SIGKILL)
+    fcntl.fcntl(supervisor.sentinel, fcntl.F_SETFL, os.O_ASYNC)
 
 
 def _end_with_supervisor() -> None:

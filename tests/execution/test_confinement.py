@@ -25,7 +25,7 @@ def confined(code, tmp_path):
     own.mkdir()
     victim.write_text("untouched")
     begin = f"""
-        import os, socket, sys, tempfile, threading
+        import ctypes, errno, fcntl, os, socket, sys, tempfile, termios, threading
         from pathlib import Path
         tempfile.tempdir, victim = {str(own)!r}, Path({str(victim)!r})
         from behavexplor.execution.confinement import confine
@@ -63,10 +63,28 @@ def confined(code, tmp_path):
         "socket.socket(socket.AF_INET, socket.SOCK_DGRAM)",
         "socket.socket(socket.AF_INET6)",
         "socket.socket(socket.AF_UNIX)",
+        "open('/dev/tty')",
+        "open('/dev/tty', 'w')",
+        "open('/dev/ptmx')",
     ],
 )
 def test_a_confined_process_may_not(call, tmp_path):
     assert confined(f"print(outcome(lambda: {call}))", tmp_path) == ["PermissionError"]
+
+
+def test_it_may_not_put_input_into_a_terminal(tmp_path):
+    """Its filter refuses that of any file. Linux itself says of a pipe that it is no terminal."""
+    code = """
+        ioctl, pipe = ctypes.CDLL(None, use_errno=True).ioctl, os.pipe()[0]
+        for name in ("TIOCGWINSZ", "TIOCSTI", "TIOCLINUX", "TIOCSCTTY", "TIOCSETD", "TIOCCONS"):
+            request = getattr(termios, name)
+            print(outcome(lambda: fcntl.ioctl(pipe, request, bytes(8))))
+            for ignored in (1 << 32, 0xFFFFFFFF << 32):  # Linux looks at 32 bits of the request
+                assert ioctl(pipe, ctypes.c_ulong(ignored | request), bytes(8)) == -1
+                print(errno.errorcode[ctypes.get_errno()])
+    """
+    expected = ["OSError", "ENOTTY", "ENOTTY", *["PermissionError", "EACCES", "EACCES"] * 5]
+    assert confined(code, tmp_path) == expected
 
 
 def test_nor_may_its_threads_and_children(tmp_path):
@@ -88,10 +106,11 @@ def test_it_may_read_compute_and_have_temporary_files(tmp_path):
         print(victim.read_text())
         print(outcome(lambda: tempfile.NamedTemporaryFile("w").write("x")))
         print(outcome(lambda: open(os.devnull, "w").write("x")))
+        print(outcome(lambda: open("/dev/urandom", "rb").read(1)), outcome(lambda: open("/proc/self/stat").read()))
         import numpy
         print((numpy.ones((300, 300)) @ numpy.ones((300, 300))).sum())
     """
-    assert confined(code, tmp_path) == ["untouched", "done", "done", "27000000.0"]
+    assert confined(code, tmp_path) == ["untouched", *["done"] * 4, "27000000.0"]
 
 
 def test_kernels_can_be_compiled_though_nothing_can_be_kept(tmp_path):
