@@ -1,21 +1,29 @@
-"""Compilation of kernels, which are functions on plain arrays, to machine code that is cached on disk."""
+"""Compilation of kernels, which are functions on plain arrays, to machine code that is cached on disk.
+
+Numba itself only notices changes in a kernel's own file, not in the kernels and constants that the kernel uses. So the
+machine code of each module is in a folder whose name is a digest of all that it depends on.
+"""
 
 import hashlib
-import json
 import logging
 import os
 import re
+import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from threading import Lock
 from types import SimpleNamespace
 from typing import Any, TypeVar, cast
 
+import llvmlite
 import numba
+import numpy as np
 from numba.core import caching, codegen, event
 from numba.core.compiler import Compiler
 from numba.core.registry import cpu_target
@@ -23,8 +31,7 @@ from numba.core.registry import cpu_target
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
-_IMPORT = re.compile(r"^(?:from|import) (behavexplor[.\w]*)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
-_FILES = "*"  # key of the digest of all files, beside those of modules
+_IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
 _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls no kernels
 
@@ -96,11 +103,12 @@ class _WholeCompiler(_Compiler):  # type: ignore[misc]
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on plain arrays. The machine code is cached beside its source file.
+    """Compile a function on plain arrays. The machine code is cached, see `place_for_code`.
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return cast("Function", _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
+    with _kept_by_digest(function.__module__):
+        return cast("Function", _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -110,7 +118,8 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    return cast("Function", _njit(cache=True, _nrt=False, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
+    with _kept_by_digest(function.__module__):
+        return cast("Function", _njit(cache=True, _nrt=False, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
 
 
 def kernel_inner(function: Function) -> Function:
@@ -198,108 +207,108 @@ def keep_no_code() -> None:
     caching.Cache._guard_against_spurious_io_errors = unkept  # type: ignore[assignment] # noqa: SLF001
 
 
-def drop_stale_code(folder: Path = _PACKAGE, package: Path = _PACKAGE) -> None:
-    """Delete the cached machine code of modules whose source, or the source of a module that they import, has changed.
+@contextmanager
+def _kept_by_digest(module: str) -> Iterator[None]:
+    """Let numba keep the code of a module's kernels apart from code that depends on anything else.
 
-    Numba itself only notices changes in a kernel's own file, not in the kernels and constants that the kernel uses.
-
-    Args:
-        folder: folder of the modules.
-        package: folder of the package `behavexplor`, from which they import kernels and constants.
+    What was kept for earlier sources of the module is deleted.
     """
-    stamp = folder / "__pycache__" / "kernels.json"
-    files, known = _files({folder, package}), _read(stamp)
-    if known.get(_FILES) == files:  # without reading all sources
-        return
-    digests = {str(path.relative_to(folder)): _digest(path, package) for path in _modules_with_kernels(folder)}
-    try:
-        stamp.parent.mkdir(exist_ok=True)
-        for name, digest in digests.items():
-            if known.get(name) != digest:
-                _drop(folder / name)
-        stamp.write_text(json.dumps({_FILES: files, **digests}))
-    except OSError:  # a read-only installation, whose sources do not change
-        return
+    folder = _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
+    if not folder.exists():
+        for stale in _PLACE.glob(f"{module}-{_TOOLS}-*"):
+            shutil.rmtree(stale, ignore_errors=True)
+    with _placing:
+        before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+        numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+        try:
+            yield
+        finally:
+            numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
-def _files(folders: set[Path]) -> str:
-    """Return a digest of the sizes and times of change of all modules in some folders.
+def _tools() -> str:
+    """Return a digest of what makes machine code of sources, and of the settings of it."""
+    settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_") and "CACHE" not in item[0])
+    tools = (sys.version, numba.__version__, llvmlite.__version__, np.__version__, settings)
+    return hashlib.sha256(repr(tools).encode()).hexdigest()[:8]
 
-    An installer may give a new file the time of the old one, but not the time at which its entry was changed.
+
+@cache
+def _digest(module: str) -> str:
+    """Return the digest of a module and of all modules that it imports, recursively: their sources and constants.
+
+    These are modules of its own package and of this one. When a kernel is made, its module has imported them. Numba
+    compiles the values of constants in, and some come from other libraries.
     """
-    paths = sorted(path for folder in folders for path in folder.rglob("*.py") if path.is_file())
-    found = [(str(path), path.stat()) for path in paths]
-    changes = [(path, info.st_size, info.st_mtime_ns, info.st_ctime_ns) for path, info in found]
-    return hashlib.sha256(repr(changes).encode()).hexdigest()
-
-
-def _modules_with_kernels(folder: Path) -> list[Path]:
-    return [path for path in sorted(folder.rglob("*.py")) if path.is_file() and "\n@kernel" in _source(path)]
-
-
-def _read(stamp: Path) -> dict[str, str]:
-    try:
-        return dict(json.loads(stamp.read_text()))
-    except (FileNotFoundError, ValueError, TypeError):  # the first import, or a truncated file
-        return {}
-
-
-def _digest(path: Path, package: Path) -> str:
-    """Return the digest of the sources of a module and of all modules of the package that it imports, recursively."""
-    reached = {path}
-    waiting = [path]
+    reached = {module}
+    waiting = [module]
     while waiting:
-        new = _imported(_source(waiting.pop()), package) - reached
+        new = _imported(waiting.pop()) - reached
         reached |= new
         waiting += new
-    sources = [_source(module) for module in sorted(reached)]
-    return hashlib.sha256("".join(sources).encode()).hexdigest()
+    digest = hashlib.sha256()
+    for name in sorted(reached):
+        digest.update(f"{name} {_constants(name)}\n{_source(name)}".encode(errors="surrogateescape"))
+    return digest.hexdigest()[:16]
 
 
 @cache
-def _imported(source: str, package: Path) -> frozenset[Path]:
-    found: set[Path] = set()
-    for module, *names in _IMPORT.findall(source):
-        path = package.joinpath(*module.split(".")[1:])
-        found |= {path.with_suffix(".py"), *(path / f"{name}.py" for name in re.findall(r"\w+", " ".join(names)))}
-    return frozenset(path for path in found if path.is_file())
-
-
-def _drop(module: Path) -> None:
-    for index in module.parent.glob(f"__pycache__/{module.stem}.*.nbi"):
-        index.unlink(missing_ok=True)
+def _imported(module: str) -> frozenset[str]:
+    roots = {__package__, module.partition(".")[0]}
+    found: set[str] = set()
+    for name, *parts in _IMPORT.findall(_source(module)):
+        if name.partition(".")[0] in roots:
+            found |= {name, *(f"{name}.{part}" for part in re.findall(r"\w+", " ".join(parts)))}
+    return frozenset(name for name in found if name in sys.modules)
 
 
 @cache
-def _source(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+def _source(module: str) -> str:
+    file = getattr(sys.modules[module], "__file__", None) or ""
+    with suppress(OSError):  # the module is in an archive or a notebook
+        return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
+    return ""
 
 
-def find_place_for_code() -> None:
-    """Let numba keep code in a temporary folder if it can write neither beside the sources nor in the user's cache.
+def _constants(module: str) -> list[tuple[str, object]]:
+    """Return the numbers among the global variables of a module, with those in tuples and arrays."""
+    found = ((name, _numbers(value)) for name, value in sorted(vars(sys.modules[module]).items()))
+    return [(name, numbers) for name, numbers in found if numbers is not None]
 
-    If it cannot write there either, such as in a container whose root is read-only, it compiles in every process.
+
+def _numbers(value: object) -> object:
+    if isinstance(value, tuple):
+        return tuple(map(_numbers, value))
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        return value.dtype.str, value.shape, value.tobytes()
+    return value if isinstance(value, (int, float, complex, np.generic)) else None
+
+
+def place_for_code() -> Path:
+    """Return the folder for machine code.
+
+    It is where numba would keep that of this file: in `NUMBA_CACHE_DIR` if that is set, beside the source, or in the
+    user's cache. If this process can write in none of them, it is a temporary folder. If it cannot write there either,
+    such as in a container whose root is read-only, every process compiles.
     """
     locating: Any = caching.CompileResultCacheImpl
     with suppress(RuntimeError):  # there is no place
-        locating(find_place_for_code)
-        return
-    place = _own_temporary_folder()
-    if place is None:
+        return Path(locating(place_for_code).locator.get_cache_path())
+    folder = _own_temporary_folder()
+    if folder is None:
         keep_no_code()
-        return
-    os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(place)  # type: ignore[attr-defined]
+    return folder or _PACKAGE / "__pycache__"
 
 
 def _own_temporary_folder() -> Path | None:
-    """Return a folder that only this user can write, for the code of these sources; None if there is none.
+    """Return a folder that only this user can write, for the code of this installation; None if there is none.
 
     Numba executes what it finds in its cache, so the folder must not be another user's.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
-    sources = "".join(_source(path) for path in sorted(_PACKAGE.rglob("*.py")))
+    name = f"behavexplor-{user}-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
     try:
-        folder = Path(tempfile.gettempdir()) / f"behavexplor-{user}-{hashlib.sha256(sources.encode()).hexdigest()[:16]}"
+        folder = Path(tempfile.gettempdir()) / name
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.stat(follow_symlinks=False)
     except OSError:
@@ -308,5 +317,6 @@ def _own_temporary_folder() -> Path | None:
     return folder if is_ours or not hasattr(os, "getuid") else None
 
 
-drop_stale_code()
-find_place_for_code()
+_PLACE = place_for_code()
+_TOOLS = _tools()
+_placing = Lock()  # numba has one setting for all threads

@@ -1,17 +1,13 @@
 """Settings of all tests."""
 
 from multiprocessing import set_forkserver_preload
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 from behavexplor.envs.drawn.vehicle_classes import parameters, set_parameters
-from behavexplor.jit import drop_stale_code
 
 SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.drawn.vector_env"]
-
-drop_stale_code(Path(__file__).parent)  # of the tests' own kernels
 
 settings.register_profile("untimed", deadline=None)  # machines are shared: the first call of a kernel compiles it
 settings.load_profile("untimed")

@@ -6,9 +6,11 @@ import pickle
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args, get_origin
 
+import numba
 import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
@@ -20,116 +22,158 @@ from behavexplor.ads.rule.station_time import StationTime
 from behavexplor.behavior.window_statistics import fill_statistics
 
 SOURCES = {
-    "constants.py": "LIMIT = 1\n",
+    "__init__.py": "",
+    "constants.py": "LIMIT = 1.0\n",
     "other.py": "UNUSED = 1\n",
-    "rooms/first.py": "from behavexplor.constants import LIMIT\n\n\n@kernel\ndef f(x): ...\n",
-    "rooms/second.py": "from behavexplor.rooms import (\n    first,\n)\n\n\n@kernel\ndef g(x): ...\n",
-    "rooms/third.py": "import behavexplor.other\n\n\n@kernel\ndef h(x): ...\n",
-    "rooms/fourth.py": (
-        "from behavexplor.rooms import third  # one\nfrom behavexplor.constants import (\n    LIMIT,\n)\n"
-        "from behavexplor.other import UNUSED as U\n\n\n@kernel\ndef i(x): ...\n"
-    ),
+    "parts/__init__.py": "",
+    "parts/inner.py": """
+from behavexplor.constants import LIMIT
+from behavexplor.jit import kernel_inner
+
+
+@kernel_inner
+def limited(x):
+    return min(x, LIMIT)
+""",
+    "parts/outer.py": """
+from behavexplor.jit import kernel
+from behavexplor.parts import (
+    inner,
+)
+
+limited = inner.limited
+
+
+@kernel
+def twice(x):
+    return 2.0 * limited(x)
+""",
+    "parts/alone.py": """
+import behavexplor.other
+from behavexplor.jit import kernel_in_place
+
+
+@kernel_in_place
+def half(x):
+    return 0.5 * x
+""",
 }
-KERNELS = ("first.f", "second.g", "third.h", "fourth.i")
+CALLS = """
+from behavexplor.parts.alone import half
+from behavexplor.parts.outer import twice
+print(twice(9.0), half(9.0), *(sum(function.stats.cache_hits.values()) for function in (twice, half)))
+"""
+KEPT, LIMIT_IS_2 = "2.0 4.5 1 1", ("constants.py", "LIMIT = 2.0\n")
+PART_ADDS_1 = ("parts/inner.py", SOURCES["parts/inner.py"].replace("min(x", "1.0 + min(x"))
 
 
-def put(package, sources):
-    compiled._source.cache_clear()
+def installed(folder, *changes):
+    """An installation with three modules of kernels, and with changes of its sources, which have the same times."""
+    sources = {**SOURCES, "jit.py": Path(compiled.__file__).read_text(), **dict(changes)}
     for name, text in sources.items():
-        (package / name).parent.mkdir(parents=True, exist_ok=True)
-        (package / name).write_text(text)
+        file = folder / "behavexplor" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        os.utime(file, ns=(10**18, 10**18))  # as an installer may do
+    return folder
 
 
-def compile_all(package):
-    folder = package / "rooms" / "__pycache__"
-    folder.mkdir(exist_ok=True)
-    for name in KERNELS:
-        (folder / f"{name}-1.py311.nbi").touch()
+def computed(folder, **environment):
+    """What the kernels return, and how many of them were kept by an earlier process."""
+    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **environment}
+    done = subprocess.run(
+        [sys.executable, "-c", CALLS], env=environment, cwd=folder, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
 
 
-def kept(package):
-    return {path.name.removesuffix("-1.py311.nbi") for path in (package / "rooms/__pycache__").glob("*.nbi")}
-
-
-@pytest.fixture
-def package(tmp_path):
-    package = tmp_path / "behavexplor"
-    put(package, SOURCES)
-    compiled.drop_stale_code(package, package)
-    compile_all(package)
-    yield package
-    compiled._source.cache_clear()
-
-
-def test_nothing_is_dropped_while_nothing_changes(package):
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == set(KERNELS)
+def place(kind, folder):
+    """The environment variables with which numba keeps code in a certain place, for an installation in a folder."""
+    own = folder.parent / kind
+    if kind == "beside the source":
+        return {}
+    if kind == "NUMBA_CACHE_DIR":
+        return {"NUMBA_CACHE_DIR": str(own)}
+    (folder / "behavexplor" / "__pycache__").write_text("no folder can be made here, not even by root")
+    if kind == "the cache of the user":
+        return {"XDG_CACHE_HOME": str(own), "HOME": str(own)}
+    own.mkdir()
+    (own / "file").touch()
+    return {"XDG_CACHE_HOME": str(own / "file"), "HOME": str(own / "file"), "TMPDIR": str(own)}
 
 
 @pytest.mark.parametrize(
-    ("changed", "left"),
-    [
-        ("rooms/first.py", {"third.h", "fourth.i"}),
-        ("constants.py", {"third.h"}),
-        ("rooms/second.py", {"first.f", "third.h", "fourth.i"}),
-        ("rooms/third.py", {"first.f", "second.g"}),
-        ("other.py", {"first.f", "second.g"}),
-    ],
+    "kind", ["beside the source", "NUMBA_CACHE_DIR", "the cache of the user", "a temporary folder"]
 )
-def test_a_change_drops_the_kernels_that_rest_on_it(package, changed, left):
-    put(package, {changed: SOURCES[changed] + "NEW = 2\n"})
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == left
+def test_code_is_kept_for_as_long_as_what_it_depends_on_is_the_same(kind, tmp_path):
+    folder = installed(tmp_path / "package")
+    environment = place(kind, folder)
+    found = folder if kind == "beside the source" else tmp_path / kind
+    assert computed(folder, **environment) == "2.0 4.5 0 0"
+    kept = set(found.rglob("*.nbi"))
+    assert len(kept) == 2
+    assert computed(installed(folder, LIMIT_IS_2), **environment) == "4.0 4.5 0 1"
+    assert computed(installed(folder, LIMIT_IS_2, PART_ADDS_1), **environment) == "6.0 4.5 0 1"
+    assert len(set(found.rglob("*.nbi"))) == 2  # what cannot be used any more is deleted
+    assert len(kept & set(found.rglob("*.nbi"))) == 1
 
 
-def test_sources_are_not_read_again_while_no_file_has_changed(package, monkeypatch):
-    monkeypatch.setattr(compiled, "_source", lambda _: pytest.fail("a source was read"))
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == set(KERNELS)
+def test_a_constant_that_comes_from_elsewhere_is_noticed(tmp_path):
+    """As those that kernels take from classes of highway-env."""
+    folder = installed(tmp_path, ("constants.py", "import os\n\nLIMIT = float(os.environ['GIVEN'])\n"))
+    assert computed(folder, GIVEN="1.0") == "2.0 4.5 0 0"
+    assert computed(folder, GIVEN="2.0") == "4.0 4.5 0 1"
 
 
-def test_a_link_to_nothing_is_no_module(package):
-    """Some editors mark a file that is open by such a link."""
-    (package / "rooms/.#first.py").symlink_to("nowhere")
-    put(package, {"constants.py": SOURCES["constants.py"] + "NEW = 2\n"})
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == {"third.h"}
+def test_a_change_that_no_kernel_depends_on_and_a_new_time_drop_nothing(tmp_path):
+    folder = installed(tmp_path)
+    assert computed(folder) == "2.0 4.5 0 0"
+    installed(folder, ("unrelated.py", "NEW = 1\n"))
+    os.utime(folder / "behavexplor" / "constants.py", ns=(1, 1))
+    assert computed(folder) == KEPT
+    assert computed(installed(folder, ("other.py", "UNUSED = 2\n"))) == "2.0 4.5 1 0"  # one imports it
 
 
-def test_another_content_of_the_same_size_and_time_is_noticed(package):
-    file = package / "constants.py"
-    before = file.stat()
-    put(package, {"constants.py": "LIMIT = 2\n"})
-    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
-    assert file.stat().st_size == before.st_size
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == {"third.h"}
+def test_two_installations_share_a_folder_and_no_code(tmp_path):
+    """Their kernels have the same names, in modules of the same names."""
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "code")}
+    first, second = installed(tmp_path / "first"), installed(tmp_path / "second", LIMIT_IS_2)
+    assert computed(first, **environment) == "2.0 4.5 0 0"
+    assert computed(second, **environment) == "4.0 4.5 0 0"
+    assert computed(first, **environment) == KEPT
 
 
-def test_a_file_with_a_new_time_and_the_same_content_drops_nothing(package):
-    os.utime(package / "constants.py", ns=(1, 1))
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == set(KERNELS)
+def test_code_of_another_compiler_or_other_settings_is_not_used(tmp_path, monkeypatch):
+    tools = {compiled._tools()}
+    for library in (compiled.numba, compiled.llvmlite, compiled.np):
+        with monkeypatch.context() as patch:
+            patch.setattr(library, "__version__", "0")
+            tools.add(compiled._tools())
+    monkeypatch.setenv("NUMBA_BOUNDSCHECK", "1")
+    tools.add(compiled._tools())
+    assert len(tools) == 5
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))  # says where, and not what
+    assert compiled._tools() in tools
 
 
-@pytest.mark.parametrize("text", ["", "[1", "[1, 2]", "null"])
-def test_a_stamp_that_cannot_be_read_drops_everything(package, text):
-    (package / "__pycache__/kernels.json").write_text(text)
-    compiled.drop_stale_code(package, package)
-    assert kept(package) == set()
+def test_code_of_other_libraries_stays_where_numba_keeps_it():
+    assert os.environ.get("NUMBA_CACHE_DIR", "") == numba.config.CACHE_DIR
+
+
+def modules_with_kernels():
+    for path in sorted(compiled._PACKAGE.rglob("*.py")):
+        if "\n@kernel" in path.read_text():
+            yield import_module(".".join(path.relative_to(compiled._PACKAGE.parent).with_suffix("").parts))
 
 
 def test_every_module_with_kernels_is_known_with_all_that_it_imports():
     """As Python itself reads the imports."""
-    package = compiled._PACKAGE
-    for path in compiled._modules_with_kernels(package):
+    for module in modules_with_kernels():
         expected = set()
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(ast.parse(Path(module.__file__).read_text())):
             if isinstance(node, ast.ImportFrom) and node.module.startswith("behavexplor"):
-                names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-                files = {package.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names}
-                expected |= {file for file in files if file.is_file()}
-        assert compiled._imported(path.read_text(), package) == expected
+                expected |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        assert compiled._imported(module.__name__) == expected & sys.modules.keys()
 
 
 def test_a_kernel_computes_what_its_python_source_says():
@@ -214,12 +258,8 @@ def holds_arrays(annotation):
 def test_no_kernel_in_place_returns_an_array_whose_reference_nobody_counts():
     assert holds_arrays(tuple[float, StationTime])
     assert not holds_arrays(tuple[int, LateralProfile])
-    names = [
-        ".".join(path.relative_to(compiled._PACKAGE.parent).with_suffix("").parts)
-        for path in compiled._modules_with_kernels(compiled._PACKAGE)
-    ]
     found = 0
-    for module in map(import_module, names):
+    for module in modules_with_kernels():
         for function in vars(module).values():
             if isinstance(function, Dispatcher) and not function.targetoptions.get("_nrt", True):
                 found += 1
