@@ -107,8 +107,7 @@ def kernel(function: Function) -> Function:
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    with _kept_by_digest(function.__module__):
-        return cast("Function", _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
+    return _kept_by_digest(function)
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -118,8 +117,7 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    with _kept_by_digest(function.__module__):
-        return cast("Function", _njit(cache=True, _nrt=False, pipeline_class=_WholeCompiler, **_OPTIONS)(function))
+    return _kept_by_digest(function, _nrt=False)
 
 
 def kernel_inner(function: Function) -> Function:
@@ -207,21 +205,21 @@ def keep_no_code() -> None:
     caching.Cache._guard_against_spurious_io_errors = unkept  # type: ignore[assignment] # noqa: SLF001
 
 
-@contextmanager
-def _kept_by_digest(module: str) -> Iterator[None]:
-    """Let numba keep the code of a module's kernels apart from code that depends on anything else.
+def _kept_by_digest(function: Function, **options: bool) -> Function:
+    """Compile a function, and let numba keep its code in the folder for all that it depends on.
 
-    What was kept for earlier sources of the module is deleted.
+    What was kept for earlier sources of its module is deleted.
     """
+    module = function.__module__
     folder = _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
     if not folder.exists():
         for stale in _PLACE.glob(f"{module}-{_TOOLS}-*"):
             shutil.rmtree(stale, ignore_errors=True)
     with _placing:
-        before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-        numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)  # type: ignore[attr-defined]
         try:
-            yield
+            compiling = _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS, **options)
+            return cast("Function", compiling(function))
         finally:
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
@@ -288,8 +286,8 @@ def place_for_code() -> Path:
     """Return the folder for machine code.
 
     It is where numba would keep that of this file: in `NUMBA_CACHE_DIR` if that is set, beside the source, or in the
-    user's cache. If this process can write in none of them, it is a temporary folder. If it cannot write there either,
-    such as in a container whose root is read-only, every process compiles.
+    user's cache; else a temporary folder. If this process can write nowhere, such as in a container whose root is
+    read-only, it compiles again.
     """
     locating: Any = caching.CompileResultCacheImpl
     with suppress(RuntimeError):  # there is no place
