@@ -5,6 +5,7 @@ number of the stage. So a training that resumes from the model at the end of a s
 uninterrupted one.
 """
 
+import io
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +36,8 @@ from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_n
 from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays
 from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.conventions import MOST_ENVS
+from behavexplor.data.durable import check_file, folder_in, new_file, write_durably
+from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
@@ -136,9 +139,9 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     """
     torch.set_num_threads(1)  # more threads change the last bits
     venv = learning_env(config.env, config.envs)
-    (folder / MODELS).mkdir(parents=True, exist_ok=True)
+    folder_in(folder, MODELS)
     first, model = _last_model(folder, config, venv)
-    model.set_logger(configure(str(folder / LOGS / f"stage-{first + 1:04d}"), log_formats()))
+    model.set_logger(configure(log_folder(folder, f"stage-{first + 1:04d}"), log_formats()))
     watch = Watch(observe)
     try:
         for stage in range(first, config.n_stages):
@@ -157,15 +160,14 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
 
 def save_model(model: BaseAlgorithm, path: Path) -> None:
     """Save the learned state of a model atomically."""
-    part = path.with_suffix(".part")
     learned = {
         "policy": model.policy.state_dict(),
         "optimizer": model.policy.optimizer.state_dict(),
         "steps": model.num_timesteps,
         "updates": model._n_updates,  # noqa: SLF001 - the logs show it
     }
-    torch.save(learned, part)
-    part.replace(path)
+    with new_file(path) as file:
+        torch.save(learned, file)
 
 
 def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
@@ -180,7 +182,7 @@ def restore_model(model: BaseAlgorithm, path: Path, otherwise: str) -> None:
         InputError: if the file is damaged or belongs to another model.
     """
     try:
-        learned = torch.load(path, map_location="cpu", weights_only=True)
+        learned = torch.load(io.BytesIO(read_file(path)), map_location="cpu", weights_only=True)
         model.policy.load_state_dict(learned["policy"])
         model.policy.optimizer.load_state_dict(learned["optimizer"])
         model.num_timesteps, model._n_updates = int(learned["steps"]), int(learned["updates"])  # noqa: SLF001
@@ -252,9 +254,9 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     venv.close()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()  # Stable-Baselines3 would warn instead of raising an error
-        model.save(path)
-        path.with_suffix(".yaml").write_text(yaml.safe_dump({"env": env, "decision": network.rule}))
+        with new_file(path) as file:
+            model.save(file)
+        write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": env, "decision": network.rule}))
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None
 
@@ -326,6 +328,18 @@ class Watch(BaseCallback):
         for name, value in {"reward": reward, **shares}.items():
             self.logger.record(f"rollout/{name}", value)
         self._observe(Learned(self.num_timesteps, reward, shares))
+
+
+def log_folder(folder: Path, name: str) -> str:
+    """Return a folder for the logs of a training, which is created if it does not exist.
+
+    Raises:
+        OSError: if it or a file in it is a symbolic link, through which Stable-Baselines3 would write.
+    """
+    logs = folder_in(folder, LOGS, name)
+    for file in logs.iterdir():  # of an earlier attempt
+        check_file(file)
+    return str(logs)
 
 
 def log_formats() -> list[str]:

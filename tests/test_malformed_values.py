@@ -31,7 +31,8 @@ from behavexplor.bench.experiment import read_experiment
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
 from behavexplor.campaign.damage import DATABASE
-from behavexplor.campaign.database import Row, connect, insert
+from behavexplor.campaign.database import Row, insert
+from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK
 from behavexplor.data.packed_arrays import unpack_arrays

@@ -66,11 +66,12 @@ def _notebook_line(budget: Budget) -> Observer:
 @contextmanager
 def _bar(budget: Budget) -> Iterator[Observer]:
     """Show a bar on standard error."""
-    from rich.console import Console  # noqa: PLC0415 - only where it was asked for
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415 - only where it was asked for
     from rich.progress import Progress as Bar  # noqa: PLC0415
 
-    console = Console(stderr=True, emoji=False)
+    from behavexplor.api.plain_console import PlainConsole  # noqa: PLC0415
+
+    console = PlainConsole(stderr=True)
     with Bar(BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task("", total=budget.executions or budget.seconds)
 

@@ -10,6 +10,7 @@ from typing import Final
 from PIL import Image
 
 from behavexplor.campaign.store import Execution
+from behavexplor.data.durable import new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
@@ -62,10 +63,11 @@ class Replay:
         if target.suffix not in _SUFFIXES:
             raise InputError(f"A replay is saved as {' or '.join(_SUFFIXES)}, not as {target.name!r}")
         try:
-            if target.suffix == ".gif":
-                target.write_bytes(self.gif)
-            else:
-                self.picture.save(target)
+            with new_file(target) as file:
+                if target.suffix == ".gif":
+                    file.write(self.gif)
+                else:
+                    self.picture.save(file, "PNG")
         except OSError as error:
             raise InputError(f"The replay {target} cannot be written: {error.strerror}") from None
         return target

@@ -16,6 +16,7 @@ from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.opening import opened
+from behavexplor.data.durable import folder_in
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import evaluator_recipe
@@ -152,7 +153,9 @@ def pack(folder: Path) -> bytes:
         return b""
     data = io.BytesIO()
     with tarfile.open(fileobj=data, mode="w") as archive:
-        for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.suffix != ".lock"):
+        for path in sorted(
+            path for path in folder.rglob("*") if path.is_file() and not path.is_symlink() and path.suffix != ".lock"
+        ):
             archive.add(path, path.relative_to(folder).as_posix(), recursive=False)
     return data.getvalue()
 
@@ -166,9 +169,8 @@ def unpack(packed: bytes, folder: Path) -> None:
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(scratch, filter="data")
         for path in sorted(path for path in Path(scratch).rglob("*") if path.is_file()):
-            place = folder / path.relative_to(scratch)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            path.replace(place)
+            inner = path.relative_to(scratch)
+            path.replace(folder_in(folder, *inner.parts[:-1]) / inner.name)
 
 
 def _to_json(outcome: Outcome) -> bytes:

@@ -17,6 +17,8 @@ from behavexplor.bench.runs import check_same_campaign
 from behavexplor.bench.summaries import Summary
 from behavexplor.campaign.config import campaign_config
 from behavexplor.campaign.damage import DATABASE
+from behavexplor.data.durable import write_durably
+from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
@@ -72,9 +74,7 @@ def write_archive(summaries: Archive, root: Path) -> None:
     for run, summary in summaries.items():
         lines[_key(run)] = {"run": _key(run), "config": asdict(run.config), "summary": asdict(summary)}
     text = "".join(f"{json.dumps(line)}\n" for _, line in sorted(lines.items()))
-    partial = path.with_name(f"{ARCHIVE}.part")
-    partial.write_bytes(gzip.compress(text.encode(), mtime=0))
-    partial.replace(path)
+    write_durably(path, gzip.compress(text.encode(), mtime=0))
 
 
 def _key(run: PlannedRun) -> str:
@@ -86,7 +86,7 @@ def _read_lines(path: Path) -> dict[str, dict[str, Any]]:
     if not path.is_file():
         return {}
     try:
-        packed = path.read_bytes() or b"\0"  # gzip takes an empty file for empty data
+        packed = read_file(path) or b"\0"  # gzip takes an empty file for empty data
         lines = [json.loads(line) for line in gzip.decompress(packed).decode().splitlines()]
         return {line["run"]: {name: line[name] for name in ("run", "config", "summary")} for line in lines}
     except (OSError, EOFError, ValueError, KeyError, TypeError, zlib.error) as error:

@@ -17,6 +17,7 @@ from behavexplor.campaign.config import CampaignConfig, check_revision, stored_c
 from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.store import Store
+from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.pool import WorkerPool
@@ -181,7 +182,7 @@ class ExperimentRunner:
     def _fill(self, executor: Executor, at_a_time: int) -> None:
         while self._waiting and len(self._running) < at_a_time and not self.stopping:
             run = self._waiting.popleft()
-            folder = self._root / run.folder
+            folder = folder_in(self._root, *run.folder.parts)
             if self._cluster:  # the folder is made on a node, and comes here later
                 remember(own_run(run.config, folder))
             request = campaign_request(run.config, folder, self._workers, remote=bool(self._cluster))

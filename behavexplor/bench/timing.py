@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Final
 
 from behavexplor.campaign.progress import Progress
+from behavexplor.data.durable import write_durably
+from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 
@@ -38,7 +40,7 @@ def read_timing(folder: Path) -> Timing:
         InputError: if the file is damaged.
     """
     try:
-        values = json.loads((folder / TIMING).read_text())
+        values = json.loads(read_file(folder / TIMING))
     except FileNotFoundError:
         return Timing()
     except (OSError, ValueError) as error:
@@ -92,6 +94,4 @@ class Stopwatch:
     def write(self) -> None:
         """Write the timing to disk."""
         self._written = time.monotonic()
-        partial = self._folder / f"{TIMING}.part"
-        partial.write_text(json.dumps(asdict(self.timing)))
-        partial.replace(self._folder / TIMING)
+        write_durably(self._folder / TIMING, json.dumps(asdict(self.timing)))

@@ -12,7 +12,7 @@ from pydantic import ConfigDict
 
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
-from behavexplor.data.untrusted import parse_yaml
+from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
@@ -265,10 +265,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         InputError: if the file cannot be read, is too long, or holds no mapping.
     """
     try:
-        data = path.read_bytes()
-        if len(data) > MAX_FILE_SIZE:
-            raise InputError(f"{path} has {len(data)} bytes, but a configuration has at most {MAX_FILE_SIZE}")
-        values = parse_yaml(data.decode())
+        values = parse_yaml(read_file(path, MAX_FILE_SIZE, pipes=True).decode())
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise

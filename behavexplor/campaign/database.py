@@ -1,4 +1,4 @@
-"""The SQLite database of a run folder: its schema, how it is opened, and how a damaged one is read and rebuilt.
+"""The SQLite database of a run folder: its rows, and how a damaged one is read and rebuilt.
 
 Every row has two checksums, so that a record can be checked without its trace.
 """
@@ -14,30 +14,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from behavexplor.campaign.database_file import ADD_CHECKSUM, AUXILIARY, SCHEMA, UNREADABLE, connect, wal_of
+
 FORMAT = 3  # in format 2, traces were npz files; in format 1, rows also had a single checksum of record and trace
 READABLE = (1, 2, 3)
-MAX_VALUE = 100_000_000  # greatest size of a stored value [bytes]; a trace has some thousand
 _LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
-_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last for invalid JSON
+_DAMAGED = (*UNREADABLE, sqlite3.SQLITE_ERROR)  # the last for invalid JSON
 
-_SCHEMA = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE executions (
-    id INTEGER PRIMARY KEY,
-    record TEXT NOT NULL,  -- JSON: what `behavexplor records` prints
-    trace BLOB NOT NULL,  -- read by behavexplor.data.trace.Trace.from_bytes
-    elapsed REAL NOT NULL,  -- running time of the campaign when the execution was told [s]
-    checksum INTEGER NOT NULL,  -- CRC-32 of id, record and trace
-    violated TEXT AS (json_extract(record, '$.violated')),
-    degree REAL AS (json_extract(record, '$.degree')),
-    novelty REAL AS (json_extract(record, '$.novelty')),
-    "end" TEXT AS (json_extract(record, '$.end')),
-    record_checksum INTEGER  -- CRC-32 of id, elapsed and record; none in a row of format 1
-) STRICT;
-"""
-_BEGINNING = f"BEGIN IMMEDIATE; {_SCHEMA} INSERT INTO meta VALUES ('format', '{FORMAT}'); COMMIT;"  # noqa: S608
-_ADD_CHECKSUM = "ALTER TABLE executions ADD COLUMN record_checksum INTEGER; "
+_BEGINNING = f"BEGIN IMMEDIATE; {SCHEMA} INSERT INTO meta VALUES ('format', '{FORMAT}'); COMMIT;"  # noqa: S608
 _SET_FORMAT = f"UPDATE meta SET value = '{FORMAT}' WHERE key = 'format'; "  # noqa: S608 - constants
 _SELECT = "SELECT id, record, {trace}, elapsed, checksum, {record_checksum} FROM executions"
 _INSERT = (
@@ -65,38 +50,6 @@ class Row:
 
 class DamagedError(Exception):
     """A row cannot be read, or differs from what was written."""
-
-
-def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a database.
-
-    Args:
-        path: path of the file.
-        mode: "ro" to read, "rw" to read and write, "rwc" to also create a missing file.
-
-    Raises:
-        sqlite3.Error: if the file cannot be opened.
-    """
-    if mode == "ro" and not os.access(path.parent, os.W_OK) and not _wal(path).exists():
-        mode = "ro&immutable=1"  # in a folder that cannot be written, SQLite cannot create its auxiliary files
-    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=30)
-    try:
-        _set_up(connection, is_reader=mode.startswith("ro"))
-    except sqlite3.Error:
-        connection.close()
-        raise
-    return connection
-
-
-def _set_up(connection: sqlite3.Connection, *, is_reader: bool) -> None:
-    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
-    connection.text_factory = bytes  # checksums detect damaged text; decoding must not fail first
-    if is_reader:
-        connection.execute("PRAGMA trusted_schema = OFF")
-        connection.execute("PRAGMA writable_schema = ON")  # read as much as possible of a truncated file
-    else:
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = FULL")
 
 
 def begin(connection: sqlite3.Connection) -> None:
@@ -138,7 +91,7 @@ def written_format(path: Path) -> str | None:
 
 def upgrade(connection: sqlite3.Connection, found: str) -> None:
     """Upgrade a database of an earlier format to this version's format in one transaction."""
-    connection.executescript(f"BEGIN IMMEDIATE; {_ADD_CHECKSUM if found == '1' else ''}{_SET_FORMAT}COMMIT;")
+    connection.executescript(f"BEGIN IMMEDIATE; {ADD_CHECKSUM if found == '1' else ''}{_SET_FORMAT}COMMIT;")
 
 
 def insert(connection: sqlite3.Connection, rows: list[Row], notes: Mapping[str, str] = MappingProxyType({})) -> None:
@@ -260,7 +213,7 @@ class ExecutionTable:
     @property
     def _most(self) -> int:
         """Greatest number of rows that files of this size can hold."""
-        files = (self._path, _wal(self._path))
+        files = (self._path, wal_of(self._path))
         return sum(file.stat().st_size for file in files if file.exists()) // _LEAST_ROW
 
 
@@ -290,8 +243,8 @@ def rebuild(path: Path) -> tuple[int, Path]:
         sqlite3.Error: if the new database cannot be written.
     """
     new, kept = path.with_name(path.name + ".part"), _free_name(path)
-    for leftover in (new, _wal(new)):
-        leftover.unlink(missing_ok=True)
+    for ending in ("", *AUXILIARY):
+        new.with_name(new.name + ending).unlink(missing_ok=True)
     with closing(connect(new, "rwc")) as connection:
         begin(connection)
         saved, rows = 0, _readable(path)
@@ -300,8 +253,8 @@ def rebuild(path: Path) -> tuple[int, Path]:
             saved += len(some)
         connection.execute("PRAGMA journal_mode = DELETE")
     os.link(path, kept)
-    if _wal(path).exists():
-        _wal(path).replace(_wal(kept))
+    if wal_of(path).exists():
+        wal_of(path).replace(wal_of(kept))
     path.with_name(path.name + "-shm").unlink(missing_ok=True)
     new.replace(path)
     return saved, kept
@@ -330,12 +283,7 @@ def _readable(path: Path) -> Iterator[Row]:
 def _free_name(path: Path) -> Path:
     """Return an unused path for a damaged file, beside damaged files of earlier times."""
     names = (path.with_name(f"{path.name}.damaged{number}") for number in chain([""], count(2)))
-    return next(name for name in names if not name.exists() and not _wal(name).exists())
-
-
-def _wal(path: Path) -> Path:
-    """Return the path of SQLite's write-ahead log, which holds the latest commits."""
-    return path.with_name(path.name + "-wal")
+    return next(name for name in names if not os.path.lexists(name) and not os.path.lexists(wal_of(name)))
 
 
 def _checked(found: tuple[Any, ...]) -> Row:

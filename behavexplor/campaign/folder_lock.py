@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import IO
 
+from behavexplor.data.durable import check_file
 from behavexplor.errors import InputError
 
 try:
@@ -18,8 +19,10 @@ def lock_folder(folder: Path) -> IO[str]:
 
     Raises:
         InputError: if another campaign holds the lock.
+        OSError: if the file of the lock cannot be written, or is none.
     """
-    file = (folder / LOCK).open("w")
+    check_file(folder / LOCK)
+    file = (folder / LOCK).open("a")
     if fcntl is not None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

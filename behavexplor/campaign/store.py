@@ -24,7 +24,6 @@ from behavexplor.campaign.database import (
     ExecutionTable,
     Row,
     begin,
-    connect,
     insert,
     is_empty,
     is_whole,
@@ -34,10 +33,11 @@ from behavexplor.campaign.database import (
     upgrade,
     written_format,
 )
+from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.folder_lock import LOCK, lock_folder
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.stage_clock import known_stages
-from behavexplor.data.durable import write_durably
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
@@ -138,7 +138,7 @@ class Store:
         try:
             if config is not None:
                 write_durably(folder / CONFIG, config)
-            (folder / FAILURES).mkdir(exist_ok=True)
+            folder_in(folder, FAILURES)
             repaired = _repaired(folder)
             return cls(folder, _prepared(folder), lock, repaired)
         except (OSError, sqlite3.Error) as error:

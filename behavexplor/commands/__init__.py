@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.commands.early_imports import begin_imports
+from behavexplor.commands.output import say
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.data.first_use import loaded_at_first_use
-from behavexplor.errors import InputError, printable, sentence
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.shared_imports import collections_off
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
@@ -63,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given == ["--version"]:
-        print(f"behavexplor {version('behavexplor')}")
+        say(f"behavexplor {version('behavexplor')}")
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
@@ -118,18 +119,17 @@ def _command(name: str) -> Callable[..., Any]:
 def _failed(error: Exception) -> int:
     """Report an error and return the exit code. Wrong input, including bad file names and rights, gets one sentence."""
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
-        print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
+        say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
     if isinstance(error, OSError) and not has_temporary_folder():
-        print(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
+        say(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
         return BAD_INPUT
-    said = "".join(traceback.format_exception(error))  # which may quote what a file or a driver contains
-    print(printable(said), end="", file=sys.stderr)
+    say("".join(traceback.format_exception(error)), end="", file=sys.stderr)
     place = _own_place(error)
     if place is not None:
-        print(f"{program()}: The error is in {place}, which behavexplor has called", file=sys.stderr)
+        say(f"{program()}: The error is in {place}, which behavexplor has called", file=sys.stderr)
         return BAD_INPUT
-    print(
+    say(
         f"{program()}: This is a bug in behavexplor, or in a search method, requirement or environment of your own, "
         "which behavexplor.testing checks; please report it if it is ours",
         file=sys.stderr,

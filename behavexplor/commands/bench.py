@@ -25,9 +25,11 @@ from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.report import PAGE
 from behavexplor.commands.terminal_tables import text
 from behavexplor.commands.wording import clock
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import parse_cluster
 from behavexplor.execution.executor import available_cores
@@ -77,7 +79,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     archived = read_archive(chosen.runs(), root)
     runs = [run for run in chosen.runs() if run not in archived]
     if dry_run:
-        print(_plan(chosen, runs, root, jobs))
+        say(_plan(chosen, runs, root, jobs))
         return OK
     code = OK
     if not tables_only:
@@ -87,9 +89,9 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     summaries = {**archived, **_summaries(finished, root, quiet=quiet)}
     if summaries:
         _report(chosen, root, {run: summaries[run] for run in chosen.runs() if run in summaries})
-    print(f"{len(summaries)} of {_counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
+    say(f"{len(summaries)} of {_counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
     if summaries:
-        print(f"Report: {root / PAGE}")
+        say(f"Report: {root / PAGE}")
     return code
 
 
@@ -153,8 +155,7 @@ def _prepare(experiment: Experiment, root: Path) -> None:
         for run in runs:
             search_method(run.config, logical)
     try:
-        root.mkdir(parents=True, exist_ok=True)
-        (root / EXPERIMENT).write_text(experiment.to_yaml())
+        write_durably(folder_in(root) / EXPERIMENT, experiment.to_yaml())
     except OSError as error:
         raise InputError(f"The experiment folder {root} cannot be written: {error.strerror}") from None
 
@@ -168,11 +169,11 @@ def _run(
     with _stoppable(running), Meter(sys.stderr, total, "executions", quiet=quiet) as meter:
         ended = running.run(lambda progress: meter.show(progress.executions, _words(progress)))
     for warning in ended.warnings:
-        print(f"Warning: {sentence(warning)}", file=sys.stderr)
+        say(f"Warning: {sentence(warning)}", file=sys.stderr)
     for run, failure in ended.failed.items():
-        print(f"{program()}: {sentence(f'{run}: {failure}')}", file=sys.stderr)
+        say(f"{program()}: {sentence(f'{run}: {failure}')}", file=sys.stderr)
     if running.stopping:
-        print("Interrupted; the same command continues the experiment", file=sys.stderr)
+        say("Interrupted; the same command continues the experiment", file=sys.stderr)
         return INTERRUPTED
     return EXECUTION_FAILED if ended.failed else OK
 
@@ -210,13 +211,13 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
         files["curves.svg"] = figure
     files[PAGE] = experiment_page(experiment, summaries, made, drawn)
     try:
-        (root / "tables").mkdir(exist_ok=True)
+        folder_in(root, "tables")
         for name, content in files.items():
-            (root / name).write_text(content)
+            write_durably(root / name, content)
         write_archive(campaigns, root)
     except OSError as error:
         raise InputError(f"The tables in {root} cannot be written: {error.strerror}") from None
-    print(printed)
+    say(printed)
 
 
 def _files(table: Table) -> dict[str, str]:
@@ -226,7 +227,7 @@ def _files(table: Table) -> dict[str, str]:
 def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:
     def stop() -> None:
         runner.stop()
-        print("Stopping after the current executions; press Ctrl-C again to stop at once.", file=sys.stderr)
+        say("Stopping after the current executions; press Ctrl-C again to stop at once.", file=sys.stderr)
 
     return stopped_by_signals(stop, _interrupt)
 

@@ -1,5 +1,6 @@
 """`behavexplor check`: drive the scenarios of a regression suite."""
 
+import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,8 +11,10 @@ from junitparser import Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import Trust
+from behavexplor.commands.output import say
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.data.durable import write_given
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import Outcome, opened_driver
@@ -44,17 +47,17 @@ def check(
     suite = Suite.read(folder)
     count = min(chosen_workers(workers), len(suite.cases))
     settings: dict[str, Any] = {"trust": trust, "unconfined": unconfined, "stochastic": stochastic}
-    waiting = patience(lambda note: None if quiet else print(note, file=sys.stderr))
+    waiting = patience(lambda note: None if quiet else say(note, file=sys.stderr))
     try:
         with waiting, opened_driver(suite, ads, count, **settings) as drive:
             outcomes = list(drive.all_of(suite.cases))
     except RuntimeError as error:
-        print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
+        say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     failed = sum(not outcome.passed for outcome in outcomes)
     if not quiet:
-        print(_table(outcomes), end="\n\n")
-    print(result(failed, len(outcomes)))
+        say(_table(outcomes), end="\n\n")
+    say(result(failed, len(outcomes)))
     if junit is not None:
         _write(junit, suite, outcomes)
     return CHECK_FAILED if failed else OK
@@ -90,6 +93,8 @@ def _write(path: Path, suite: Suite, outcomes: Sequence[Outcome]) -> None:
     document = JUnitXml()
     document.add_testsuite(tests)
     try:
-        document.write(str(path), pretty=True)
+        written = io.BytesIO()
+        document.write(written, pretty=True)
+        write_given(path, written.getvalue().decode())
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None

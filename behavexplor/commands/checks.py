@@ -8,6 +8,8 @@ from typing import Any
 
 from behavexplor.campaign.run_summary import ClassSummary, RunSummary
 from behavexplor.commands.wording import class_count
+from behavexplor.data.durable import write_given
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
 
@@ -62,7 +64,7 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
     if path is None:
         return frozenset()
     try:
-        text = path.read_text()
+        text = read_file(path, pipes=True).decode()
         if text.lstrip().startswith("{"):
             return frozenset(str(one["id"]) for one in json.loads(text)["classes"])
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -78,6 +80,6 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
         InputError: if it cannot be written.
     """
     try:
-        path.write_text(json.dumps(values, indent=1) + "\n")
+        write_given(path, json.dumps(values, indent=1) + "\n")
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}") from None

@@ -18,6 +18,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config, read_ya
 from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.data.durable import write_durably
@@ -121,29 +122,29 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         other = second_config(config, second, folder / FIRST)
         _drive(other, folder / SECOND, count, quiet=quiet)
         pairs = compared(folder)
-        print(table(pairs, config.env, first, second))
+        say(table(pairs, config.env, first, second))
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
-        print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
+        say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
-    print(f"Page: {folder / PAGE}")
-    print(f"Replay a scenario that only one of them fails: {program()} replay {shlex.quote(str(folder / FIRST))} ID")
+    say(f"Page: {folder / PAGE}")
+    say(f"Replay a scenario that only one of them fails: {program()} replay {shlex.quote(str(folder / FIRST))} ID")
     return OK
 
 
 def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> None:
     """Run one campaign, and say what its driver's check has found."""
 
-    def say(line: str) -> None:
+    def tell(line: str) -> None:
         if not quiet:
-            print(line, file=sys.stderr)
+            say(line, file=sys.stderr)
 
-    with patience(say), Meter(sys.stderr, int(config.budget), f"scenarios with {config.ads}", quiet=quiet) as meter:
+    with patience(tell), Meter(sys.stderr, int(config.budget), f"scenarios with {config.ads}", quiet=quiet) as meter:
         warnings = driven(config, folder, workers, meter.show)
     for warning in warnings:
-        say(f"Warning: {config.ads}: {warning}")
+        tell(f"Warning: {config.ads}: {warning}")
 
 
 def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> bool:
@@ -158,7 +159,7 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
 
         found = differences(config, other, folder, max(1, workers // 2) if workers else 0, observe)
     early = "" if executed == int(config.budget) else f"; it ended before its budget of {config.budget} was used up"
-    print(f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}")
+    say(f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}")
     if not found:
         return False
     options: dict[str, Any] = {"file": str((folder / DIFFERENCES).resolve())}
@@ -167,7 +168,7 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
         _drive(again, folder / name, workers, quiet=True)
     fault = next(row for row in compared(folder) if row.outcome == AT_FAULT)
     for name, numbers in ((config.ads, fault.only_first), (other.ads, fault.only_second)):
-        print(f"  only {name} fails in {len(numbers)}" + (f": executions {_listed(numbers)}" if numbers else ""))
+        say(f"  only {name} fails in {len(numbers)}" + (f": executions {_listed(numbers)}" if numbers else ""))
     return True
 
 

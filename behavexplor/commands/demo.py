@@ -12,6 +12,7 @@ from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import OK, program
 from behavexplor.commands.fuzz import fuzz
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.report import PAGE, report
 from behavexplor.errors import InputError, missing_library
 
@@ -44,7 +45,7 @@ def demo(
         raise InputError(f"The folder {folder} cannot be created: {error.strerror}") from None
     if any(folder.iterdir()):
         raise InputError(f"{folder} is not empty: choose another --out")
-    print(f"Training a small policy with PPO for {steps} steps ...", flush=True)
+    say(f"Training a small policy with PPO for {steps} steps ...", flush=True)
     with Meter(sys.stderr, steps, "steps", quiet=False) as meter:
         model = train_small_policy(folder, meter.show, steps)
     run = folder / "run"
@@ -61,4 +62,4 @@ def demo(
 
 def _say(*words: object) -> None:
     """Print a command as the user would type it."""
-    print(f"\n$ {program()} {shlex.join(map(str, words))}", flush=True)
+    say(f"\n$ {program()} {shlex.join(map(str, words))}", flush=True)

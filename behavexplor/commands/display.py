@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import NamedTuple, Self, TextIO
 
-from rich.console import Console
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 
+from behavexplor.api.plain_console import PlainConsole
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
@@ -42,7 +42,7 @@ class Display:
     """
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
-        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False, emoji=False)
+        self._console = PlainConsole(file=stream, quiet=quiet)
         self._budget = budget
         self._live = (
             Live(console=self._console, auto_refresh=False) if self._console.is_terminal and not quiet else None

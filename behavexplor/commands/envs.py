@@ -7,6 +7,7 @@ import gymnasium
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.commands import OK
+from behavexplor.commands.output import say
 from behavexplor.envs.making import ENTRY_POINTS, HIGHWAY_ENV
 
 
@@ -31,4 +32,4 @@ def _of_packages() -> list[str]:
 
 def _list(title: str, names: list[str]) -> None:
     if names:
-        print("\n  ".join([title, *sorted(names)]))
+        say("\n  ".join([title, *sorted(names)]))

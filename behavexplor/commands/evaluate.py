@@ -12,14 +12,14 @@ from typing import Annotated, Final, Literal, NamedTuple
 
 import scipy
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
+from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT
@@ -108,14 +108,14 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
             found |= {} if rates is None else {name: rates}
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
-        print(f"{program()}: {sentence(failure)}", file=sys.stderr)
+        say(f"{program()}: {sentence(failure)}", file=sys.stderr)
         return EXECUTION_FAILED
     except RuntimeError as error:
-        print(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
+        say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    print(table(env, found))
+    say(table(env, found))
     if DRAWN in found:
-        print(_gap(found[Path(ads).name], found[DRAWN]))
+        say(_gap(found[Path(ads).name], found[DRAWN]))
     if json_file is not None:
         first, *others = found.items()
         values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
@@ -201,7 +201,7 @@ def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: 
 
 def _say(line: str, *, quiet: bool) -> None:
     if not quiet:
-        print(line, file=sys.stderr)
+        say(line, file=sys.stderr)
 
 
 def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
@@ -211,10 +211,7 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         env: the environment.
         evaluations: the evaluations, each of as many scenarios, by the headings of their columns.
     """
-    grid = Table(box=None, pad_edge=False)
-    grid.add_column("")
-    for name in evaluations:
-        grid.add_column(name, justify="right")
+    rates = grid("", *evaluations, numbers=evaluations)
     outcomes = dict.fromkeys(outcome for found in evaluations.values() for outcome in found.counts)
     kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
     for outcome in sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome)):
@@ -223,10 +220,7 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
             low, high = found.interval(outcome)
             cells.append(f"{found.rate(outcome):.1%} ({low:.1%} to {high:.1%})")
         kind, _, fault = outcome.partition(": ")
-        grid.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
-    console = Console(width=40 + 40 * len(evaluations), highlight=False, no_color=True, emoji=False)
-    with console.capture() as captured:
-        console.print(grid)
+        rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
     n = next(iter(evaluations.values())).n
     heading = f"{n} scenarios of {env}, with 95 % intervals:"
-    return "\n".join([heading, *(line.rstrip() for line in captured.get().splitlines())])
+    return f"{heading}\n{plain_text(rates)}"

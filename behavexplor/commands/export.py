@@ -15,8 +15,10 @@ from behavexplor.campaign.provenance import ADS, DRIVING, Consent, accepted
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
 from behavexplor.commands.flags import Trust
+from behavexplor.commands.output import say
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
+from behavexplor.data.durable import folder_in
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_plan import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
@@ -65,8 +67,7 @@ def export(
     try:
         chosen = numbers or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
-        out.mkdir(parents=True, exist_ok=True)
-        write = _Scenes(run, config, out, is_ego_free=ego == "free", as_routes=npcs == "routes").write
+        write = _Scenes(run, config, folder_in(out), is_ego_free=ego == "free", as_routes=npcs == "routes").write
         for number in chosen:
             execution = store.execution(number)
             if format == "csv":
@@ -77,7 +78,7 @@ def export(
         raise InputError(f"The folder {out} cannot be written: {error.strerror}") from None
     finally:
         store.close()
-    print(f"{len(chosen)} execution{'s' * (len(chosen) != 1)} written to {out}")
+    say(f"{len(chosen)} execution{'s' * (len(chosen) != 1)} written to {out}")
     return OK
 
 

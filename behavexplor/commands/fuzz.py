@@ -38,6 +38,7 @@ from behavexplor.commands.checks import Checks, read_known_classes, summary_valu
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag
+from behavexplor.commands.output import say
 from behavexplor.commands.workers import chosen_workers, patience
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
@@ -172,11 +173,11 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, file: 
         write_json(file, summary_values(found, folder, checks))
     unconfirmed = sum(one.count for one in found.classes if one.id == f"{ERROR}/{DIFFERS}")
     if code == OK and found.violations.get(ERROR, 0) - unconfirmed == found.executions:
-        print(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
+        say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
     reason = checks.failed(found) if code == OK else None
     if reason is not None:
-        print(f"{program()}: {sentence(reason)}", file=sys.stderr)
+        say(f"{program()}: {sentence(reason)}", file=sys.stderr)
         return CHECK_FAILED
     return code
 
@@ -195,11 +196,11 @@ def _run(campaign: Campaign, store: Store, display: Display) -> int:
             failure = ended
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
-        print(campaign_summary(progress, store, program()))
+        say(campaign_summary(progress, store, program()))
     if failure:
-        print(f"{program()}: {sentence(failure)}", file=sys.stderr)
+        say(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
-        print(f"Interrupted; resume with: {program()} fuzz --resume {shlex.quote(str(store.folder))}", file=sys.stderr)
+        say(f"Interrupted; resume with: {program()} fuzz --resume {shlex.quote(str(store.folder))}", file=sys.stderr)
         return INTERRUPTED
     if code == OK and not failure and 0 < progress.executions == progress.resumed:
         display.say("The run was already complete: a larger --budget extends it.")

@@ -11,7 +11,9 @@ import tyro
 
 from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands.checks import write_json
 from behavexplor.commands.export import check_libraries, road_of
+from behavexplor.commands.output import say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code
@@ -57,12 +59,12 @@ def importing(
     scenario = restored(scene, logical)
     _check_road(file, scene, plan)
     if out is not None:
-        _write(out, scenario)
+        write_json(out, scenario.to_dict())
     if ads is not None:
         target = _target(scenario, scene, ads)
         return _execute(scenario, replace(target, trust=(trust,) if trust else (), unconfined=unconfined), logical)
     if out is None:
-        print(scenario.to_json())
+        say(scenario.to_json())
     return OK
 
 
@@ -93,13 +95,6 @@ def _check_road(file: Path, scene: Scene, plan: Any) -> None:
             raise InputError(f"{path} is not the road of {scene.environment}, and a road cannot be changed by a scene")
 
 
-def _write(path: Path, scenario: Scenario) -> None:
-    try:
-        path.write_text(json.dumps(scenario.to_dict(), indent=1) + "\n")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
-
-
 def _target(scenario: Scenario, scene: Scene, ads: str) -> Target:
     if not isinstance(scenario, DrawnScenario):
         return Target(scene.environment, ads, env_config=scene.env_config)
@@ -113,15 +108,15 @@ def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> in
         try:
             data = executor.submit(EXECUTE, scenario.to_json().encode()).result()
         except ADSError as error:
-            print(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
-            print(f"Class: {ERROR}/{error.kind}")
+            say(sentence(f"The ADS failed: {ads_failure(error)['message']}"))
+            say(f"Class: {ERROR}/{error.kind}")
             return OK
         except RuntimeError as error:
-            print(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
+            say(f"{program()}: {sentence(f'The scenario could not be executed: {error}')}", file=sys.stderr)
             return EXECUTION_FAILED
     judged = judgment(data, None, SPECS)
     trace, violated = judged.trace, judged.verdict.violated
-    print(f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s")
+    say(f"{logical.describe(scenario)}: {outcome(violated, trace.end)} after {trace.duration:.2f} s")
     if judged.violation_class is not None:
-        print(f"Class: {judged.violation_class}")
+        say(f"Class: {judged.violation_class}")
     return OK

@@ -4,8 +4,10 @@ import time
 from types import TracebackType
 from typing import Self, TextIO
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from behavexplor.api.plain_console import PlainConsole
+from behavexplor.errors import printable
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 
@@ -21,13 +23,14 @@ class Meter:
     """
 
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
-        self._console = Console(file=stream, quiet=quiet, highlight=False, markup=False, emoji=False)
+        self._console = PlainConsole(file=stream, quiet=quiet)
         self._total, self._things = total, things
         self._last_line = time.monotonic()
-        columns = (BarColumn(), MofNCompleteColumn(), TextColumn(things), TimeRemainingColumn())
+        texts = [TextColumn(f"{{task.{name}}}", markup=False) for name in ("fields[things]", "description")]
+        columns = (BarColumn(), MofNCompleteColumn(), texts[0], TimeRemainingColumn(), texts[1])
         shows_bar = self._console.is_terminal and not quiet
-        self._bar = Progress(*columns, TextColumn("{task.description}"), console=self._console) if shows_bar else None
-        self._task = self._bar.add_task("", total=total) if self._bar else None
+        self._bar = Progress(*columns, console=self._console) if shows_bar else None
+        self._task = self._bar.add_task("", total=total, things=printable(things)) if self._bar else None
 
     def __enter__(self) -> Self:
         """Show the bar, if there is one."""
@@ -45,7 +48,7 @@ class Meter:
     def show(self, done: int, text: str = "") -> None:
         """Show the number of finished items, followed by a text."""
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done, description=text)
+            self._bar.update(self._task, completed=done, description=printable(text))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
             self._console.print(f"{done} of {self._total} {self._things}  {text}".rstrip(), soft_wrap=True)

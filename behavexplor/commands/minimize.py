@@ -15,6 +15,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
@@ -68,9 +69,9 @@ def minimize(
         except OSError as error:
             raise InputError(f"The run folder {run} cannot be written: {error.strerror}") from None
         except RuntimeError as error:
-            print(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
+            say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
             return EXECUTION_FAILED
-    print(table([found[number] for number in chosen]))
+    say(table([found[number] for number in chosen]))
     return OK
 
 

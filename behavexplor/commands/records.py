@@ -10,6 +10,7 @@ import tyro
 from behavexplor.campaign.damage import Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
+from behavexplor.commands.output import say
 
 
 def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:
@@ -30,5 +31,5 @@ def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RU
     store.close()
     lost = losses.sentences(run)
     for sentence in lost:
-        print(f"{program()}: {sentence}", file=sys.stderr)
+        say(f"{program()}: {sentence}", file=sys.stderr)
     return BAD_INPUT if lost else OK

@@ -14,7 +14,9 @@ from behavexplor.campaign.repetition import repeat_execution
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.flags import Trust
+from behavexplor.commands.output import say
 from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.errors import InputError, sentence
@@ -29,6 +31,8 @@ from behavexplor.triage.findings import OtherDriver, Witness, known_findings, re
 from behavexplor.triage.witness import avoids, replay_witness
 
 COLLISION = SPECS[0].name
+
+_Place = tuple[Path] | tuple[Path, str]  # of the pictures: a folder, or one inside a run folder
 
 
 def replay(
@@ -58,12 +62,13 @@ def replay(
     execution = store.execution(number)
     store.close()
     config = accepted(stored_config(run), Consent(trust, unconfined), DRIVING)
+    place = (run, "replays") if out is None else (out,)
     if avoided:
-        return _avoid(execution, config, run, out or run / "replays")
+        return _avoid(execution, config, run, place)
     if (failure := execution.record.error) is not None:
-        print(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
+        say(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
-        _show(execution, _road(config, run), out or run / "replays")
+        _show(execution, _road(config, run), place)
     return _compare(execution, config)
 
 
@@ -72,7 +77,7 @@ def _road(config: CampaignConfig, run: Path) -> RoadShape:
     return known_road(config.env, run) or RoadShape(())
 
 
-def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
+def _show(execution: Execution, shape: RoadShape, place: _Place) -> None:
     """Draw an execution.
 
     Raises:
@@ -82,12 +87,12 @@ def _show(execution: Execution, shape: RoadShape, folder: Path) -> None:
     if shape.surfaces and len(execution.load_trace().illegal_lines) != len(shape.line_kinds):  # if the road is known
         raise InputError(f"{foreign}: its trace has different illegal lines")
     try:
-        _draw(execution, shape, folder)
+        _draw(execution, shape, place)
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{foreign}: in its record, {error} is wrong or missing") from None
 
 
-def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
+def _draw(execution: Execution, shape: RoadShape, place: _Place) -> None:
     """Write the pictures and print a description."""
     footage = footage_of(execution, shape)
     trace, caption, violated = footage.trace, footage.caption, execution.record.violated
@@ -95,32 +100,34 @@ def _draw(execution: Execution, shape: RoadShape, folder: Path) -> None:
     degrees = ", ".join(
         f"{name} {degree:.2f}{' (violated)' * (name in violated)}" for name, degree in execution.record.degrees.items()
     )
-    animation, picture = _save(footage, frame, folder / f"{execution.id:06d}")
-    print(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
-    print(f"Violation degrees, which guide the search (lower is nearer to a violation):\n  {degrees}")
-    print(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
+    animation, picture = _save(footage, frame, place, f"{execution.id:06d}")
+    say(f"Execution {execution.id} {caption} after {trace.duration:.2f} s")
+    say(f"Violation degrees, which guide the search (lower is nearer to a violation):\n  {degrees}")
+    say(f"Animation: {animation}\nDecisive frame, at {trace.time[frame]:.2f} s: {picture}")
 
 
-def _save(footage: Footage, frame: int, path: Path) -> tuple[Path, Path]:
+def _save(footage: Footage, frame: int, place: _Place, name: str) -> tuple[Path, Path]:
     """Write an animation and a picture of one frame, and return their paths.
 
     Raises:
         InputError: if they cannot be written.
     """
-    animation, picture = path.with_suffix(".gif"), path.with_suffix(".png")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = folder_in(*place)
     except OSError as error:
-        raise InputError(f"The folder {path.parent} cannot be created: {error.strerror}") from None
+        raise InputError(f"The folder {Path(*place)} cannot be created: {error.strerror}") from None
+    animation, picture = folder / f"{name}.gif", folder / f"{name}.png"
     try:
-        draw(footage, frame).save(picture)
-        save_animation(animation, footage)
+        with new_file(picture) as file:
+            draw(footage, frame).save(file, "PNG")
+        with new_file(animation) as file:
+            save_animation(file, footage)
     except OSError as error:
-        raise InputError(f"The pictures in {path.parent} cannot be written: {error.strerror}") from None
+        raise InputError(f"The pictures in {folder} cannot be written: {error.strerror}") from None
     return animation, picture
 
 
-def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path) -> int:
+def _avoid(execution: Execution, config: CampaignConfig, run: Path, place: _Place) -> int:
     """Drive and draw the avoidance of a collision that triage has stored.
 
     Raises:
@@ -132,16 +139,15 @@ def _avoid(execution: Execution, config: CampaignConfig, run: Path, folder: Path
     witness, recorded = read_witness(file), execution.load_trace()
     trace, is_avoided = _driven(execution, config, witness, recorded)
     if not is_avoided:
-        print(f"The maneuver in {file} does NOT avoid the collision.", file=sys.stderr)
+        say(f"The maneuver in {file} does NOT avoid the collision.", file=sys.stderr)
         return CHECK_FAILED
     frame = min(len(recorded.time), len(trace.time)) - 1
     begin = witness.begin if isinstance(witness, Witness) else 0.0
     caption = f"{witness.name} from {begin:.2f} s on"
-    path = folder / f"{execution.id:06d}-avoided"
     footage = replace(footage_of(execution, _road(config, run)), trace=trace, caption=caption, violated=())
-    animation, picture = _save(footage, frame, path)
-    print(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
-    print(f"Animation: {animation}\nAt the time of the collision: {picture}")
+    animation, picture = _save(footage, frame, place, f"{execution.id:06d}-avoided")
+    say(f"Execution {execution.id} without its collision at {recorded.duration:.2f} s: {caption}")
+    say(f"Animation: {animation}\nAt the time of the collision: {picture}")
     return OK
 
 
@@ -178,5 +184,5 @@ def _compare(execution: Execution, config: CampaignConfig) -> int:
     """Run an execution again, in a separate process, and return the exit code of the comparison."""
     with start_executor(config.target, 1) as executor:
         again = repeat_execution(executor, execution)
-    print(again.words, file=sys.stdout if again.reproduced else sys.stderr)
+    say(again.words, file=sys.stdout if again.reproduced else sys.stderr)
     return OK if again.reproduced else CHECK_FAILED

@@ -7,6 +7,7 @@ import tyro
 
 from behavexplor.bench.experiment import EXPERIMENT
 from behavexplor.commands import OK
+from behavexplor.commands.output import say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError
 from behavexplor.report.reading import read_run
@@ -46,5 +47,5 @@ def report(
         write_durably(path, text)
     except OSError as error:
         raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
-    print(f"Report: {path}")
+    say(f"Report: {path}")
     return OK

@@ -16,6 +16,7 @@ from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.flags import Trust, check_unchanged, flag
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
 from behavexplor.errors import InputError, missing_library, sentence
@@ -110,7 +111,7 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
 
     def report(one: Round) -> None:
         if not quiet:
-            print(f"round {one.number} of {config.rounds}: {_words(one)}", file=sys.stderr)
+            say(f"round {one.number} of {config.rounds}: {_words(one)}", file=sys.stderr)
 
     made = retraining.policy_in(folder, config)
     name = shlex.quote(str(made))
@@ -122,21 +123,21 @@ def _run(config: RetrainingConfig, folder: Path, *, quiet: bool) -> int:
                 config, folder, lambda learned: meter.show(learned.steps, progress_line(learned)), report
             )
     except KeyboardInterrupt:
-        print(f"Interrupted; resume with: {program()} retrain --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        say(f"Interrupted; resume with: {program()} retrain --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
     except ExecutionError as error:
-        print(f"{program()}: {sentence(str(error))}", file=sys.stderr)
+        say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
     except DivergedError as error:
-        print(f"{program()}: {sentence(str(error))}\nThe best policy until then is in {name}.", file=sys.stderr)
+        say(f"{program()}: {sentence(str(error))}\nThe best policy until then is in {name}.", file=sys.stderr)
         return EXECUTION_FAILED
-    print(_table(rounds))
+    say(_table(rounds))
     chosen = best(rounds).number
     if chosen == 0:
-        print(f"\nNo round was better than the policy as it was given, of which {name} is a copy.")
+        say(f"\nNo round was better than the policy as it was given, of which {name} is a copy.")
         return OK
-    print(f"\nThe policy of round {chosen} is in {name}. What it fixed and what it broke:")
-    print(comparison(config, made))
+    say(f"\nThe policy of round {chosen} is in {name}. What it fixed and what it broke:")
+    say(comparison(config, made))
     return OK
 
 

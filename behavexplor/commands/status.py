@@ -11,6 +11,7 @@ from behavexplor.campaign.folder_lock import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
+from behavexplor.commands.output import say
 from behavexplor.commands.wording import class_count, clock, hanging
 
 
@@ -28,9 +29,9 @@ def status(
     found, is_running = summarize(run), is_being_written(run)
     ago = max(time.time() - last_written(run), 0.0)
     if json_file:
-        print(json.dumps({"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()}, indent=1))
+        say(json.dumps({"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()}, indent=1))
         return OK
-    print("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found)]))
+    say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found)]))
     return OK
 
 

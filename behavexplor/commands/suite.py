@@ -15,6 +15,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.wording import counted
 from behavexplor.commands.workers import chosen_workers
 from behavexplor.errors import InputError, sentence
@@ -61,7 +62,7 @@ def suite(
             for case in _cases(run, config, cases, count, quiet=quiet):
                 cases.setdefault(case.class_id, case)
     except RuntimeError as error:
-        print(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
+        say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     if not cases:
         raise InputError("Apart from errors, no failure is reproducible and at fault, so there is nothing to check")
@@ -76,9 +77,9 @@ def suite(
         cases=tuple(cases.values()),
     ).write(out)
     folder = shlex.quote(str(out))
-    print(f"{counted(len(cases), 'scenario')}, one for each class of failures, in {folder}")
-    print(f"Check a driver with: {program()} check {folder} --ads NAME")
-    print(f"The same as tests: ADS=NAME pytest {folder}/{TEST}")
+    say(f"{counted(len(cases), 'scenario')}, one for each class of failures, in {folder}")
+    say(f"Check a driver with: {program()} check {folder} --ads NAME")
+    say(f"The same as tests: ADS=NAME pytest {folder}/{TEST}")
     return OK
 
 

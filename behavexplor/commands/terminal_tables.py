@@ -2,9 +2,9 @@
 
 from collections.abc import Collection
 
-from rich.console import Console
 from rich.table import Table as Grid
 
+from behavexplor.api.plain_console import PlainConsole
 from behavexplor.bench.table import Table
 from behavexplor.bench.writing import marked, shown
 
@@ -43,7 +43,7 @@ def grid(*columns: str, numbers: Collection[str] = ()) -> Grid:
 
 def plain_text(table: Grid) -> str:
     """Return a table as plain text, in which no line is broken."""
-    console = Console(width=_WIDTH, highlight=False, no_color=True, markup=False, emoji=False)
+    console = PlainConsole(width=_WIDTH, force_terminal=False, no_color=True)
     with console.capture() as captured:
         console.print(table)
     return "\n".join(line.rstrip() for line in captured.get().splitlines())

@@ -14,6 +14,7 @@ from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.evaluate import table
 from behavexplor.commands.flags import check_unchanged, flag
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.data.durable import write_durably
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
@@ -76,12 +77,12 @@ def train(
             executor = start_judge(Target(config.env, str(network)), 0)  # the network is plain numbers
             found = estimate_rates(executor, logical_scenario(config.env), EVALUATED, 0, meter.show)
     except KeyboardInterrupt:
-        print(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
+        say(f"Interrupted; resume with: {program()} train --resume {shlex.quote(str(folder))}", file=sys.stderr)
         return INTERRUPTED
-    (folder / CARD).write_text(_card(config, found))
-    print(table(config.env, {network.name: found}))
+    write_durably(folder / CARD, _card(config, found))
+    say(table(config.env, {network.name: found}))
     name = shlex.quote(str(network))
-    print(f"The policy is in {name}. Search for its failures: {program()} fuzz --env {config.env} --ads {name}")
+    say(f"The policy is in {name}. Search for its failures: {program()} fuzz --env {config.env} --ads {name}")
     return OK
 
 

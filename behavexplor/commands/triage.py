@@ -14,6 +14,7 @@ from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import Trust
 from behavexplor.commands.meter import Meter
+from behavexplor.commands.output import say
 from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.wording import class_count, hanging
 from behavexplor.commands.workers import chosen_workers
@@ -55,13 +56,13 @@ def triage(
         with Meter(sys.stderr, len(running.waiting), "failures", quiet=quiet) as meter:
             found = running.examine(meter.show)
     except RuntimeError as error:
-        print(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
+        say(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    print(report(found))
+    say(report(found))
     preventable = next((finding for finding in found.findings if finding.avoidance), None)
     if preventable is not None:
         command = f"{program()} replay {shlex.quote(str(run))} {preventable.id}"
-        print(f"\nTo see how the first preventable collision could have been avoided:\n{command} --avoided")
+        say(f"\nTo see how the first preventable collision could have been avoided:\n{command} --avoided")
     return OK
 
 

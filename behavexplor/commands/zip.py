@@ -10,6 +10,7 @@ from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.description import env_in_card
 from behavexplor.commands import OK, program
+from behavexplor.commands.output import say
 from behavexplor.errors import InputError, missing_library
 
 
@@ -43,7 +44,7 @@ def zip(  # noqa: A001 - the command's name
         raise missing_library("A model of Stable-Baselines3", error.name, "rl") from None
     write_model(network, trained_in, out)
     command = f"{program()} fuzz --env {shlex.quote(trained_in)} --ads {shlex.quote(str(out))}"
-    print(f"The model is in {out}. It drives as {policy}: {command}")
+    say(f"The model is in {out}. It drives as {policy}: {command}")
     return OK
 
 

@@ -1,21 +1,98 @@
-"""Files that survive a crash."""
+"""Files that are written whole or not at all, and never through a symbolic link.
+
+A folder may come from someone else, with links in the places where a command will write. The folder that the user names
+may be a link itself; what lies in it does not lead out of it.
+"""
 
 import errno
 import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import BufferedWriter
 from pathlib import Path
 
 
-def write_durably(path: Path, text: str) -> None:
+def write_durably(path: Path, content: str | bytes) -> None:
     """Write a file atomically and flush it to disk, so that a crash leaves no partial file.
 
     Raises:
         OSError: if it cannot be written.
     """
+    with new_file(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+def write_given(path: Path, text: str) -> None:
+    """Write a file that the user has named, which may also be a pipe or a terminal.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    if path.exists() and not path.is_file():
+        path.write_text(text)
+    else:
+        write_durably(path, text)
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[BufferedWriter]:
+    """Open a new file, which takes the place of `path` when the block ends without an error.
+
+    A link in that place is replaced, and what it leads to is left as it is.
+
+    Raises:
+        OSError: if the file cannot be written, or something other than a file is in its place.
+    """
     if path.is_dir():  # before anything is written; the folders "." and "/" have no names to change, either
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EEXIST, "it is a pipe or a device, and no file", str(path))
     partial = path.with_name(path.name + ".part")
-    with partial.open("w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    partial.unlink(missing_ok=True)  # of an earlier crash
+    with partial.open("xb") as file:  # which follows no link
+        try:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
     partial.replace(path)
+
+
+def folder_in(folder: Path, *names: str) -> Path:
+    """Return a folder inside another one. Both are created if they do not exist.
+
+    Args:
+        folder: the outer folder.
+        names: name of the inner one, and before it those of the folders between.
+
+    Raises:
+        OSError: if it cannot be created, or is a symbolic link.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        folder = folder / name
+        if folder.is_symlink():
+            raise _leading_out(folder)
+        folder.mkdir(exist_ok=True)
+    return folder
+
+
+def check_file(path: Path) -> None:
+    """Check that a path is a regular file, if there is anything.
+
+    Raises:
+        OSError: if it is a symbolic link, which may lead anywhere, or a pipe, which may have no other end.
+    """
+    with suppress(FileNotFoundError):
+        mode = path.lstat().st_mode
+        if stat.S_ISLNK(mode):
+            raise _leading_out(path)
+        if not stat.S_ISREG(mode):
+            raise OSError(errno.EINVAL, f"{path.name} in it is not a regular file", str(path))
+
+
+def _leading_out(path: Path) -> OSError:
+    return OSError(errno.ELOOP, f"{path.name} in it is a symbolic link, which may lead out of it", str(path))

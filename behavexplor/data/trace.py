@@ -9,9 +9,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import pack_motion, unpack_motion
 from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
-from behavexplor.data.untrusted import read_arrays
+from behavexplor.data.untrusted import read_arrays, read_file
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -244,7 +245,7 @@ class Trace:
 
     def save(self, path: Path) -> None:
         """Write the trace as a file."""
-        path.write_bytes(self.to_bytes())
+        write_durably(path, self.to_bytes())
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -253,7 +254,7 @@ class Trace:
         Raises:
             InputError: if it is not a trace, or is damaged.
         """
-        return cls.from_bytes(path.read_bytes())
+        return cls.from_bytes(read_file(path))
 
 
 _NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})

@@ -2,7 +2,9 @@
 
 import io
 import json
+import stat
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 from zipfile import ZipFile
 
@@ -18,7 +20,32 @@ MAX_DIGITS: Final = 100  # characters of an integer in a YAML file; Python canno
 MAX_JSON_LENGTH: Final = 1_000_000  # characters; a scenario of the paper has about 1500
 MAX_ARRAY_BYTES: Final = 200_000_000  # unpacked size of all arrays in an npz file
 
+MAX_FILE_BYTES: Final = 100_000_000  # size of a file that is read as a whole, unless a reader says otherwise
+
 _INTEGER: Final = "tag:yaml.org,2002:int"
+
+
+def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) -> bytes:
+    """Return the contents of a file, unless it is too large.
+
+    Args:
+        path: path of the file.
+        most: greatest size [bytes].
+        pipes: whether it may be a pipe, for a file that a user names. A pipe in a folder of someone else would be
+            waited for without end.
+
+    Raises:
+        InputError: if it is not a regular file, or too large.
+        OSError: if it cannot be read.
+    """
+    mode = path.stat().st_mode
+    if not (pipes or stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # opening a folder says what it is
+        raise InputError(f"{path} is not a regular file")
+    with path.open("rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise InputError(f"{path} has more than {most} bytes, which are not read")
+    return data
 
 
 def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from scenariogeneration import xodr
+from scenariogeneration.helpers import prettify
 
+from behavexplor.data.durable import write_durably
 from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, SineLane
 from behavexplor.data.road_shape import DASH, PERIOD
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
@@ -34,7 +36,7 @@ def write_road(plan: RoadPlan, name: str, path: Path) -> None:
         network.add_road(_road(layout, i))
     for junction in sorted({*layout.junction} - {NOWHERE}):
         network.add_junction(_junction(layout, junction))
-    network.write_xml(str(path))
+    write_durably(path, prettify(network.get_element(), encoding="utf-8"))
 
 
 def _road(layout: RoadLayout, i: int) -> Any:

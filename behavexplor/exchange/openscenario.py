@@ -12,8 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scenariogeneration import xosc
+from scenariogeneration.helpers import prettify
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
+from behavexplor.data.durable import write_durably
 from behavexplor.exchange.axes import DIGITS, REAR_AXLE, mirrored, mirrored_points, shifted
 from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
 from behavexplor.exchange.routes import speed_profile
@@ -75,7 +77,7 @@ def write_scene(scene: Scene, path: Path, date: datetime, *, as_routes: bool = F
         creation_date=date,
         header_properties=_properties(_facts(scene)),
     )
-    made.write_xml(str(path))
+    write_durably(path, prettify(made.get_element(), encoding="utf-8"))
 
 
 def _facts(scene: Scene) -> dict[str, str]:

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from lxml import etree
 
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
 Element = Any
@@ -19,12 +20,10 @@ def read_xml(path: Path) -> Element:
         InputError: if it is not an XML file, or is too long.
     """
     try:
-        data = path.read_bytes()
+        data = read_file(path, MAX_SIZE)
     except OSError as error:
         hint = ": name one of the files in it" if path.is_dir() else ""
         raise InputError(f"{path} cannot be read: {error.strerror}{hint}") from None
-    if len(data) > MAX_SIZE:
-        raise InputError(f"{path} has {len(data)} bytes, but at most {MAX_SIZE} are read")
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, remove_comments=True, remove_pis=True, remove_blank_text=True
     )

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Final
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import validated
 from behavexplor.errors import InputError
 from behavexplor.fuzz.search import Candidate, SearchExhausted
@@ -62,7 +63,7 @@ def read_scenarios(path: Path, logical: LogicalScenario) -> list[Scenario]:
         InputError: if the file cannot be read, or a scenario is not valid; the message names the line.
     """
     try:
-        lines = path.read_text().splitlines()
+        lines = read_file(path).decode().splitlines()
     except (OSError, ValueError) as error:
         raise InputError(f"The scenarios in {path} cannot be read: {error}") from None
     scenarios = []

@@ -11,7 +11,7 @@ import yaml
 from behavexplor.campaign.config import read_yaml
 from behavexplor.campaign.provenance import Claim, code_of, own_digests, remember
 from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario
-from behavexplor.data.durable import write_durably
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
@@ -21,6 +21,33 @@ FORMAT: Final = 1
 SUITE: Final = "suite.yaml"
 CASES: Final = "scenarios"
 TEST: Final = "test_scenarios.py"
+_TEST_TEXT: Final = '''\
+"""Every scenario of this folder as a test. The driver is that of suite.yaml, or the one that ADS names:
+
+    ADS=my_driver:MyDriver pytest test_scenarios.py
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from behavexplor.testing import Suite, opened_driver
+
+SUITE = Suite.read(Path(__file__).parent)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    with opened_driver(SUITE, os.environ.get("ADS"), trust=os.environ.get("TRUST", "").split()) as drive:
+        yield drive
+
+
+@pytest.mark.parametrize("case", SUITE.cases, ids=lambda case: case.name)
+def test_scenario(case, drive):
+    outcome = drive(case)
+    assert outcome.passed, outcome.words
+'''  # without any name that a run gives: it is code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +138,7 @@ class Suite:
         found = values.pop("format", None)
         if found != FORMAT:
             raise InputError(f"{folder / SUITE} has format {found}, but this version reads format {FORMAT}")
-        paths = sorted((folder / CASES).glob("*.yaml"))
+        paths = sorted(path for path in (folder / CASES).glob("*.yaml") if path.is_file())
         if not paths:
             raise InputError(f"{folder / CASES} has no scenarios")
         cases = [checked(Case, read_yaml(path), str(path)) for path in paths]
@@ -138,10 +165,10 @@ class Suite:
         check_free(folder)
         remember(own_digests(self.claim))  # without it, the suite must be trusted, as on another machine
         try:
-            (folder / CASES).mkdir(parents=True, exist_ok=True)
+            scenarios = folder_in(folder, CASES)
             for case in self.cases:
-                write_durably(folder / CASES / f"{case.name}.yaml", _case_text(case))
-            write_durably(folder / TEST, test_text(self.driver))
+                write_durably(scenarios / f"{case.name}.yaml", _case_text(case))
+            write_durably(folder / TEST, _TEST_TEXT)
             values: dict[str, Any] = {
                 "env": self.env,
                 "driver": self.driver,
@@ -192,33 +219,3 @@ def _case_text(case: Case) -> str:
 def _yaml(values: Mapping[str, Any]) -> str:
     """Return YAML in which lists and mappings without further ones in them take one line."""
     return yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None)
-
-
-def test_text(driver: str) -> str:
-    """Return the source of the test file of a suite."""
-    return f'''"""Every scenario of this folder as a test. The driver is {driver}, or the one that ADS names:
-
-    ADS=my_driver:MyDriver pytest {TEST}
-"""
-
-import os
-from pathlib import Path
-
-import pytest
-
-from behavexplor.testing import Suite, opened_driver
-
-SUITE = Suite.read(Path(__file__).parent)
-
-
-@pytest.fixture(scope="module")
-def drive():
-    with opened_driver(SUITE, os.environ.get("ADS"), trust=os.environ.get("TRUST", "").split()) as drive:
-        yield drive
-
-
-@pytest.mark.parametrize("case", SUITE.cases, ids=lambda case: case.name)
-def test_scenario(case, drive):
-    outcome = drive(case)
-    assert outcome.passed, outcome.words
-'''

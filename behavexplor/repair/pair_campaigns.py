@@ -12,6 +12,7 @@ from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.target import Target
 from behavexplor.envs.making import is_stock
 from behavexplor.execution.simulation import logical_scenario
@@ -44,7 +45,7 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe)
         InputError: if the driver or the environment cannot be used.
         ExecutionError: if an execution could not be carried out.
     """
-    with opened(config, folder, workers, resume=False) as ready:
+    with opened(config, folder_in(folder.parent, folder.name), workers, resume=False) as ready:
         ready.campaign.run(lambda progress: observe(progress.executions))
         return ready.warnings
 
@@ -107,8 +108,7 @@ def differences(
         method, specs = search_method(first, one.logical), load_specs(first.specs)
         found = search_differences(method, one, other, specs, budget=budget, batch=first.batch, observe=observe)
     lines = [json.dumps(difference.scenario.to_dict(), separators=(",", ":")) for difference in found]
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / DIFFERENCES).write_text("".join(f"{line}\n" for line in lines))
+    write_durably(folder_in(folder.parent, folder.name) / DIFFERENCES, "".join(f"{line}\n" for line in lines))
     return found
 
 

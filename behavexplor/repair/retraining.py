@@ -5,7 +5,6 @@ mixture of ordinary scenarios and those in which the policy fails. Then it valid
 deterministically there, as it does in campaigns.
 """
 
-import shutil
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -16,8 +15,11 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
+from behavexplor.ads.sb3.archive import MAX_BYTES
 from behavexplor.campaign.campaign import search_method
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.target import Target
+from behavexplor.data.untrusted import read_file
 from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures, search_config
@@ -32,7 +34,7 @@ from behavexplor.repair.retraining_rounds import (
 )
 from behavexplor.repair.scenario_pool import Pool, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
-from behavexplor.training import Learned, log_formats, restore_model, save_model
+from behavexplor.training import Learned, log_folder, log_formats, restore_model, save_model
 
 VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
 _LAST_RATE: Final = 0.2  # learning rate of the last round, as a share of that of the first one
@@ -116,8 +118,8 @@ class _Work:
 
     def run(self, rounds: list[Round], watch: BaseCallback, report: Callable[[Round], None]) -> None:
         """Carry out the rounds that are left, and add them to `rounds`."""
-        config, logs = self.config, self.folder / "logs" / f"round-{len(rounds):04d}"
-        self.trainee.model.set_logger(configure(str(logs), log_formats()))
+        config, logs = self.config, log_folder(self.folder, f"round-{len(rounds):04d}")
+        self.trainee.model.set_logger(configure(logs, log_formats()))
         with closing(self.trainee.model.logger):
             for number in range(len(rounds), config.rounds + 1):
                 found, charged = self.refresh(number) if config.searches else (None, 0)
@@ -128,7 +130,7 @@ class _Work:
     def refresh(self, number: int) -> tuple[int, int]:
         """Add the failures that a campaign finds to the pool, and return the numbers of failures and of decisions."""
         config = self.config
-        policy, place = self.file(number - 1, self.trainee.suffix), self.folder / "campaigns" / f"{number:04d}"
+        policy, place = self.file(number - 1, self.trainee.suffix), folder_in(self.folder, "campaigns", f"{number:04d}")
         target = replace(config.target, ads=str(policy))
         failures, decisions = found_failures(target, config.method, config.budget, config.seed + number, place)
         for scenario in failures:
@@ -147,11 +149,11 @@ class _Work:
     def finish(self, number: int, found: int | None) -> Round:
         """Save and validate the policy, and return the result. Round 0 is the policy as it was given."""
         config, policy = self.config, self.file(number, self.trainee.suffix)
-        policy.parent.mkdir(parents=True, exist_ok=True)
+        folder_in(self.folder, "rounds")
         save_model(self.trainee.model, self.file(number, ".pt"))
         self.trainee.write(policy)
         if number == 0:
-            shutil.copyfile(given_file(config.policy), policy)
+            write_durably(policy, read_file(given_file(config.policy), MAX_BYTES))
         self.pool.write(self.file(number, ".jsonl"))
         outcomes = validation_outcomes(replace(config.target, ads=str(policy)), config.validation)
         result = Round(

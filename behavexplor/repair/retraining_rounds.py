@@ -13,6 +13,7 @@ from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.durable import write_durably
 from behavexplor.data.target import Target
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
 CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
@@ -175,7 +176,7 @@ def finished_rounds(folder: Path) -> list[Round]:
     if not path.is_file():
         return []
     try:
-        return [Round.from_json(line) for line in path.read_text().splitlines()]
+        return [Round.from_json(line) for line in read_file(path).decode().splitlines()]
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             f"{path} cannot be read: {error}; delete its last line to resume from the round before"
@@ -185,5 +186,5 @@ def finished_rounds(folder: Path) -> list[Round]:
 def append_round(folder: Path, finished: Round) -> None:
     """Add a finished round to the folder's file of rounds."""
     path = folder / ROUNDS
-    earlier = path.read_text() if path.is_file() else ""
+    earlier = read_file(path).decode() if path.is_file() else ""
     write_durably(path, earlier + json.dumps(asdict(finished)) + "\n")

@@ -10,6 +10,7 @@ import numpy as np
 from behavexplor.data.durable import write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
 FULL: Final = 100  # scenarios that a pool needs to be drawn from with its full share
@@ -81,7 +82,7 @@ def read_pool(path: Path) -> list[Scenario]:
         InputError: if the file cannot be read, or a scenario is not valid.
     """
     try:
-        lines = path.read_text().splitlines()
+        lines = read_file(path).decode().splitlines()
     except (OSError, ValueError) as error:
         raise InputError(f"The pool {path} cannot be read: {error}") from None
     return [parse_scenario(line) for line in lines]

@@ -7,6 +7,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import is_at_fault
@@ -36,7 +37,7 @@ def candidates(records: Iterable[Record], known: Mapping[int, Finding]) -> dict[
 def case_of(store: Store, config: CampaignConfig, minimal: Minimized) -> Case:
     """Return the case of a minimized failure."""
     specs = load_specs(config.specs)
-    trace = Trace.from_bytes(trace_path(store.folder, minimal.id).read_bytes())
+    trace = Trace.from_bytes(read_file(trace_path(store.folder, minimal.id)))
     kind = violation_class(trace, judge(trace, specs).violated)
     return Case(
         words=kind.words if kind else minimal.class_id,

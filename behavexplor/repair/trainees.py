@@ -1,7 +1,6 @@
 """Policies that go on learning: a network of `train`, or a model of Stable-Baselines3."""
 
 import json
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +21,10 @@ from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_envi
 from behavexplor.ads.sb3.dense_layers import dense_layers
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, describe, find_model
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
+from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.target import Target
+from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import make_vector_env
 from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
@@ -147,7 +148,7 @@ def _of_network(simulation: Simulation, env: str, path: Path, seed: int, envs: i
 
     def write(path: Path) -> None:
         write_network(path, trained_network(model))
-        path.with_suffix(OWN[0]).write_text(yaml.safe_dump({"training": {"env": env}}))
+        write_durably(path.with_suffix(OWN[0]), yaml.safe_dump({"training": {"env": env}}))
 
     return Trainee(model, venv, ".npz", _RATE, _entropy(model), True, write, scenarios)
 
@@ -169,9 +170,10 @@ def _of_model(simulation: Simulation, env: str, path: Path, seed: int, envs: int
     model = continued(archive, scenarios)
     settings = {"env": env, **_settings(simulation)}
 
-    def write(file: Path) -> None:
-        model.save(file)
-        file.with_suffix(".yaml").write_text(yaml.safe_dump(settings, sort_keys=False))
+    def write(path: Path) -> None:
+        with new_file(path) as file:
+            model.save(file)
+        write_durably(path.with_suffix(".yaml"), yaml.safe_dump(settings, sort_keys=False))
 
     rate = learning_rate_of(archive) or _RATE
     return Trainee(model, scenarios, ".zip", rate, _entropy(model), False, write, scenarios)
@@ -199,7 +201,7 @@ def copy_policy(policy: Path, path: Path) -> None:
     """Copy a policy with the file beside it."""
     for suffix in (path.suffix, *OWN):
         if policy.with_suffix(suffix).is_file():
-            shutil.copyfile(policy.with_suffix(suffix), path.with_suffix(suffix))
+            write_durably(path.with_suffix(suffix), read_file(policy.with_suffix(suffix)))
 
 
 def _freeze(model: BaseAlgorithm, *, frozen: bool) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.fault import AT_FAULT, NOT_AT_FAULT, is_at_fault
@@ -191,7 +192,7 @@ def _finding(execution: Execution) -> Finding:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_file(path)).hexdigest()
 
 
 def _number(value: Any) -> float:

@@ -11,6 +11,7 @@ from behavexplor import FUNCTIONAL_SCENARIOS, NAMESPACE
 from behavexplor.data.road_shape import ROAD_FILE, RoadShape
 from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import read_file
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def known_road(env: str, run: Path) -> RoadShape | None:
     """
     stored = run / ROAD_FILE
     if stored.is_file():
-        return RoadShape.from_json(stored.read_text(errors="replace"))
+        return RoadShape.from_json(read_file(stored).decode(errors="replace"))
     name = env.removeprefix(f"{NAMESPACE}/").removesuffix("-v0") if env.startswith(f"{NAMESPACE}/") else env
     if name not in FUNCTIONAL_SCENARIOS:
         return None

@@ -11,6 +11,7 @@ from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import read_file
 from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
@@ -205,7 +206,7 @@ def _minimal_replays(run: Run, gallery: Sequence[Card]) -> dict[str, Any]:
     for number in (card.look_at for card in gallery if card.is_minimal):
         minimal, path = run.minimized[number], trace_path(run.folder, number)
         try:
-            trace = Trace.from_bytes(path.read_bytes())
+            trace = Trace.from_bytes(read_file(path))
             record = Record(id=number, end=trace.end, violated=minimal.violated, scenario=minimal.scenario)
             replays[minimal_name(number)] = replay_values(trace, record, ())
         except (OSError, ValueError) as error:

@@ -13,6 +13,7 @@ from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.campaigns import find_failures
 from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
+from behavexplor.data.durable import folder_in, new_file
 from behavexplor.errors import InputError
 
 BEST: Final = "best_model.zip"  # file in the callback's folder
@@ -136,7 +137,7 @@ class FuzzCallback(BaseCallback):
 
     def _round(self) -> Round:
         begin = time.monotonic()
-        folder = self.folder / f"step-{self.num_timesteps:09d}"
+        folder = folder_in(self.folder, f"step-{self.num_timesteps:09d}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a policy may be constant while it learns
             given = given_driver(self.model)
@@ -151,7 +152,8 @@ class FuzzCallback(BaseCallback):
         """Save the policy if it is the best one so far."""
         if self.best is None or found.summary.at_fault <= self.best.summary.at_fault:
             self.best = found
-            self.model.save(self.folder / BEST)
+            with new_file(self.folder / BEST) as file:
+                self.model.save(file)
 
     def _log(self, found: Round) -> None:
         figures = {

@@ -9,6 +9,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
+from behavexplor.data.durable import new_file, write_durably
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 
 ENV: Final = "highway-fast-v0"
@@ -35,8 +36,9 @@ def train_small_policy(folder: Path, observe: Callable[[int], None], steps: int 
     model.learn(steps, callback=_Watch(observe))
     envs.close()
     path = folder / "model.zip"
-    model.save(path)
-    path.with_suffix(".yaml").write_text(yaml.safe_dump({"env": ENV, "config": _CONFIG}))
+    with new_file(path) as file:
+        model.save(file)
+    write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": ENV, "config": _CONFIG}))
     return path
 
 

@@ -14,6 +14,7 @@ from behavexplor.campaign.record import ERROR, Record
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.durable import write_durably
 from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.judge.classes import violation_class
@@ -132,7 +133,7 @@ class Triage:
         if not path.is_file():
             raise InputError(f"{folder} has no {TRIAGE}: create it with `behavexplor triage {folder}`")
         try:
-            values = json.loads(path.read_bytes())
+            values = json.loads(read_file(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path} cannot be read: {error}; delete it and run `behavexplor triage` again") from None
         found = values.pop("format", None) if isinstance(values, dict) else None
@@ -224,7 +225,7 @@ def read_witness(path: Path) -> Witness | OtherDriver:
         InputError: if the file is missing or damaged.
     """
     try:
-        return witness_from(json.loads(path.read_bytes()))
+        return witness_from(json.loads(read_file(path)))
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(f"{path} is not a witness: {error}") from None
 

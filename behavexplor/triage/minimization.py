@@ -10,6 +10,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.durable import folder_in
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
@@ -196,7 +197,7 @@ def minimize_failures(
     else:
         executor = start_in_process(target, driver, recipe)
     try:
-        (store.folder / MINIMIZED).mkdir(exist_ok=True)
+        folder_in(store.folder, MINIMIZED)
         ended = {number for number in failures if _ends_process(store.execution(number).record)}
         tried = (number for number in failures if number not in ended)
         calls = (_call(store.execution(number), config.seed, known.get(number)) for number in tried)

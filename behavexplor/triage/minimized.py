@@ -9,6 +9,7 @@ from typing import Any, Final, Self
 from behavexplor.data.durable import write_durably
 from behavexplor.data.parts import Size
 from behavexplor.data.scenario import Scenario, read_scenario
+from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
 from behavexplor.triage.findings import Finding
@@ -60,7 +61,7 @@ class Minimized:
             InputError: if the file cannot be read, or is not one of a minimized failure.
         """
         try:
-            values = json.loads(path.read_bytes())
+            values = json.loads(read_file(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(
                 f"{path} cannot be read: {error}; delete it and run `behavexplor minimize` again"
@@ -76,7 +77,7 @@ class Minimized:
 
     def write(self, folder: Path, trace: bytes) -> None:
         """Write the minimized failure and the trace of its scenario into a run folder."""
-        trace_path(folder, self.id).write_bytes(trace)
+        write_durably(trace_path(folder, self.id), trace)
         write_durably(
             minimized_path(folder, self.id), json.dumps({"format": FORMAT, **self.to_dict()}, indent=1) + "\n"
         )

@@ -11,7 +11,7 @@ from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import write_durably
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
@@ -80,7 +80,7 @@ class RunTriage:
             self._store.close()
 
     def _examine(self, observe: Callable[[int], None]) -> Triage:
-        (self._run / WITNESSES).mkdir(exist_ok=True)
+        folder_in(self._run, WITNESSES)
         for done, finding in enumerate(self._findings(), 1):
             self._known[finding.id] = finding
             if done % WRITTEN_AFTER == 0:

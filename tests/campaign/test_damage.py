@@ -154,7 +154,7 @@ def test_a_table_that_is_none_is_refused(folder):
     """A view could compute for ever."""
     change(folder, "ALTER TABLE executions RENAME TO rows")
     change(folder, "CREATE VIEW executions AS SELECT * FROM rows")
-    with pytest.raises(InputError, match="has format none"):
+    with pytest.raises(InputError, match="has the table 'rows', which this version of behavexplor does not make"):
         Store.read(folder)
 
 

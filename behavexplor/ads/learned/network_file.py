@@ -6,7 +6,8 @@ from typing import Final, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.data.untrusted import read_arrays
+from behavexplor.data.durable import new_file
+from behavexplor.data.untrusted import read_arrays, read_file
 from behavexplor.errors import InputError
 
 Rule = Literal["mean", "most probable"]  # how a policy decides when it does not draw
@@ -36,7 +37,7 @@ def read_network(path: Path) -> TrainedNetwork:
         InputError: if the file cannot be read.
     """
     try:
-        file = dict(read_arrays(path.read_bytes()))
+        file = dict(read_arrays(read_file(path)))
         rule = str(file.pop(_RULE, "most probable"))
         layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
     except FileNotFoundError:
@@ -57,4 +58,5 @@ def write_network(path: Path, network: TrainedNetwork) -> None:
     """Write a network with float32 arrays."""
     arrays = {f"weights_{i}": weights.astype(np.float32) for i, (weights, _) in enumerate(network.layers)}
     arrays |= {f"bias_{i}": bias.astype(np.float32) for i, (_, bias) in enumerate(network.layers)}
-    np.savez_compressed(path, allow_pickle=False, **arrays, **{_RULE: np.array(network.rule)})
+    with new_file(path) as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays, **{_RULE: np.array(network.rule)})

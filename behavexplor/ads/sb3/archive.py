@@ -14,6 +14,7 @@ from typing import Any, Final
 from zipfile import ZipFile
 
 from behavexplor.ads.sb3.inert import LOAD_TENSOR, OLD_TORCH, PickleReader, TooLongError, check_extent
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
@@ -85,7 +86,7 @@ def read_archive(path: Path) -> Archive:
     """
     reader = PickleReader()
     try:
-        packed = path.read_bytes()
+        packed = read_file(path, MAX_BYTES)
         with ZipFile(io.BytesIO(packed)) as file:
             _check_members(path, file, len(packed))
             data = _settings(file)

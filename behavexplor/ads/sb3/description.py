@@ -13,7 +13,7 @@ from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.named_code import env_code
-from behavexplor.data.untrusted import parse_yaml
+from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
@@ -252,8 +252,7 @@ _Loader.add_constructor(
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        data = path.read_bytes()[: MAX_BYTES + 1]
-        values = parse_yaml(data.decode(), _Loader) if len(data) <= MAX_BYTES else "too long"
+        values = parse_yaml(read_file(path, MAX_BYTES).decode(), _Loader)
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read: {error!s:.300}") from None
     if values is None:

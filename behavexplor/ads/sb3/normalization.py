@@ -12,6 +12,7 @@ from behavexplor.ads.sb3.archive import suspicions_about
 from behavexplor.ads.sb3.arrays import as_array, as_mapping
 from behavexplor.ads.sb3.inert import Inert, check_extent, read_pickle
 from behavexplor.data.observations import Observation
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
 MAX_BYTES: Final = 50_000_000
@@ -58,10 +59,7 @@ class Statistics:
             InputError: if the file cannot be read.
         """
         try:
-            data = path.read_bytes()
-            if len(data) > MAX_BYTES:
-                raise InputError(f"{path} has {len(data)} bytes, too many for statistics of VecNormalize")
-            saved, names = read_pickle(data)
+            saved, names = read_pickle(read_file(path, MAX_BYTES))
             state = _state(saved, "VecNormalize")
             if not state.get("norm_obs", True):
                 return None

@@ -1,0 +1,162 @@
+"""The file of a database: its schema, and how it is opened so that a file from elsewhere does nothing of its own.
+
+SQLite acts on a file before the first statement: it rolls a journal back, and a journal may name a file to delete.
+Views, triggers, virtual tables and expressions of a foreign schema are code that runs in the statements of others.
+"""
+
+import os
+import re
+import sqlite3
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from behavexplor.data.durable import check_file
+from behavexplor.errors import InputError
+
+MAX_VALUE: Final = 100_000_000  # greatest size of a stored value [bytes]; a trace has some thousand
+AUXILIARY: Final = ("-wal", "-shm", "-journal")  # endings of the files that SQLite keeps beside a database
+UNREADABLE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)  # codes of errors
+
+_FIRST_COLUMNS = """
+    id INTEGER PRIMARY KEY,
+    record TEXT NOT NULL,  -- JSON: what `behavexplor records` prints
+    trace BLOB NOT NULL,  -- read by behavexplor.data.trace.Trace.from_bytes
+    elapsed REAL NOT NULL,  -- running time of the campaign when the execution was told [s]
+    checksum INTEGER NOT NULL,  -- CRC-32 of id, record and trace
+    violated TEXT AS (json_extract(record, '$.violated')),
+    degree REAL AS (json_extract(record, '$.degree')),
+    novelty REAL AS (json_extract(record, '$.novelty')),
+    "end" TEXT AS (json_extract(record, '$.end'))"""
+_ADDED_COLUMN = """,
+    record_checksum INTEGER  -- CRC-32 of id, elapsed and record; none in a row of format 1"""
+_TABLES = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE executions ({columns}
+) STRICT;
+"""
+SCHEMA: Final = _TABLES.format(columns=_FIRST_COLUMNS + _ADDED_COLUMN)
+ADD_CHECKSUM: Final = "ALTER TABLE executions ADD COLUMN record_checksum INTEGER; "  # to a database of format 1
+
+_COMMENT: Final = re.compile(r"--[^'\"\n]*\n")  # without quotes, so that it cannot hide the end of a text
+_SUPER_JOURNAL: Final = bytes.fromhex("d9d505f920a163d7")  # the last bytes of a journal that names another one
+_NAME_RECORD: Final = 16  # least size of that name in a journal [bytes]
+
+_Entry = tuple[str, str, str, str]
+
+
+def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Open a database.
+
+    Args:
+        path: path of the file.
+        mode: "ro" to read, "rw" to read and write, "rwc" to also create a missing file.
+
+    Raises:
+        sqlite3.Error: if the file cannot be opened.
+        InputError: if it is not a database that this program has made, or has another file's journal.
+    """
+    _check_files(path)
+    if mode == "ro" and not os.access(path.parent, os.W_OK) and not wal_of(path).exists():
+        mode = "ro&immutable=1"  # in a folder that cannot be written, SQLite cannot create its auxiliary files
+    connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=30)
+    try:
+        _set_up(path, connection, is_reader=mode.startswith("ro"))
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def wal_of(path: Path) -> Path:
+    """Return the path of SQLite's write-ahead log, which holds the latest commits."""
+    return path.with_name(path.name + "-wal")
+
+
+def _set_up(path: Path, connection: sqlite3.Connection, *, is_reader: bool) -> None:
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE)
+    connection.text_factory = bytes  # checksums detect damaged text; decoding must not fail first
+    connection.execute("PRAGMA trusted_schema = OFF")
+    connection.execute("PRAGMA cell_size_check = ON")
+    connection.execute("PRAGMA writable_schema = ON")  # read as much as possible of a truncated file
+    _check_schema(path, connection, is_reader=is_reader)
+    if is_reader:
+        return
+    connection.execute("PRAGMA trusted_schema = ON")  # it is ours now, with columns that use JSON
+    connection.execute("PRAGMA writable_schema = RESET")
+    if sys.version_info >= (3, 12):
+        connection.setconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE, True)
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+
+
+def _check_files(path: Path) -> None:
+    """Check a database and the files beside it before SQLite opens them.
+
+    Raises:
+        InputError: if one of them is a link or not a regular file, or the journal names a file to delete.
+    """
+    journal = path.with_name(path.name + "-journal")
+    try:
+        for file in (path, *(path.with_name(path.name + ending) for ending in AUXILIARY)):
+            check_file(file)
+        end = _last_bytes(journal, _NAME_RECORD) if journal.exists() else b""
+    except OSError as error:
+        raise InputError(f"{path.parent} cannot be read: {error.strerror}") from None
+    if len(end) == _NAME_RECORD and end.endswith(_SUPER_JOURNAL):
+        raise InputError(
+            f"{journal} names another journal, which SQLite would delete, and no campaign writes such a name: delete "
+            f"{journal.name} if the folder is not your own"
+        )
+
+
+def _last_bytes(file: Path, count: int) -> bytes:
+    with file.open("rb") as content:
+        content.seek(-min(count, file.stat().st_size), os.SEEK_END)
+        return content.read(count)
+
+
+def _check_schema(path: Path, connection: sqlite3.Connection, *, is_reader: bool) -> None:
+    """Check that a database has no other tables than ours, and nothing else that would act.
+
+    Raises:
+        InputError: if it has.
+        sqlite3.Error: if the schema cannot be read. A reader takes what can be read.
+    """
+    try:
+        for entry in _entries(connection):
+            if entry not in _known_entries():
+                kind, name = entry[:2]
+                raise InputError(
+                    f"{path} has the {kind} {name!r:.60}, which this version of behavexplor does not make so: it is "
+                    f"not opened, because that could change what is read and written; if it is your own, drop it"
+                )
+    except sqlite3.DatabaseError as error:
+        if not is_reader or error.sqlite_errorcode & 0xFF not in UNREADABLE:
+            raise
+
+
+def _entries(connection: sqlite3.Connection) -> Iterator[_Entry]:
+    """Yield type, name, table and definition of everything in a schema."""
+    for row in connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_schema"):
+        kind, name, table, definition = (_text(value) for value in row)
+        yield kind, name, table, " ".join(_COMMENT.sub("\n", definition).split())
+
+
+def _text(value: object) -> str:
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value or "")
+
+
+@cache
+def _known_entries() -> frozenset[_Entry]:
+    """Return what the schemas of all formats hold. Their comments have changed, and a column was added later."""
+    first = _TABLES.format(columns=_FIRST_COLUMNS)
+    found: set[_Entry] = set()
+    for script in (SCHEMA, first, first + ADD_CHECKSUM):
+        with closing(sqlite3.connect(":memory:")) as connection:
+            connection.executescript(script)
+            found.update(_entries(connection))
+    return frozenset(found)
