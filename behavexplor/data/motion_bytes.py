@@ -1,9 +1,13 @@
 """Motion as few bytes that compress well: second differences over time."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.errors import InputError
+
+MOST_VALUES: Final = 20_000_000  # of one quantity of all vehicles in all frames
 
 Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -44,6 +48,8 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
 
     if planes.dtype != np.uint8 or planes.ndim < 2 or not 1 <= len(planes) <= 8 or planes.shape[-1] != frames:
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
+    if planes[0].size > MOST_VALUES:
+        raise InputError(f"Not a trace: its motion has {planes[0].size} values, more than {MOST_VALUES}")
     motion = np.empty((frames, *planes.shape[1:-1]))
     rows = np.array(planes, order="C").reshape(len(planes), -1, frames)
     fill_values(rows, resolution, motion.reshape(frames, -1))

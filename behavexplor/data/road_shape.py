@@ -14,6 +14,8 @@ Floats = NDArray[np.float64]
 
 ROAD_FILE: Final = "road.json"  # file in the run folder of a stock environment
 DASH, PERIOD = 3.0, 6.0  # length of a dash between lanes, and distance of the starts of two of them [m]
+MOST_POINTS: Final = 1_000_000  # of a road, dashes included
+FARTHEST: Final = 1e7  # greatest coordinate [m]
 _FIELDS: Final = ("surfaces", "striped", "borders")
 
 
@@ -34,6 +36,12 @@ class RoadShape:
     borders: tuple[Floats, ...] = ()
     line_kinds: tuple[str, ...] = ()
     routes: dict[str, Floats] = field(default_factory=dict)
+
+    @property
+    def n_points(self) -> int:
+        """Number of points and dashes."""
+        lengths = (np.hypot(*np.diff(line, axis=0).T).sum() for line in self.striped)
+        return sum(len(line) for line in (*self.surfaces, *self.striped, *self.borders)) + int(sum(lengths) / PERIOD)
 
     def dashes(self, low: Floats, high: Floats) -> list[Floats]:
         """Return the dashes of the striped lines within a rectangle, each of shape (2, 2).
@@ -67,7 +75,10 @@ class RoadShape:
         surfaces, striped, borders = (
             tuple(_line(name, points) for points in _listed(name, values[name])) for name in _FIELDS
         )
-        return cls(surfaces, striped, borders)
+        made = cls(surfaces, striped, borders)
+        if made.n_points > MOST_POINTS:
+            raise InputError(f"The shape of a road has at most {MOST_POINTS} points and dashes, not {made.n_points}")
+        return made
 
 
 def _listed(name: str, value: Any) -> list[Any]:
@@ -81,6 +92,6 @@ def _line(name: str, points: Any) -> Floats:
         line = np.array(points, dtype=np.float64)
     except (TypeError, ValueError):
         line = np.zeros(0)
-    if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not np.isfinite(line).all():
+    if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not (np.abs(line) <= FARTHEST).all():
         raise InputError(f"{name} of the shape of a road must be lines of at least two points")
     return line

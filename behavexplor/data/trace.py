@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.durable import write_durably
-from behavexplor.data.motion_bytes import pack_motion, unpack_motion
+from behavexplor.data.motion_bytes import MOST_VALUES, pack_motion, unpack_motion
 from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
-from behavexplor.data.untrusted import read_arrays, read_file
+from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_arrays, read_file
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -23,10 +23,16 @@ RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
 FORMAT = 3
 LONG_FORMAT = 2  # earlier versions wrote eight bytes for each difference of motion
 NPZ_FORMAT, NPZ_START = 1, b"PK"  # and before that, npz files
+MOST_FRAMES = 1_000_000
+MOST_PLACES = MOST_VALUES // 2  # of all vehicles in all frames
+LONGEST = 100_000.0  # duration of an episode [s]; 10 000 decisions may take so long
+MOST_POINTS = 200_000  # of a route
+MOST_CONTACTS = 100_000_000  # of frames and illegal lines that are compared
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
 ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
 CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
 _MOTION = ("position", "heading", "velocity")
+_PACKED = (*_MOTION, "present")  # arrays of which each value takes a byte in a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +121,7 @@ class Trace:
             _check_shape(f"signals[{name!r}]", values, (frames,))
         if frames == 0 or vehicles == 0:
             raise InputError("time: a trace needs at least one frame, and an ego in size")
+        self._check_extent()
         if self.time[0] != 0 or (self.time[1:] <= self.time[:-1]).any():
             raise InputError("time: must begin at 0 and increase")
         if len(self.route) < 2:
@@ -125,6 +132,19 @@ class Trace:
             raise InputError(f"end: expected one of {', '.join(ENDS)}, got {self.end!r}")
         if not (isinstance(self.partner, int) and -1 <= self.partner < vehicles and self.partner != 0):
             raise InputError(f"partner: expected a vehicle other than the ego, or -1, got {self.partner!r:.80}")
+
+    def _check_extent(self) -> None:
+        """Refuse a trace that would take minutes or gigabytes to judge and to draw."""
+        frames, vehicles, lines = len(self.time), len(self.size), len(self.illegal_lines)
+        for what, count, most in (
+            ("frames", frames, MOST_FRAMES),
+            ("vehicles times frames", vehicles * frames, MOST_PLACES),
+            ("seconds", float(self.time[-1]), LONGEST),
+            ("points of the route", len(self.route), MOST_POINTS),
+            ("illegal lines times frames", lines * frames, MOST_CONTACTS),
+        ):
+            if count > most:
+                raise InputError(f"A trace has at most {most:,.0f} {what}, not {count:,.0f}")
 
     def _validate_decisions(self) -> None:
         for name, values in self.decisions.items():
@@ -227,6 +247,8 @@ class Trace:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
         if values["format"].shape or values["format"] not in ((NPZ_FORMAT,) if is_npz else (LONG_FORMAT, FORMAT)):
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
+        if sum(array.size for name, array in values.items() if name not in _PACKED) > MAX_ARRAY_BYTES // 8:
+            raise InputError("Not a trace: its arrays would take more memory than those that are written")
         arrays = {name: values[name] for name in _ARRAYS}
         for name in _MOTION:
             arrays[name] = unpack_motion(arrays[name], arrays["time"].size, RESOLUTION)

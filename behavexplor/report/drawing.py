@@ -29,6 +29,10 @@ VIEW = 80.0  # side of the square around the ego that a picture shows [m]
 MAX_FRAMES = 300  # greatest number of frames of an animation; longer episodes run faster
 FRAME_TIME = 0.1  # time between two pictures of an animation [s]
 
+MOST_DRAWN = 100  # greatest number of other vehicles in a picture, those nearest to the ego
+_PATH_POINTS = 8000  # of all paths in a picture; longer ones are thinned
+_ANIMATION_POINTS = 12_000_000  # of all pictures of an animation; a larger road has fewer pictures
+_PAIRS_AT_ONCE = 20_000  # of vehicles whose distance is computed
 _SHARPNESS = 2  # factor by which pictures are drawn larger before they are reduced
 
 
@@ -84,20 +88,30 @@ def decisive_frame(trace: Trace, violated: Sequence[str]) -> int:
         return len(trace.time) - 1 if event is None else event.frame
     if violated or len(trace.size) == 1:
         return len(trace.time) - 1
-    boxes = box_corners(trace.position, trace.heading, trace.size)
-    return int(box_distance(boxes[:, :1], boxes[:, 1:]).min(1).argmin())
+    nearest = []
+    step = max(1, _PAIRS_AT_ONCE // len(trace.size))
+    for start in range(0, len(trace.time), step):
+        boxes = box_corners(trace.position[start : start + step], trace.heading[start : start + step], trace.size)
+        nearest.append(box_distance(boxes[:, :1], boxes[:, 1:]).min(1))
+    return int(np.concatenate(nearest).argmin())
 
 
 def save_animation(file: Path | IO[bytes], footage: Footage) -> None:
     """Write an animation of a whole episode as a GIF; its last frame is shown for two seconds."""
     trace = footage.trace
-    count = min(MAX_FRAMES, max(2, round(trace.duration / FRAME_TIME) + 1))
+    count = min(_most_pictures(footage), max(2, round(trace.duration / FRAME_TIME) + 1))
     frames = np.unique(np.searchsorted(trace.time, np.linspace(0, trace.duration, count) - 1e-9))
     pictures = [draw(footage, int(frame)) for frame in frames]
     palette = _palette(pictures)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     times = [int(FRAME_TIME * 1000)] * (len(pictures) - 1) + [2000]
     pictures[0].save(file, "GIF", save_all=True, append_images=pictures[1:], duration=times, loop=0)
+
+
+def _most_pictures(footage: Footage) -> int:
+    """Return the greatest number of pictures of an animation, so that it does not take minutes."""
+    points = _PATH_POINTS + footage.shape.n_points + 2 * len(footage.trace.illegal_lines)
+    return min(MAX_FRAMES, max(2, _ANIMATION_POINTS // points))
 
 
 def _palette(pictures: list[Image.Image]) -> Image.Image:
@@ -122,20 +136,36 @@ def draw(footage: Footage, frame: int) -> Image.Image:
     trace, shape, colors = footage.trace, footage.shape, page_colors()
     canvas = _Canvas(trace.position[frame, 0])
     canvas.road(shape, trace)
-    canvas.path(trace.route, colors["accent"], 0.25)
+    canvas.path(_thinned(trace.route, _PATH_POINTS // 4), colors["accent"], 0.25)
     if not trace.signals or ARRIVED in trace.signals:
         canvas.circle(trace.destination, 1.0, colors["accent"])
     boxes = box_corners(trace.position[frame], trace.heading[frame], trace.size)
     present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
-    for npc in (np.flatnonzero(present[frame, 1:]) + 1).tolist():
-        canvas.path(trace.position[frame:, npc][present[frame:, npc]], footage.color(npc), 0.15)
+    drawn = _nearest(trace.position[frame], present[frame])
+    points = _PATH_POINTS // (len(drawn) + 1)
+    for npc in drawn:
+        canvas.path(_thinned(trace.position[frame:, npc][present[frame:, npc]], points), footage.color(npc), 0.15)
         canvas.vehicle(boxes[npc], footage.color(npc), colors["edge"])
-    canvas.path(trace.position[: frame + 1, 0], footage.color(0), 0.15)
+    canvas.path(_thinned(trace.position[: frame + 1, 0], points), footage.color(0), 0.15)
     canvas.vehicle(boxes[0], footage.color(0), colors["accent"])
     if footage.event is not None and frame >= footage.event.frame:
         canvas.circle(np.array(violation_place(trace, footage.event)), 2.2, colors["hit"], 0.4)
     speed = float(np.hypot(*trace.velocity[frame, 0]))
     return canvas.finished(f"{trace.time[frame]:.1f} s   {speed:.1f} m/s", footage.caption)
+
+
+def _nearest(position: Floats, present: NDArray[np.bool_]) -> list[int]:
+    """Return the present vehicles that are nearest to the ego, at most `MOST_DRAWN`, in their order."""
+    others = np.flatnonzero(present[1:]) + 1
+    distance = np.hypot(*(position[others] - position[0]).T)
+    nearest: list[int] = np.sort(others[np.argsort(distance, kind="stable")[:MOST_DRAWN]]).tolist()
+    return nearest
+
+
+def _thinned(points: Floats, most: int) -> Floats:
+    """Return at most about `most` of the points of a path, with the first and the last one."""
+    step = -(-len(points) // most)
+    return points if step < 2 else np.concatenate([points[:-1:step], points[-1:]])
 
 
 class _Canvas:

@@ -1,7 +1,8 @@
 """The section of a page about one run: gallery, curves and behaviors."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
+from behavexplor.campaign.store import Store
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
@@ -18,7 +20,8 @@ from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenl
 from behavexplor.report.charts import Chart, Series, chart
 from behavexplor.report.colors import type_color
 from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
-from behavexplor.report.reading import Run, stored
+from behavexplor.report.packing import MAX_FRAMES
+from behavexplor.report.reading import Run
 from behavexplor.report.road_shapes import known_road, road_values
 from behavexplor.report.stage_bar import StagePart, stage_parts
 from behavexplor.triage.minimized import trace_path
@@ -26,6 +29,9 @@ from behavexplor.triage.minimized import trace_path
 Floats = NDArray[np.float64]
 
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
+MOST_PLACES: Final = 50_000_000  # of vehicles in frames, in all traces of a page
+MOST_STATES: Final = 2_000_000  # of all behaviors on the map
+MOST_SHOWN: Final = 200_000  # places of vehicles in one replay
 _PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
 _SYMBOLS: Final = {
     "R1": "R1: collision",
@@ -90,6 +96,7 @@ class Section:
         longest: duration of the longest ribbon [s].
         places: executions on the map of behaviors.
         has_road: whether the road of the environment is known.
+        left_out: whether executions are left out because they are too long, or have too many vehicles.
         values: data for the page's script.
     """
 
@@ -103,6 +110,7 @@ class Section:
     longest: float
     places: tuple[Place, ...]
     has_road: bool
+    left_out: bool
     values: Mapping[str, Any]
 
     @property
@@ -153,40 +161,61 @@ def section(number: int, run: Run, limit: int) -> Section:
     new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
     strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
     compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
-    traces, records = _looked_at(run, replayed.union(compared, (name for name, _ in strips)), replayed)
+    wanted = list(dict.fromkeys([*sorted(replayed), *(name for name, _ in strips), *compared]))
+    traces, records = _looked_at(run, wanted, replayed)
+    strips = [(name, class_id) for name, class_id in strips if name in traces]
     found = behaviors(traces)
+    replays = _replays(run, traces, records, found) | _minimal_replays(run, gallery)
+    shown = [replace(card, replays=tuple(name for name in card.replays if str(name) in replays)) for card in gallery]
     shape = known_road(run.config.env, run.folder)
     longest = max((len(found.labels[name]) for name, _ in strips), default=0) or 1
     return Section(
         number=number,
         run=run,
         limit=limit,
-        cards=gallery,
+        cards=tuple(shown),
         charts=curves([run]) + clouds(run),
         found=found,
-        ribbons=tuple(_ribbon(found, name, class_id, longest, name in replayed) for name, class_id in strips),
+        ribbons=tuple(_ribbon(found, name, class_id, longest, name in records) for name, class_id in strips),
         longest=longest * TIME_STEP,
-        places=_places(run, found, replayed),
+        places=_places(run, found, records),
         has_road=shape is not None,
+        left_out=len(traces) < len(wanted) or shown != list(gallery),
         values={
             "road": road_values(shape, next(iter(traces.values()))),
-            "replays": _replays(run, traces, records, found) | _minimal_replays(run, gallery),
+            "replays": replays,
         },
     )
 
 
 def _looked_at(
-    run: Run, wanted: Collection[int], replayed: Collection[int]
+    run: Run, wanted: Sequence[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
-    """Return the traces of the wanted executions and the records of the replayed ones, by their numbers."""
+    """Return traces, and the records of the replayed executions, by the numbers of the executions in order.
+
+    Args:
+        run: the run.
+        wanted: numbers of the wanted executions, the most important first. There is always room for the first.
+        replayed: numbers of those with replays.
+    """
     traces: dict[int, Trace] = {}
     records: dict[int, Record] = {}
-    for execution in stored(run.folder):
-        if execution.id in wanted:
-            traces[execution.id] = execution.load_trace()
-        if execution.id in replayed:
-            records[execution.id] = execution.record
-    return traces, records
+    places, states = MOST_PLACES, float(MOST_STATES)
+    with closing(Store.read(run.folder)) as store:
+        for number in wanted:
+            execution = store.execution(number)
+            trace = execution.load_trace()
+            places, states = places - trace.heading.size, states - trace.duration / TIME_STEP
+            if traces and min(places, states) < 0:
+                break
+            traces[number] = trace
+            if number in replayed and _fits(trace):
+                records[number] = execution.record
+    return dict(sorted(traces.items())), dict(sorted(records.items()))
+
+
+def _fits(trace: Trace) -> bool:
+    return min(len(trace.time), MAX_FRAMES) * len(trace.size) <= MOST_SHOWN
 
 
 def _replays(run: Run, traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
@@ -207,6 +236,8 @@ def _minimal_replays(run: Run, gallery: Sequence[Card]) -> dict[str, Any]:
         minimal, path = run.minimized[number], trace_path(run.folder, number)
         try:
             trace = Trace.from_bytes(read_file(path))
+            if not _fits(trace):
+                continue
             record = Record(id=number, end=trace.end, violated=minimal.violated, scenario=minimal.scenario)
             replays[minimal_name(number)] = replay_values(trace, record, ())
         except (OSError, ValueError) as error:
