@@ -9,9 +9,8 @@ import safetensors.numpy
 import zstandard
 from numpy.typing import NDArray
 
-from behavexplor.data.untrusted import MAX_ARRAY_BYTES
-
 LEVEL: Final = 3
+MAX_BYTES: Final = 450_000_000  # unpacked size; the largest trace has 41 bytes for each of 10 million places
 
 
 class _Compression(threading.local):
@@ -35,11 +34,11 @@ def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
     """Return the arrays that `pack_arrays` packed. No code in the data is executed.
 
     Raises:
-        ValueError: if the data is of another form, is damaged, or would unpack to more than `MAX_ARRAY_BYTES`.
+        ValueError: if the data is of another form, is damaged, or would unpack to more than `MAX_BYTES`.
     """
     try:
         size = zstandard.frame_content_size(data)
-        if not 0 <= size <= MAX_ARRAY_BYTES:
+        if not 0 <= size <= MAX_BYTES:
             raise ValueError(f"it declares an unpacked size of {size} bytes")  # noqa: TRY301
         return safetensors.numpy.load(_compression.decompressor.decompress(data))
     except Exception as error:  # both libraries raise several kinds of errors for damaged data

@@ -211,9 +211,13 @@ class Trace:
             end: kind of end.
             arrays: all fields but the optional ones, as this class keeps them: contiguous and read-only, motion in
                 multiples of `RESOLUTION`.
+
+        Raises:
+            InputError: if the trace is too large.
         """
         trace = object.__new__(cls)
         trace.__dict__.update(arrays, end=end, **_NOTHING_MORE)
+        trace._check_extent()
         return trace
 
     def to_bytes(self) -> bytes:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from behavexplor.report.marks import violation_place
 from behavexplor.report.road_shapes import line_kinds
 
 Floats = NDArray[np.float64]
+_Number = TypeVar("_Number", bound=np.generic)
 
 SIDE = 600  # width and height of a picture [px]
 VIEW = 80.0  # side of the square around the ego that a picture shows [m]
@@ -140,13 +141,14 @@ def draw(footage: Footage, frame: int) -> Image.Image:
     if not trace.signals or ARRIVED in trace.signals:
         canvas.circle(trace.destination, 1.0, colors["accent"])
     boxes = box_corners(trace.position[frame], trace.heading[frame], trace.size)
-    present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
-    drawn = _nearest(trace.position[frame], present[frame])
+    drawn = _nearest(trace.position[frame], trace.present[frame] if trace.present.size else np.ones(len(boxes), bool))
     points = _PATH_POINTS // (len(drawn) + 1)
+    left = _thinned(np.arange(frame, len(trace.time)), points)
     for npc in drawn:
-        canvas.path(_thinned(trace.position[frame:, npc][present[frame:, npc]], points), footage.color(npc), 0.15)
+        path = trace.position[left, npc]
+        canvas.path(path[trace.present[left, npc]] if trace.present.size else path, footage.color(npc), 0.15)
         canvas.vehicle(boxes[npc], footage.color(npc), colors["edge"])
-    canvas.path(_thinned(trace.position[: frame + 1, 0], points), footage.color(0), 0.15)
+    canvas.path(trace.position[_thinned(np.arange(frame + 1), points), 0], footage.color(0), 0.15)
     canvas.vehicle(boxes[0], footage.color(0), colors["accent"])
     if footage.event is not None and frame >= footage.event.frame:
         canvas.circle(np.array(violation_place(trace, footage.event)), 2.2, colors["hit"], 0.4)
@@ -162,8 +164,8 @@ def _nearest(position: Floats, present: NDArray[np.bool_]) -> list[int]:
     return nearest
 
 
-def _thinned(points: Floats, most: int) -> Floats:
-    """Return at most about `most` of the points of a path, with the first and the last one."""
+def _thinned(points: NDArray[_Number], most: int) -> NDArray[_Number]:
+    """Return at most about `most` of the points of a path, or of their frames, with the first and the last one."""
     step = -(-len(points) // most)
     return points if step < 2 else np.concatenate([points[:-1:step], points[-1:]])
 
