@@ -253,8 +253,7 @@ def write_model(network: TrainedNetwork, env: str, path: Path) -> None:
     load_layers(model, network.layers)
     venv.close()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with new_file(path) as file:
+        with new_file(folder_in(path.parent) / path.name) as file:
             model.save(file)
         write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": env, "decision": network.rule}))
     except OSError as error:

@@ -164,8 +164,7 @@ def unpack(packed: bytes, folder: Path) -> None:
     """Write the files of a packed run folder, each file atomically."""
     if not packed:
         return
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(dir=folder.parent, prefix=".unpacking-") as scratch:
+    with TemporaryDirectory(dir=folder_in(folder.parent), prefix=".unpacking-") as scratch:
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
             archive.extractall(scratch, filter="data")
         for path in sorted(path for path in Path(scratch).rglob("*") if path.is_file()):

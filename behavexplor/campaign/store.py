@@ -108,8 +108,7 @@ class Store:
             InputError: if the folder cannot be written, or is not empty.
         """
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if {path.name for path in folder.iterdir()} - _UNFINISHED:
+            if {path.name for path in folder_in(folder).iterdir()} - _UNFINISHED:
                 raise InputError(
                     f"{folder} is not empty: resume the run in it (--resume {folder}) or choose another --out"
                 )

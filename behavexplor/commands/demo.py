@@ -14,6 +14,7 @@ from behavexplor.commands.fuzz import fuzz
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.output import say
 from behavexplor.commands.report import PAGE, report
+from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError, missing_library
 
 
@@ -40,7 +41,7 @@ def demo(
         raise missing_library("The demo", error.name, "rl") from None
     folder = out or stamped_folder("demo")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder_in(folder)
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be created: {error.strerror}") from None
     if any(folder.iterdir()):

@@ -15,7 +15,7 @@ from behavexplor.commands.evaluate import table
 from behavexplor.commands.flags import check_unchanged, flag
 from behavexplor.commands.meter import Meter
 from behavexplor.commands.output import say
-from behavexplor.data.durable import write_durably
+from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, missing_library
@@ -112,8 +112,7 @@ def begin_training(folder: Path, name: str, config: "TrainingConfig | Retraining
         InputError: if the folder is not empty, or cannot be written.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
+        if any(folder_in(folder).iterdir()):
             raise InputError(f"{folder} is not empty: resume with --resume {folder}, or choose another --out")
         write_durably(folder / name, config.to_yaml())
     except OSError as error:

@@ -62,11 +62,11 @@ def new_file(path: Path) -> Iterator[BufferedWriter]:
 
 
 def folder_in(folder: Path, *names: str) -> Path:
-    """Return a folder inside another one. Both are created if they do not exist.
+    """Return a folder, or one inside it. All of them are created if they do not exist.
 
     Args:
-        folder: the outer folder.
-        names: name of the inner one, and before it those of the folders between.
+        folder: the folder.
+        names: name of the one inside, and before it those of the folders between; none for the folder itself.
 
     Raises:
         OSError: if it cannot be created, or is a symbolic link.

@@ -16,6 +16,7 @@ from behavexplor.campaign.damage import DATABASE, FAILURES
 from behavexplor.campaign.database_file import AUXILIARY
 from behavexplor.campaign.folder_lock import LOCK, is_being_written
 from behavexplor.campaign.store import Store
+from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from tests.campaign.test_store import execution
 
@@ -193,3 +194,29 @@ def test_a_foreign_schema_is_refused(folder, statements, what):
     refused(folder, f"has the {what}, which this version of behavexplor does not make so")
     assert (folder / DATABASE).read_bytes() == before
     assert not (folder / f"{DATABASE}.damaged").exists()
+
+
+@pytest.mark.parametrize("command", [["report"], ["triage"], ["minimize"], ["replay", "0"]])
+def test_no_command_writes_through_a_link(folder, canary, capsys, command):
+    elsewhere = canary.parent / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("report.html", "report.html.part", "triage.json.part"):
+        (folder / name).symlink_to(canary)
+    for name in ("replays", "minimized", "witnesses"):
+        (folder / name).symlink_to(elsewhere)
+    if command[0] == "replay":  # of an unknown road, which a trace of any kind may have
+        (folder / CONFIG).write_text(CONFIG_TEXT.replace("lane-follow", "other:road-v0"))
+    code = main([command[0], str(folder), *command[1:]])
+    assert not any(elsewhere.iterdir())
+    assert code == (OK if command == ["report"] else BAD_INPUT)
+    assert command == ["report"] or "in it is a symbolic link" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["minimized/000000.json", "triage.json", "road.json", CONFIG])
+def test_no_command_waits_for_a_pipe(folder, capsys, name):
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+    main(["report", str(folder)])
+    main(["status", str(folder)])
+    assert "Traceback" not in capsys.readouterr().err

@@ -1,7 +1,9 @@
 """What commands say of stored runs, without driving anything."""
 
 import io
+import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,11 +12,15 @@ import pytest
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
-from behavexplor.commands import BAD_INPUT, INTERRUPTED, OK, fuzz, main, replay
+from behavexplor.commands import BAD_INPUT, INTERRUPTED, OK, fuzz, main
+from behavexplor.commands import replay as replaying
 from behavexplor.commands.checks import Checks
 from behavexplor.commands.display import Display
+from behavexplor.commands.evaluate import table
+from behavexplor.commands.meter import Meter
 from behavexplor.data.durable import write_durably
 from behavexplor.data.road_shape import RoadShape
+from behavexplor.evaluation import Evaluation
 from tests.campaign.test_store import execution, filled, store  # noqa: F401 - a fixture
 
 
@@ -55,8 +61,8 @@ def test_a_failure_that_highway_env_does_not_confirm_is_not_the_drivers(tmp_path
 
 def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):
     drawn = []
-    monkeypatch.setattr(replay, "_draw", lambda *given: drawn.append(given))
-    replay._show(execution(0), RoadShape(()), tmp_path)  # as of an environment of another package
+    monkeypatch.setattr(replaying, "_draw", lambda *given: drawn.append(given))
+    replaying._show(execution(0), RoadShape(()), (tmp_path,))  # as of an environment of another package
     assert len(drawn) == 1
 
 
@@ -80,3 +86,60 @@ def test_the_command_for_a_written_model_can_be_copied(tmp_path, monkeypatch, ca
     path = tmp_path / "my models" / "a.zip"
     assert main(["zip", "learned:lane-change", "--out", str(path)]) == OK
     assert f"--ads '{path}'" in capsys.readouterr().out
+
+
+HOSTILE = "\x1b]52;c;aGk=\x07\u202e[bold]:smile:\x9b2J"
+SHOWN = r"\x1b]52;c;aGk=\x07\u202e[bold]:smile:\x9b2J"
+
+
+def is_clean(text):
+    return all(char.isprintable() or char in "\n\t" for char in text)
+
+
+def hostile_run(folder):
+    """A run in which every text that a command may print would command the terminal."""
+    config = CampaignConfig().to_yaml()
+    store = Store.create(folder, config.replace("ads: rule:hardened", json.dumps({"ads": HOSTILE})[1:-1]))  # noqa: F811
+    for number, spec in enumerate((HOSTILE, "error", "collision")):
+        found = execution(number, (spec,), f"{HOSTILE}/{number}")
+        failure = {"kind": HOSTILE, "message": HOSTILE * 3} if spec == "error" else None
+        store.add(replace(found, record=replace(found.record, error=failure, degrees={HOSTILE: 0.0})))
+    store.commit()
+    store.close()
+    return folder
+
+
+@pytest.mark.parametrize("command", ["status", "records", "report", "triage", "replay"])
+def test_no_text_of_a_run_commands_the_terminal(tmp_path, capsys, command):
+    run = hostile_run(tmp_path / "run")
+    main([command, str(run), *(["1"] if command == "replay" else [])])
+    printed = capsys.readouterr()
+    assert is_clean(printed.out + printed.err)
+    assert command != "status" or SHOWN in printed.out
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_no_text_commands_the_terminal_of_a_live_screen(monkeypatch):
+    """Neither by control characters nor by the markup of rich."""
+    monkeypatch.setenv("TERM", "xterm")
+    stream = Terminal()
+    with Display(stream, Budget(executions=9), quiet=False) as shown:
+        shown.say(HOSTILE)
+        shown.show(Progress(executions=3, violations={HOSTILE: 1}, method={HOSTILE: 1.0}))
+    with Meter(stream, 3, HOSTILE + "{task}", quiet=False) as meter:
+        meter.show(1, HOSTILE)
+    said = stream.getvalue()
+    assert "\x07" not in said
+    assert "\x9b" not in said
+    assert "]52;c;aGk=\\x07" in said
+    assert "[bold]:smile:" in said
+    assert "\x1b]" not in said
+    assert "\u202e" not in said
+
+
+def test_no_heading_of_a_table_is_markup():
+    assert SHOWN in table(HOSTILE, {HOSTILE: Evaluation(3, {HOSTILE: 1})})

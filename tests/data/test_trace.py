@@ -11,8 +11,9 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
-from behavexplor.data.trace import Trace
+from behavexplor.data import trace as trace_module
+from behavexplor.data.packed_arrays import MAX_BYTES, pack_arrays, unpack_arrays
+from behavexplor.data.trace import MOST_PLACES, Trace
 from behavexplor.data.untrusted import MAX_ARRAY_BYTES
 from behavexplor.errors import InputError
 from tests.strategies import random_trace, seeds
@@ -239,6 +240,54 @@ def test_a_file_with_letters_for_numbers_is_refused():
 
 
 def test_bytes_that_would_unpack_to_too_much_are_refused():
-    bomb = zstandard.ZstdCompressor().compress(bytes(MAX_ARRAY_BYTES + 1))
-    with pytest.raises(InputError, match="unpacked size of 200000001 bytes"):
+    packing = zstandard.ZstdCompressor().compressobj(size=MAX_BYTES + 1)
+    bomb = packing.compress(bytes(9)) + packing.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
+    with pytest.raises(InputError, match="unpacked size of 450000001 bytes"):
         Trace.from_bytes(bomb)
+
+
+@pytest.mark.parametrize(
+    ("frames", "vehicles", "changes", "words"),
+    [
+        (1_000_001, 1, {}, "at most 1,000,000 frames, not 1,000,001"),
+        (60, 20, {}, "at most 1,000 vehicles times frames, not 1,200"),
+        (2, 1, {"time": np.array([0.0, 1e6])}, "at most 100,000 seconds, not 1,000,000"),
+        (2, 1, {"route": np.zeros((500_000, 2))}, "at most 200,000 points of the route, not 500,000"),
+        (1000, 1, {"illegal_lines": np.zeros((100_001, 2, 2))}, "at most 100,000,000 illegal lines times frames"),
+    ],
+)
+def test_a_trace_that_nothing_makes_is_refused(frames, vehicles, changes, words, monkeypatch):
+    """Judging and drawing it would take minutes and gigabytes."""
+    if vehicles > 1:
+        monkeypatch.setattr(trace_module, "MOST_PLACES", 1000)  # so that this test takes no gigabyte
+    arrays = {
+        "time": np.arange(frames) * 0.05,
+        "position": np.broadcast_to(0.0, (frames, vehicles, 2)),
+        "heading": np.broadcast_to(0.0, (frames, vehicles)),
+        "velocity": np.broadcast_to(0.0, (frames, vehicles, 2)),
+        "size": np.ones((vehicles, 2)),
+        "actions": np.zeros((1, 2)),
+        "action_frame": np.zeros(1, dtype=int),
+        "route": np.array([[0.0, 0.0], [1.0, 0.0]]),
+        "destination": np.zeros(2),
+        "illegal_lines": np.zeros((0, 2, 2)),
+    }
+    with pytest.raises(InputError, match=words):
+        Trace(**{**arrays, **changes}, end="timeout")
+
+
+def test_bytes_that_unpack_to_much_more_are_refused_before_they_do():
+    small = unpack_arrays(random_trace(0).to_bytes())
+    frames = small["time"].size
+    standing = np.zeros((1, 2_000_000, 2, frames), dtype=np.uint8)  # packed, a few kilobytes
+    with pytest.raises(InputError, match="its motion has 80000000 values, more than 20000000"):
+        Trace.from_bytes(pack_arrays({**small, "position": standing}))
+    log = np.zeros((len(small["action_frame"]), 3_000_000), dtype=np.uint8)
+    with pytest.raises(InputError, match="would take more memory than those that are written"):
+        Trace.from_bytes(pack_arrays({**small, "decisions.log": log}))
+
+
+def test_the_largest_trace_can_be_read_again():
+    """As it is with motion that needs all bytes of a number, which absent vehicles do."""
+    values = 2 + 1 + 2  # of position, heading and velocity
+    assert MOST_PLACES * (8 * values + 1) + MAX_ARRAY_BYTES // 8 < MAX_BYTES

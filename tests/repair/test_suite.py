@@ -11,7 +11,7 @@ import yaml
 
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.errors import InputError
-from behavexplor.repair.cases import CASES, SUITE, TEST, Suite
+from behavexplor.repair.cases import CASES, SUITE, TEST, Case, Suite
 from tests.triage.test_triage import fuzz
 
 DRIVER = "tests.drivers:Swerver"
@@ -142,3 +142,15 @@ def test_a_driver_that_drew_its_actions_draws_them_in_checks_too(suite):
     found = Suite.read(suite)
     assert found.target(DRIVER).stochastic
     assert not found.target("rule").stochastic
+
+
+def test_no_name_becomes_code(tmp_path):
+    """A run folder of someone else says how its driver is called, and pytest executes the file of a suite."""
+    case = {"words": "w", "class_id": "R1", "run": "r", "execution": 0, "holds": ("collision",), "scenario": {}}
+    texts = set()
+    for number, driver in enumerate(("idm", 'x"""\nraise SystemExit\n"""', "\\N{x}", "x\n" * 3)):
+        folder = tmp_path / str(number)
+        Suite(env="lane-change", driver=driver, cases=(Case(**{**case, "class_id": driver}),)).write(folder)
+        texts.add((folder / TEST).read_text())
+        assert yaml.safe_load((folder / SUITE).read_text())["driver"] == driver
+    assert len(texts) == 1

@@ -1,0 +1,109 @@
+"""Files are written whole, in one place of the package, and never through a link."""
+
+import ast
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+import behavexplor
+from behavexplor.data.durable import check_file, folder_in, new_file, write_durably, write_given
+from behavexplor.data.untrusted import read_file
+from behavexplor.errors import InputError
+
+PACKAGE = Path(behavexplor.__file__).parent
+OTHERS = {  # modules that write elsewhere than into a folder that a user names
+    "data/durable.py": "writes all others",
+    "campaign/folder_lock.py": "the lock, which check_file looks at",
+    "jit.py": "compiled code, in a folder of its own",
+}
+WRITING = {"write_text", "write_bytes", "touch", "mkdir", "makedirs", "copyfile", "copytree", "write_xml"}
+
+
+@pytest.fixture
+def canary(tmp_path):
+    path = tmp_path / "canary"
+    path.write_text("precious")
+    yield path
+    assert path.read_text() == "precious"
+
+
+@pytest.mark.parametrize("place", ["file.part", "file"])
+def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path, canary, place):
+    (tmp_path / place).symlink_to(canary)
+    write_durably(tmp_path / "file", "new")
+    assert (tmp_path / "file").read_text() == "new"
+    assert not (tmp_path / "file").is_symlink()
+    assert not (tmp_path / "file.part").is_symlink()
+
+
+def test_a_failed_writing_leaves_the_old_file_alone(tmp_path):
+    write_durably(tmp_path / "file", b"old")
+    with pytest.raises(ZeroDivisionError), new_file(tmp_path / "file") as file:
+        file.write(bytes(1 // 0))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_bytes() == b"old"
+
+
+def test_a_pipe_is_written_only_where_the_user_names_it(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="it is a pipe or a device"):
+        write_durably(tmp_path / "pipe", "text")
+    got = []
+    reader = threading.Thread(target=lambda: got.append((tmp_path / "pipe").read_text()))
+    reader.start()
+    write_given(tmp_path / "pipe", "text")
+    reader.join(5)
+    assert got == ["text"]
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_a_folder_inside_may_not_be_a_link(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "mine").symlink_to(tmp_path / "elsewhere")
+    assert folder_in(tmp_path / "mine", "a", "b") == tmp_path / "mine" / "a" / "b"  # the outer one is the user's word
+    (tmp_path / "mine" / "a" / "c").symlink_to(tmp_path)
+    with pytest.raises(OSError, match="c in it is a symbolic link, which may lead out of it"):
+        folder_in(tmp_path / "mine", "a", "c", "d")
+    assert not (tmp_path / "d").exists()
+
+
+def test_only_a_regular_file_is_kept_open(tmp_path):
+    check_file(tmp_path / "missing")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    for name, words in (("pipe", "not a regular file"), ("dangling", "symbolic link")):
+        with pytest.raises(OSError, match=words):
+            check_file(tmp_path / name)
+
+
+def test_what_is_read_is_a_file_of_a_size(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe is not a regular file"):
+        read_file(tmp_path / "pipe")
+    with pytest.raises(InputError, match="/dev/zero is not a regular file"):
+        read_file(Path("/dev/zero"))
+    with pytest.raises(InputError, match="/dev/zero has more than 100 bytes"):
+        read_file(Path("/dev/zero"), 100, pipes=True)
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(10**12)
+    with pytest.raises(InputError, match="has more than 100000000 bytes, which are not read"):
+        read_file(tmp_path / "large")
+
+
+def writes(node):
+    """Whether a call may write a file by its path."""
+    if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute | ast.Name):
+        return False
+    name = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
+    texts = [given.value for given in node.args if isinstance(given, ast.Constant) and isinstance(given.value, str)]
+    modes = name == "open" and any(set(text) <= set("rwaxbt+") and set(text) & set("wax+") for text in texts)
+    return modes or (name in WRITING and not texts[1:])
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_files_are_written_in_one_place(path):
+    module = path.relative_to(PACKAGE).as_posix()
+    found = [node.lineno for node in ast.walk(ast.parse(path.read_text())) if writes(node)]
+    assert not found or module in OTHERS
