@@ -7,6 +7,7 @@ lost executions are repeated when the campaign is resumed.
 
 import json
 import re
+import shlex
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -109,9 +110,8 @@ class Store:
         """
         try:
             if {path.name for path in folder_in(folder).iterdir()} - _UNFINISHED:
-                raise InputError(
-                    f"{folder} is not empty: resume the run in it (--resume {folder}) or choose another --out"
-                )
+                again = f"resume the run in it (--resume {shlex.quote(str(folder))})"
+                raise InputError(f"{folder} is not empty: {again} or choose another --out")
         except OSError as error:
             raise _unwritable(folder, error) from None
         return cls._locked(folder, config)

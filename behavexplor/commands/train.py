@@ -113,7 +113,8 @@ def begin_training(folder: Path, name: str, config: "TrainingConfig | Retraining
     """
     try:
         if any(folder_in(folder).iterdir()):
-            raise InputError(f"{folder} is not empty: resume with --resume {folder}, or choose another --out")
+            again = f"--resume {shlex.quote(str(folder))}"
+            raise InputError(f"{folder} is not empty: resume with {again}, or choose another --out")
         write_durably(folder / name, config.to_yaml())
     except OSError as error:
         raise InputError(f"The folder {folder} cannot be written: {error.strerror}") from None

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -156,7 +157,8 @@ def read_run(folder: Path) -> Run:
         if entries[-1].violated:
             findings.append(known.get(execution.id) or _finding(execution))
     if not entries:
-        raise InputError(f"{folder} has no executions yet: resume it with `behavexplor fuzz --resume {folder}`")
+        again = f"`behavexplor fuzz --resume {shlex.quote(str(folder))}`"
+        raise InputError(f"{folder} has no executions yet: resume it with {again}")
     digests = {CONFIG: _digest(folder / CONFIG), "executions": digest.hexdigest()}
     if triage:
         digests[TRIAGE] = _digest(folder / TRIAGE)

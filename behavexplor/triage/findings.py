@@ -1,6 +1,7 @@
 """Findings of triage about the failures of a run, as plain data: `triage.json` and `witnesses/` in the run folder."""
 
 import json
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -131,7 +132,8 @@ class Triage:
         """
         path = folder / TRIAGE
         if not path.is_file():
-            raise InputError(f"{folder} has no {TRIAGE}: create it with `behavexplor triage {folder}`")
+            command = f"`behavexplor triage {shlex.quote(str(folder))}`"
+            raise InputError(f"{folder} has no {TRIAGE}: create it with {command}")
         try:
             values = json.loads(read_file(path))
         except (OSError, ValueError, RecursionError) as error:
