@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from behavexplor.data.road_shape import RoadShape
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.report import drawing
 from behavexplor.report.colors import page_colors
 from behavexplor.report.drawing import SIDE, Footage, decisive_frame, draw, save_animation
 from behavexplor.report.road_shapes import shape_of
 from tests.fakes import make_trace, simulate
+from tests.strategies import random_trace
 
 LOGICAL = IntersectionStraightEnv.logical
 
@@ -78,3 +80,17 @@ def test_an_animation_shows_the_whole_trace(tmp_path, frames, monkeypatch):
         assert 1 <= animation.n_frames <= 30
         if frames == 900:
             assert animation.n_frames == 30
+
+
+def test_a_large_trace_takes_as_long_as_a_small_one():
+    """Few of its vehicles and points are drawn, with the first and the last point of each path."""
+    position = np.cumsum(np.ones((5000, 2)), axis=0)
+    thinned = drawing._thinned(position, 100)
+    assert len(thinned) <= 101
+    assert (thinned[[0, -1]] == position[[0, -1]]).all()
+    assert drawing._thinned(position, 5000) is position
+    around = np.concatenate([np.zeros((1, 2)), np.arange(1000, 0, -1)[:, None] * np.ones(2)])
+    assert drawing._nearest(around, np.ones(1001, bool)) == list(range(1000 - drawing.MOST_DRAWN + 1, 1001))
+    long_road = RoadShape((), striped=(np.array([[0.0, 0.0], [3e6, 0.0]]),))
+    footage = drawing.Footage(random_trace(0), long_road, "")
+    assert drawing._most_pictures(footage) == drawing._ANIMATION_POINTS // (drawing._PATH_POINTS + long_road.n_points)

@@ -19,6 +19,7 @@ from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.commands.report import PAGE
 from behavexplor.data.trace import Trace
+from behavexplor.report import sections
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 from behavexplor.triage.findings import TRIAGE, Triage
@@ -341,3 +342,20 @@ def test_the_folder_of_an_experiment_has_a_page_of_its_own(tmp_path, capsys):
 def test_no_run_at_all_is_one_sentence(capsys):
     assert main(["report"]) == BAD_INPUT
     assert "behavexplor report RUN" in capsys.readouterr().err
+
+
+LEFT_OUT = "Some are left out here"
+
+
+def test_what_is_too_large_for_a_page_is_left_out(run, monkeypatch):
+    found = read_run(run)
+    assert LEFT_OUT not in page([found], 10)
+    whole = sections.section(1, found, 10)
+    monkeypatch.setattr(sections, "MOST_SHOWN", 10)
+    without_replays = page([found], 10)
+    assert LEFT_OUT in without_replays
+    assert "The replay is not in this page" in without_replays
+    monkeypatch.setattr(sections, "MOST_PLACES", 1)
+    least = sections.section(1, found, 10)
+    assert (len(least.places), least.embedded, least.left_out) == (1, 0, True)
+    assert (len(whole.places), whole.left_out) == (len(found.entries), False)
