@@ -199,7 +199,7 @@ def _counts(owner: Owner, name: str, value: object) -> bool:
     if not _is_rule(name, value):
         return False
     if isinstance(owner, ModuleType):
-        return _codes(value) is not None and value.__module__ == owner.__name__
+        return type(value) is FunctionType and value.__module__ == owner.__name__  # `isinstance` loads late modules
     is_known = _package(owner) in ("highway_env", "behavexplor", "gymnasium")
     return is_known or _codes(value) is not None or any(name in vars(parent) for parent in owner.__mro__[1:])
 

@@ -205,7 +205,7 @@ def test_no_command_writes_through_a_link(folder, canary, capsys, command):
     for name in ("replays", "minimized", "witnesses"):
         (folder / name).symlink_to(elsewhere)
     if command[0] == "replay":  # of an unknown road, which a trace of any kind may have
-        (folder / CONFIG).write_text(CONFIG_TEXT.replace("lane-follow", "other:road-v0"))
+        (folder / CONFIG).write_text(CONFIG_TEXT.replace("lane-follow", "nowhere-v0"))
     code = main([command[0], str(folder), *command[1:]])
     assert not any(elsewhere.iterdir())
     assert code == (OK if command == ["report"] else BAD_INPUT)

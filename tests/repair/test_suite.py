@@ -6,10 +6,12 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 
+import numpy as np
 import pytest
 import yaml
 
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
+from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.errors import InputError
 from behavexplor.repair.cases import CASES, SUITE, TEST, Case, Suite
 from tests.triage.test_triage import fuzz
@@ -146,7 +148,8 @@ def test_a_driver_that_drew_its_actions_draws_them_in_checks_too(suite):
 
 def test_no_name_becomes_code(tmp_path):
     """A run folder of someone else says how its driver is called, and pytest executes the file of a suite."""
-    case = {"words": "w", "class_id": "R1", "run": "r", "execution": 0, "holds": ("collision",), "scenario": {}}
+    case = {"words": "w", "class_id": "R1", "run": "r", "execution": 0, "holds": ("collision",)}
+    case["scenario"] = LOGICAL_SCENARIOS["lane-change"].sample(np.random.default_rng(0)).to_dict()
     texts = set()
     for number, driver in enumerate(("idm", 'x"""\nraise SystemExit\n"""', "\\N{x}", "x\n" * 3)):
         folder = tmp_path / str(number)
