@@ -36,3 +36,12 @@ def list_of_own_folders(tmp_path_factory):
 def vehicles_of_highway_env() -> None:
     """Begin each test with highway-env's own vehicles, which its intersection changes for the whole process."""
     set_parameters(VEHICLES)
+
+
+@pytest.fixture
+def canary(tmp_path):
+    """A file of the user beside a folder, which must stay as it is."""
+    path = tmp_path / "canary"
+    path.write_text("precious")
+    yield path
+    assert path.read_text() == "precious"

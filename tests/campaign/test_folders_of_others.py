@@ -41,15 +41,6 @@ def folder(whole, tmp_path):
     return shutil.copytree(whole, tmp_path / "run")
 
 
-@pytest.fixture
-def canary(tmp_path):
-    """A file of the user outside the folder."""
-    path = tmp_path / "canary"
-    path.write_text("precious")
-    yield path
-    assert path.read_text() == "precious"
-
-
 def resume(folder):
     """Reopen a run and write a failure into it, as a resumed campaign does."""
     store = Store.reopen(folder)

@@ -23,14 +23,6 @@ OTHERS = {  # modules that write elsewhere than into a folder that a user names
 WRITING = {"write_text", "write_bytes", "touch", "mkdir", "makedirs", "copyfile", "copytree", "write_xml"}
 
 
-@pytest.fixture
-def canary(tmp_path):
-    path = tmp_path / "canary"
-    path.write_text("precious")
-    yield path
-    assert path.read_text() == "precious"
-
-
 @pytest.mark.parametrize("place", ["file.part", "file"])
 def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path, canary, place):
     (tmp_path / place).symlink_to(canary)
