@@ -41,6 +41,7 @@ OF_INTERSECTION: Final = (
     )
 )
 _SKIPPED: Final = DRAWING | READ | {"_abc_impl", "track_config_path"}  # the last only words errors about configurations
+_RARELY: Final = 8  # calls of `ChangeGuard.check` for a look
 _PORTED: Final = Path(__file__).with_name("source_digests.json")
 _VALUE: Final = "= "  # before a value, which may look like a digest otherwise
 
@@ -124,21 +125,6 @@ class ChangedError(InputError):
         super().__init__(f"The {self.reason}; use gymnasium.make_vec with vectorization_mode='sync' for the original")
 
 
-def check_ported(classes: Iterable[type], read: Collection[str] = ()) -> None:
-    """Check that an environment consists of what the engine was ported from.
-
-    Args:
-        classes: its classes; see `classes_of`.
-        read: names of parameters that the engine reads from them.
-
-    Raises:
-        ChangedError: if it does not. The message names what is different.
-    """
-    names = changes(classes, read)
-    if names:
-        raise ChangedError(names)
-
-
 class ChangeGuard:
     """Notices that classes change after an environment was made from them.
 
@@ -151,17 +137,23 @@ class ChangeGuard:
     """
 
     def __init__(self, classes: Iterable[type], exempt: frozenset[str] = frozenset()) -> None:
-        self._classes, self._exempt = tuple(classes), exempt
+        self._classes, self._exempt, self._n_calls = tuple(classes), exempt, 0
         self._views = [vars(owner).values() for owner in (*self._classes, *MODULES)]
         self._values = tuple(map(tuple, self._views))
-        self._facts = self._present_facts()
+        self._facts, self._texts = self._present_facts(), self._present_texts()
 
-    def check(self) -> None:
+    def check(self, *, always: bool = True) -> None:
         """Check that nothing has changed.
 
+        Args:
+            always: whether to look at this call in any case, which takes some microseconds, or only at every eighth.
+
         Raises:
-            InputError: if something has. The message names it.
+            InputError: if something has changed. The message names it.
         """
+        self._n_calls += 1
+        if not always and self._n_calls % _RARELY:
+            return
         try:
             if tuple(map(tuple, self._views)) == self._values:
                 return
@@ -176,6 +168,17 @@ class ChangeGuard:
             )
         self._values = tuple(map(tuple, self._views))
 
+    def is_current(self) -> bool:
+        """Return whether nothing has changed, also within lists and arrays."""
+        try:
+            self.check()
+        except InputError:
+            return False
+        return self._texts == self._present_texts()
+
+    def _present_texts(self) -> list[str]:
+        return [_text(value) for view in self._views for value in view if type(value) in (list, dict, np.ndarray)]
+
     def _present_facts(self) -> dict[str, object]:
         return {
             f"{_short(owner)}.{name}": _codes(value) or _text(value)
@@ -189,6 +192,33 @@ class ChangeGuard:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._classes, self._exempt)
+
+
+_guards: dict[tuple[tuple[type, ...], frozenset[str]], ChangeGuard] = {}
+
+
+def guard_of(
+    classes: tuple[type, ...], read: Collection[str] = (), exempt: frozenset[str] = frozenset()
+) -> ChangeGuard:
+    """Check that an environment consists of what the engine was ported from, and return the guard of its classes.
+
+    A guard that was made before is taken again if nothing has changed, since the comparison takes milliseconds.
+
+    Args:
+        classes: the classes; see `classes_of`.
+        read: names of parameters that the engine reads from them.
+        exempt: names of parameters that may change later on.
+
+    Raises:
+        ChangedError: if it does not. The message names what is different.
+    """
+    known = _guards.get((classes, exempt))
+    if known is None or any(_changed_imports()) or not known.is_current():
+        names = changes(classes, read)
+        if names:
+            raise ChangedError(names)
+        known = _guards[classes, exempt] = ChangeGuard(classes, exempt)
+    return known
 
 
 def _counts(owner: Owner, name: str, value: object) -> bool:

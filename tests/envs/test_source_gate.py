@@ -6,6 +6,7 @@ import subprocess
 import sys
 import types
 from copy import deepcopy
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -15,6 +16,8 @@ from gymnasium.vector import SyncVectorEnv
 from highway_env import utils
 from highway_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv
 from highway_env.envs.common import abstract
+from highway_env.envs.common.action import DiscreteMetaAction
+from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
@@ -170,8 +173,9 @@ def test_automatic_resets_look_too(monkeypatch):
     env = StockVectorEnv(HighwayEnvFast, 1, {"duration": 1}, autoreset_mode="SameStep")
     env.reset(seed=0)
     monkeypatch.setattr(IDMVehicle, "mobil", lambda *_: True)
-    with pytest.raises(InputError, match=r"IDMVehicle.mobil changed"):
-        env.step(np.array([1]))
+    with pytest.raises(InputError, match=r"IDMVehicle.mobil changed"):  # noqa: PT012 - at every eighth reset
+        for _ in range(8):
+            env.step(np.array([1]))
 
 
 def test_an_environment_of_an_intersection_elsewhere_changes_nothing():
@@ -219,6 +223,18 @@ def test_guards_can_be_copied_and_pickled(monkeypatch):
     for one in (there, deepcopy(guard)):
         with pytest.raises(InputError, match=r"IDMVehicle.mobil"):
             one.check()
+
+
+def test_what_changes_in_place_or_in_an_import_is_noticed_when_an_environment_is_made_again(monkeypatch):
+    StockVectorEnv(HighwayEnvFast)
+    monkeypatch.setitem(DiscreteMetaAction.ACTIONS_ALL, 0, "IDLE")
+    with pytest.raises(InputError, match=r"DiscreteMetaAction.ACTIONS_ALL"):
+        StockVectorEnv(HighwayEnvFast)
+    monkeypatch.undo()
+    StockVectorEnv(HighwayEnvFast)
+    monkeypatch.setattr(abstract, "observation_factory", partial(observation_factory))
+    with pytest.raises(InputError, match=r"abstract.observation_factory"):
+        StockVectorEnv(HighwayEnvFast)
 
 
 def test_an_array_in_place_of_another_is_a_change(monkeypatch):

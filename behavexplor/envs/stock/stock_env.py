@@ -13,7 +13,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
-from behavexplor.envs.source_gate import ChangeGuard, check_ported, classes_of
+from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import (
     kept_class,
@@ -114,11 +114,10 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
             classes = classes_of(self._single, classes_of_vehicles(self._single))
-            check_ported(classes, TRAFFIC)
+            self._guard = guard_of(classes, TRAFFIC, TRAFFIC if self.places_own else frozenset())
             self._engine = make_engine(
                 self._single, self._kind, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
-        self._guard = ChangeGuard(classes, TRAFFIC if self.places_own else frozenset())
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
@@ -165,6 +164,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             if mask[b] and (own_seed is not None or not self._is_seeded[b]):
                 self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(own_seed)[0])
         self._is_seeded |= mask
+        self._guard.check(always=bool(mask.all()))
         actions = self._begin(mask, starts, draws, logs_start=self.frame_log.frames.size > 0)
         self._idle -= set(np.flatnonzero(mask).tolist())
         return self._observations.copy(), self._infos(actions, mask.copy())
@@ -213,6 +213,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             mask: the chosen slots, shape (num_envs,).
             actions: the actions of the step, shape (num_envs, ...); those of the chosen slots are overwritten.
         """
+        self._guard.check(always=False)
         actions[mask] = self._begin(mask)[mask]
         return self._infos(actions, self._everywhere.copy())
 
@@ -236,7 +237,6 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             draws: the draws of some of them.
             logs_start: whether the frame log shows the starts.
         """
-        self._guard.check()
         actions: NDArray[Any] = self._sampled_space.sample()
         own = mask.copy()
         seen: dict[int, NDArray[Any]] = {}

@@ -17,7 +17,7 @@ from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
-from behavexplor.envs.source_gate import ChangeGuard, check_ported, classes_of
+from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
@@ -89,8 +89,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         single = self.env_class(config)
         check_supported(single)
         classes = classes_of(single, map(type, single.road.vehicles))
-        check_ported(classes)
-        self._guard = ChangeGuard(classes)
+        self._guard = guard_of(classes)
         self.num_envs = num_envs
         self.config = single.config
         self.logical = single.logical
@@ -138,7 +137,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         for b, own_seed in enumerate(seeds):
             if mask[b] and own_seed is not None:
                 self._generators[b], _ = seeding.np_random(own_seed)
-        infos = self._begin(mask, scenarios)
+        infos = self._begin(mask, scenarios, is_whole=bool(mask.all()))
         self._observe(mask)
         return self._observations.copy(), infos
 
@@ -188,13 +187,20 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             ends[:, ~active] = False
         return self._observations.copy(), rewards, terminated, truncated, infos
 
-    def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> dict[str, Any]:
+    def _begin(
+        self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None, *, is_whole: bool = False
+    ) -> dict[str, Any]:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one.
+
+        Args:
+            mask: the chosen slots, shape (num_envs,).
+            scenarios: a scenario or None for each slot; None if all are sampled.
+            is_whole: whether the user has reset all slots.
 
         Raises:
             InputError: if a scenario has no room in a slot, or classes have changed since the environment was made.
         """
-        self._guard.check()
+        self._guard.check(always=is_whole)
         begun: dict[int, ScriptedScenario] = {}
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None

@@ -221,6 +221,7 @@ def test_another_release_of_highway_env_runs_itself_and_says_so(monkeypatch):
     digests["highway_env.vehicle.behavior"]["IDMVehicle"]["act"] = "0" * 16
     digests["highway_env.road.road"]["Road"]["gone"] = "0" * 16
     monkeypatch.setattr(source_gate, "ported_sources", lambda: digests)
+    monkeypatch.setattr(source_gate, "_guards", {})
     with pytest.warns(UserWarning, match=r"highway-env itself runs, .* another Road.gone, IDMVehicle.act than"):
         env = registered.vector_env(TwoWayEnv, num_envs=2, autoreset_mode="SameStep", max_episode_steps=3)
     assert isinstance(env, SyncVectorEnv)
