@@ -29,13 +29,7 @@ MOST_PLACES = MOST_VALUES // 2  # of all vehicles in all frames
 LONGEST = 100_000.0  # duration of an episode [s]; 10 000 decisions may take so long
 MOST_POINTS = 200_000  # of a route
 MOST_CONTACTS = 100_000_000  # of frames and illegal lines that are compared
-_MOST = {
-    "frames": MOST_FRAMES,
-    "vehicles times frames": MOST_PLACES,
-    "seconds": LONGEST,
-    "points of the route": MOST_POINTS,
-    "illegal lines times frames": MOST_CONTACTS,
-}
+_COUNTED = ("frames", "vehicles times frames", "seconds", "points of the route", "illegal lines times frames")
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
 ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
 CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
@@ -145,9 +139,10 @@ class Trace:
         """Refuse a trace that would take minutes or gigabytes to judge and to draw."""
         frames, vehicles, lines = len(self.time), len(self.size), len(self.illegal_lines)
         counts = (frames, vehicles * frames, self.time[-1], len(self.route), lines * frames)
-        if not any(map(gt, counts, _MOST.values())):
+        limits = (MOST_FRAMES, MOST_PLACES, LONGEST, MOST_POINTS, MOST_CONTACTS)
+        if not any(map(gt, counts, limits)):
             return
-        for count, (what, most) in zip(counts, _MOST.items(), strict=True):
+        for what, count, most in zip(_COUNTED, counts, limits, strict=True):
             if count > most:
                 raise InputError(f"A trace has at most {most:,.0f} {what}, not {count:,.0f}")
 
