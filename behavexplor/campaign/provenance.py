@@ -1,4 +1,4 @@
-"""Whether code may run because a folder says so: if the user agrees now, or if this machine has made the folder.
+"""Permission to run the code that a folder names: the user gives it now, or this machine has made the folder.
 
 Run folders, suites and retrainings name drivers, environments, specs and search methods by the modules to import. They
 also say which pickles may be executed and whether a driver is confined. All of this goes through `agreed` before
@@ -81,7 +81,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class Permission:
     """What may be done as a folder says.
 
     Attributes:
@@ -100,7 +100,7 @@ class AcceptedConfig(CampaignConfig):
     """The configuration of a run folder, by which something may be executed; `accepted` makes it.
 
     Attributes:
-        modules: see `Agreement.modules`.
+        modules: see `Permission.modules`.
     """
 
     modules: Mapping[str, str] = field(default_factory=dict)
@@ -123,7 +123,7 @@ def digest_of(values: Mapping[str, Any], modules: Mapping[str, str], policy: Seq
     return f"sha256:{hashlib.sha256(text.encode()).hexdigest()}"
 
 
-def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = ALL) -> Agreement:
+def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = ALL) -> Permission:
     """Check that what a folder names may be run, and import what this process needs of it.
 
     Args:
@@ -138,14 +138,14 @@ def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = A
     running = [one for one in left if one.key in runs]
     asks = claim.asks and ADS in runs
     if not running and not asks:
-        return Agreement()
+        return Permission()
     modules, digests = claim.digests(claim.code, left)
     if any(digest in consent.trust or is_own(digest) for digest in digests):
         import_checked(_of(modules, [one for one in running if one.key in _HERE]))
-        return Agreement(True, _of(modules, [one for one in running if one.key in _IN_WORKERS]), tuple(digests))
+        return Permission(True, _of(modules, [one for one in running if one.key in _IN_WORKERS]), tuple(digests))
     if running:
         raise _refusal(claim, running, digests[-1])
-    return Agreement(digests=tuple(digests))
+    return Permission(digests=tuple(digests))
 
 
 def accepted(

@@ -35,10 +35,9 @@ DRAWING: Final = frozenset(  # of an environment, which change pictures only
 )
 REWARDS: Final = frozenset({"_reward", "_rewards"})  # which drivers are not told
 READ: Final = frozenset({"default_config"})  # of an environment, which the engine reads when it is made
-OF_INTERSECTION: Final = (
-    MappingProxyType(  # highway-env's own values, and those that `IntersectionEnv` sets in the class
-        {"DISTANCE_WANTED": (10.0, 7), "COMFORT_ACC_MAX": (3.0, 6), "COMFORT_ACC_MIN": (-5.0, -3)}
-    )
+# Parameters of `IDMVehicle`, and the values that `IntersectionEnv` sets in this class.
+OF_INTERSECTION: Final = MappingProxyType(
+    {"DISTANCE_WANTED": (10.0, 7), "COMFORT_ACC_MAX": (3.0, 6), "COMFORT_ACC_MIN": (-5.0, -3)}
 )
 _SKIPPED: Final = DRAWING | READ | {"_abc_impl", "track_config_path"}  # the last only words errors about configurations
 _RARELY: Final = 8  # calls of `ChangeGuard.check` for a look

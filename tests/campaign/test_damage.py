@@ -18,7 +18,7 @@ from behavexplor.campaign.folder_lock import LOCK
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.errors import InputError
-from tests.campaign.test_store import execution
+from tests.campaign.test_store import execution, stored_run
 
 ROOT = Path(__file__).parents[2]
 OLD = ROOT / "tests" / "stored" / "format-1"
@@ -31,13 +31,7 @@ ON_DISK = 200  # executions, of 8 kB each, of which a megabyte holds at least th
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A run folder of many executions, every third a failure."""
-    folder = tmp_path_factory.mktemp("runs") / "whole"
-    store = Store.create(folder, CAMPAIGN_CONFIG)
-    for number in range(COUNT):
-        store.add(execution(number, ["collision"] if number % 3 == 0 else []))
-    store.commit()
-    store.close()
-    return folder
+    return stored_run(tmp_path_factory.mktemp("runs") / "whole", CAMPAIGN_CONFIG, COUNT)
 
 
 @pytest.fixture

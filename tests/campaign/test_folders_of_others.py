@@ -18,7 +18,7 @@ from behavexplor.campaign.folder_lock import LOCK, is_being_written
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
-from tests.campaign.test_store import execution
+from tests.campaign.test_store import execution, stored_run
 
 CONFIG_TEXT = f"ads: constant\nenv: lane-follow\nrevision: {REVISION}\n"
 MAGIC = bytes.fromhex("d9d505f920a163d7")
@@ -27,13 +27,7 @@ PAGE = 4096
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "whole"
-    store = Store.create(folder, CONFIG_TEXT)
-    for number in range(60):
-        store.add(execution(number, ["collision"] if number % 3 == 0 else []))
-    store.commit()
-    store.close()
-    return folder
+    return stored_run(tmp_path_factory.mktemp("runs") / "whole", CONFIG_TEXT, 60)
 
 
 @pytest.fixture

@@ -30,6 +30,16 @@ def execution(number, violated=(), violation_class=None):
     return Execution(record, TRACES[number % 3], 1.5 * number)
 
 
+def stored_run(folder, config, count):
+    """Make a run folder of some executions, every third a failure."""
+    store = Store.create(folder, config)
+    for number in range(count):
+        store.add(execution(number, ["collision"] if number % 3 == 0 else []))
+    store.commit()
+    store.close()
+    return folder
+
+
 @pytest.fixture
 def store(tmp_path):
     store = Store.create(tmp_path / "run", "env: x\n")

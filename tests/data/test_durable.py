@@ -87,7 +87,7 @@ def test_what_is_read_is_a_file_of_a_size(tmp_path):
 
 
 def writes(node):
-    """Whether a call may write a file by its path."""
+    """Return whether a call may write a file by its path."""
     if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute | ast.Name):
         return False
     name = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
