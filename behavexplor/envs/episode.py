@@ -1,7 +1,7 @@
 """Build the trace of an episode from its record."""
 
 import math
-from typing import Any
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,17 +9,27 @@ from numpy.typing import NDArray
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import RESOLUTION, Trace
+from behavexplor.envs.engine.record_types import Records, record_type
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Pose: TypeAlias = np.record
+
+POSE: Final = record_type(  # of the ego in a frame
+    x=np.float64,  # [m]
+    y=np.float64,
+    heading=np.float64,  # [rad]
+    vx=np.float64,  # [m/s]
+    vy=np.float64,
+)
 
 
 def episode_trace(
     roadmap: RoadMap,
     *,
     time: Floats,
-    ego: Floats,
+    ego: Records,
     motion: Floats,
     sizes: Floats,
     actions: Floats,
@@ -31,7 +41,7 @@ def episode_trace(
     Args:
         roadmap: the map.
         time: time of each frame, shape (T,) [s].
-        ego: x [m], y [m], heading [rad] and velocity (vx, vy) [m/s] of the ego, shape (T, 5).
+        ego: the ego's poses, shape (T,) of `POSE`.
         motion: the NPCs' motion table, shape (T, n_npcs, 5).
         sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m].
         actions: the commands, shape (D, A).
@@ -44,7 +54,7 @@ def episode_trace(
     directions = np.empty((2, *turned.shape))
     np.cos(turned, out=directions[0])  # numpy's own functions, whose last bits differ from C's
     np.sin(turned, out=directions[1])
-    is_finite = fill_record(np.ascontiguousarray(ego), motion, directions, RESOLUTION, position, heading, velocity)
+    is_finite = fill_record(ego, motion, directions, RESOLUTION, position, heading, velocity)
     made = Trace.of_valid if is_finite else Trace  # which refuses it
     return made(
         time=_read_only(time),
@@ -68,7 +78,7 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 @kernel_in_place
 def fill_record(
-    ego: Floats,
+    ego: Records,
     motion: Floats,
     directions: Floats,
     resolution: float,
@@ -79,7 +89,7 @@ def fill_record(
     """Fill in the motion of all vehicles, the ego first, in multiples of the resolution of traces.
 
     Args:
-        ego: x, y, heading and velocity of the ego, shape (T, 5).
+        ego: poses of the ego, shape (T,) of `POSE`.
         motion: the NPCs' motion table, shape (T, n_npcs, 5).
         directions: cosine and sine of the NPCs' headings, shape (2, T, n_npcs).
         resolution: resolution of traces.
@@ -92,11 +102,12 @@ def fill_record(
     """
     is_finite = True
     for t in range(len(ego)):
-        position[t, 0, 0], position[t, 0, 1] = _rounded(ego[t, 0], resolution), _rounded(ego[t, 1], resolution)
-        heading[t, 0] = _rounded(ego[t, 2], resolution)
-        velocity[t, 0, 0], velocity[t, 0, 1] = _rounded(ego[t, 3], resolution), _rounded(ego[t, 4], resolution)
-        for k in range(ego.shape[1]):
-            is_finite = is_finite and math.isfinite(ego[t, k])
+        pose = ego[t]
+        position[t, 0, 0], position[t, 0, 1] = _rounded(pose.x, resolution), _rounded(pose.y, resolution)
+        heading[t, 0] = _rounded(pose.heading, resolution)
+        velocity[t, 0, 0], velocity[t, 0, 1] = _rounded(pose.vx, resolution), _rounded(pose.vy, resolution)
+        is_placed = math.isfinite(pose.x) and math.isfinite(pose.y) and math.isfinite(pose.heading)
+        is_finite = is_finite and is_placed and math.isfinite(pose.vx) and math.isfinite(pose.vy)
         for i in range(motion.shape[1]):
             position[t, 1 + i, 0] = _rounded(motion[t, i, X], resolution)
             position[t, 1 + i, 1] = _rounded(motion[t, i, Y], resolution)

@@ -81,7 +81,7 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
 
     def _normalize(self, rows: Floats) -> None:
         if not self.features_range:
-            self.features_range = default_ranges(self._n_side_lanes())
+            self.features_range = default_ranges(self.n_side_lanes())
         for i, feature in enumerate(self.features):
             if feature in self.features_range:
                 low, high = self.features_range[feature]
@@ -89,7 +89,8 @@ class Kinematics(KinematicObservation):  # type: ignore[misc]
                 if self.clip:
                     np.clip(rows[:, i], -1, 1, out=rows[:, i])
 
-    def _n_side_lanes(self) -> int:
+    def n_side_lanes(self) -> int:
+        """Return the number of parallel lanes where the ego is."""
         return len(self.env.road.network.all_side_lanes(self.observer_vehicle.lane_index))
 
 

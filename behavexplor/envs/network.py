@@ -91,6 +91,9 @@ class _Arc(CircularLane):  # type: ignore[misc]
         return with_c_library(CircularLane.local_coordinates)(self, position)  # type: ignore[no-any-return]
 
 
+LANE_CLASSES = _Straight, _Arc  # whose geometry is that of highway-env's straight and circular lanes
+
+
 @cache
 def road_network(roadmap: RoadMap) -> MapNetwork:
     """Return the network of a map. It is built once, since it never changes."""

@@ -13,7 +13,7 @@ from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import Trace
-from behavexplor.envs.episode import episode_trace
+from behavexplor.envs.episode import POSE, episode_trace
 from behavexplor.envs.reward import reward_terms
 
 Floats = NDArray[np.float64]
@@ -121,7 +121,7 @@ class Recorder:
         return episode_trace(
             self._roadmap,
             time=self._time[:frames],
-            ego=np.array(self._ego),
+            ego=np.array(self._ego, dtype=POSE),
             motion=self._motion[:frames],
             sizes=self._sizes,
             actions=np.array(self._actions),

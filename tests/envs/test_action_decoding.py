@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from behavexplor.envs.engine.action_decoding import make_commands
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
-from behavexplor.envs.vector.action_decoding import make_commands
 
 RANGES = {"acceleration_range": [-3.3, 4.7], "steering_range": [-0.1, 0.77]}
 

@@ -97,8 +97,9 @@ def test_every_name_is_noticed_before_and_after_an_environment_is_made(monkeypat
     ],
 )
 def test_what_is_added_or_imported_is_noticed(owner, name, value, monkeypatch):
+    classes = classes_of_engines()
     monkeypatch.setattr(owner, name, value, raising=False)
-    assert any(found.endswith(f".{name}") for found in changes(classes_of_engines()))
+    assert any(found.endswith(f".{name}") for found in changes(classes))
 
 
 def test_code_that_is_replaced_within_a_function_is_noticed(monkeypatch):

@@ -26,7 +26,6 @@ from behavexplor.envs.functional.lane_follow import LaneFollowEnv, LaneFollowVec
 from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
-from behavexplor.envs.vector.slots import FRAME, N_NPCS
 from behavexplor.errors import InputError
 
 TOLERANCE = 1e-9
@@ -433,8 +432,9 @@ def test_what_is_no_action_for_each_is_refused(action, actions):
     before, _ = env.reset(seed=0)
     with pytest.raises(InputError, match="actions: expected finite numbers of"):
         env.step(actions)
-    assert np.array_equal(env._slots.ego[:, :3], before[:, 0, 1:4])
-    assert (env._slots.numbers[:, FRAME] == 0).all()
+    egos = env._slots.state.vehicles[:, 0]
+    assert np.array_equal(np.stack([egos["x"], egos["y"], egos["heading"]], axis=1), before[:, 0, 1:4])
+    assert (env._slots.runs["frame"] == 0).all()
 
 
 @pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
@@ -621,14 +621,17 @@ def make_lane_change():
     return env
 
 
-@pytest.mark.parametrize(("column", "value"), [(FRAME, 10**6), (FRAME, -1), (N_NPCS, 10**6), (N_NPCS, -1)])
-def test_a_decision_beyond_the_room_of_a_slot_is_refused(column, value):
+@pytest.mark.parametrize(
+    ("field", "value"), [("frame", 10**6), ("frame", -1), ("n_vehicles", 10**6), ("n_vehicles", 0)]
+)
+def test_a_decision_beyond_the_room_of_a_slot_is_refused(field, value):
     env = make_lane_change()
-    env._slots.numbers[1, column] = value
+    (env._slots.runs if field == "frame" else env._slots.state.episodes)[field][1] = value
     before = copy.deepcopy(env._slots)
     with pytest.raises(InputError, match="longer than its record"):
         env.step(env.action_space.sample())
-    assert all(np.array_equal(*pair, equal_nan=True) for pair in zip(before, env._slots, strict=True))
+    pairs = zip((*before.state, *before[1:]), (*env._slots.state, *env._slots[1:]), strict=True)
+    assert all(np.array_equal(*pair) for pair in pairs)
 
 
 def test_a_scenario_beyond_the_room_of_a_slot_is_refused():

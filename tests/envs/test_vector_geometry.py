@@ -6,11 +6,13 @@ from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.envs.engine import control
+from behavexplor.envs.engine.contact import boxes_touch, corners, line_meets_box, touches_line
+from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point
+from behavexplor.envs.engine.records import VEHICLE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
-from behavexplor.envs.vector.contact import boxes_touch, corners, line_meets_box, touches_line
-from behavexplor.envs.vector.lanes import closest_lane, lane_coordinates, lane_heading, lane_point, next_lane
 from behavexplor.envs.vector.world import make_world
 from tests.kernel_calls import called_alone
 
@@ -21,7 +23,7 @@ lane_coordinates = called_alone(lane_coordinates)
 lane_heading = called_alone(lane_heading)
 lane_point = called_alone(lane_point)
 line_meets_box = called_alone(line_meets_box)
-next_lane = called_alone(next_lane)
+next_lane = called_alone(control._next_lane)
 touches_line = called_alone(touches_line)
 
 ENVS = [IntersectionLeftEnv, LaneChangeEnv]
@@ -81,13 +83,14 @@ def test_lanes_are_highway_env_s(env_class):
     low, high = (-100, 100) if env_class is IntersectionLeftEnv else ((-20, -10), (350, 25))
     for _ in range(200):
         position, heading = rng.uniform(low, high, 2), rng.uniform(-7, 7)
-        closest = closest_lane(world.network.lanes, *position, heading)
+        closest, *_ = closest_lane(world.network, int(rng.integers(len(network._indexes))), *position, heading)
         assert network._indexes[closest] == network.get_closest_lane_index(position, heading)
         for i, lane in enumerate(network.lanes_list()):
-            station, offset = lane_coordinates(world.network.lanes, i, *position)
+            row = world.network.lanes[i]
+            station, offset = lane_coordinates(row, *position)
             assert (station, offset) == pytest.approx(lane.local_coordinates(position), abs=1e-9)
-            assert lane_heading(world.network.lanes, i, station) == pytest.approx(lane.heading_at(station))
-            assert lane_point(world.network.lanes, i, station) == pytest.approx(lane.position(station, 0), abs=1e-9)
+            assert lane_heading(row, station) == pytest.approx(lane.heading_at(station))
+            assert lane_point(row, station) == pytest.approx(lane.position(station, 0), abs=1e-9)
 
 
 @pytest.mark.parametrize("env_class", ENVS)
@@ -103,6 +106,9 @@ def test_the_next_lane_is_highway_env_s(env_class):
         position = end + rng.normal(0, 4, 2)
         left = route[done:]
         expected = RoadNetwork.next_lane(network, network._indexes[lane], left, position, np.random.default_rng(0))
-        following, done = next_lane(world.network, done, lane, *position)
+        vehicle = np.zeros(1, VEHICLE)[0]
+        vehicle.target_lane, vehicle.route_position, vehicle.route_length = lane, done, len(route)
+        station, _ = lane_coordinates(world.network.lanes[lane], *position)
+        following = next_lane(world.network, vehicle, world.routes[0], station)
         assert network._indexes[following] == tuple(expected)
-        assert route[done:] == left
+        assert route[vehicle.route_position :] == left

@@ -16,19 +16,22 @@ from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.envs.engine import control
+from behavexplor.envs.engine.contact import boxes_touch, corners, line_distance, line_meets_box, touches_line
+from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.motion import _limit_commands
+from behavexplor.envs.engine.records import TRAITS, VEHICLE
+from behavexplor.envs.episode import POSE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
 from behavexplor.envs.reward import WEIGHTS
 from behavexplor.envs.reward import reward_terms as terms_of_one
-from behavexplor.envs.vector import meta, slots, step
-from behavexplor.envs.vector.contact import boxes_touch, corners, line_distance, line_meets_box, touches_line
+from behavexplor.envs.vector import slots, step
 from behavexplor.envs.vector.rewards import TERMS, reward_terms
 from behavexplor.envs.vector.slots import (
-    END,
-    LINE_FRAME,
-    N_NPCS,
+    RUN,
     RUNNING,
     begin_episodes,
     make_slots,
@@ -45,15 +48,13 @@ line_distance = called_alone(line_distance)
 line_meets_box = called_alone(line_meets_box)
 move_npcs = called_alone(move_npcs)
 touches_line = called_alone(touches_line)
-changed_lane = called_alone(meta.changed_lane)
-changed_speed = called_alone(meta.changed_speed)
-follow_road = called_alone(meta.follow_road)
-nearest_speed = called_alone(meta.nearest_speed)
-steering = called_alone(meta.steering)
-throttle = called_alone(meta.throttle)
+take_maneuver = called_alone(control.take_maneuver)
+nearest_speed = called_alone(control.nearest_speed)
+keep_lane_and_speed = called_alone(control.keep_lane_and_speed)
+lane_coordinates = called_alone(lane_coordinates)
+limit_commands = called_alone(_limit_commands)
 find_end = called_alone(step._find_end)
 station = called_alone(step._station)
-within_speeds = called_alone(step._within_speeds)
 
 LEFT, CHANGE = IntersectionLeftEnv(), LaneChangeEnv()
 WORLDS = {env: make_world(env) for env in (LEFT, CHANGE)}
@@ -140,18 +141,20 @@ def test_maneuvers_are_highway_env_s(env):
         vehicle, target = meta_ego(env, rng)
         maneuver, done = int(rng.integers(5)), int(rng.integers(len(route) + 1))
         vehicle.route = route[done:]
-        x, y = vehicle.position
-        index = changed_speed(speeds, 1, maneuver, vehicle.speed)
-        lane, _ = follow_road(network, done, target, x, y)
-        lane = changed_lane(network, lane, maneuver, x, y)
+        row, steps = np.zeros(1, VEHICLE)[0], WORLDS[env].routes[0]
+        (row.x, row.y), row.heading, row.speed = vehicle.position, vehicle.heading, vehicle.speed
+        row.target_lane, row.speed_index, row.target_speed = target, 1, 4.5
+        row.route_position, row.route_length = done, len(route)
+        take_maneuver(network, speeds, row, steps, maneuver)
+        place = lane_coordinates(network.lanes[row.target_lane], row.x, row.y)
+        keep_lane_and_speed(network, row, steps, EGO_SIZE[0], *place)
         vehicle.act(MANEUVERS[maneuver])
-        assert index == vehicle.speed_index
-        assert road_network(env.logical.roadmap)._indexes[lane] == tuple(vehicle.target_lane_index)
-        assert throttle(speeds[index], vehicle.speed) == vehicle.action["acceleration"]
-        steered = steering(network.lanes, lane, x, y, vehicle.heading, vehicle.speed)
-        assert steered == vehicle.action["steering"]
-        changed.add((maneuver, lane != target))
-    assert {(meta.LANE_LEFT, True), (meta.LANE_RIGHT, True), (meta.IDLE, False)} <= changed
+        assert row.speed_index == vehicle.speed_index
+        assert road_network(env.logical.roadmap)._indexes[row.target_lane] == tuple(vehicle.target_lane_index)
+        assert row.acceleration == vehicle.action["acceleration"]
+        assert row.steering == vehicle.action["steering"]
+        changed.add((maneuver, bool(row.target_lane != target)))
+    assert {(control.LANE_LEFT, True), (control.LANE_RIGHT, True), (control.IDLE, False)} <= changed
 
 
 @given(st.floats(-50, 50), st.lists(st.floats(0.5, 5), min_size=1, max_size=1), st.integers(2, 6))
@@ -166,7 +169,11 @@ def test_speeds_are_kept_within_limits_as_highway_env_does(speed, acceleration):
     vehicle = Vehicle(None, [0, 0], speed=speed)
     vehicle.act({"steering": 0.0, "acceleration": acceleration})
     vehicle.clip_actions()
-    assert within_speeds(WORLDS[LEFT].rules, speed, acceleration) == vehicle.action["acceleration"]
+    row, traits = np.zeros(1, VEHICLE)[0], np.zeros(1, TRAITS)[0]
+    row.speed, row.acceleration = speed, acceleration
+    traits.min_speed, traits.max_speed = Vehicle.MIN_SPEED, Vehicle.MAX_SPEED
+    limit_commands(row, traits)
+    assert row.acceleration == vehicle.action["acceleration"]
 
 
 @pytest.mark.parametrize("env", [LEFT, CHANGE], ids=["left", "change"])
@@ -175,7 +182,7 @@ def test_stations_on_the_route_are_the_map_s(env):
     route = env.logical.roadmap.ego_route
     for _ in range(300):
         x, y = route.pose(rng.uniform(-20, route.length + 20))[:2] + rng.normal(0, 5, 2)
-        assert station(WORLDS[env].ego_lanes, x, y) == pytest.approx(route.project(x, y)[0], abs=1e-9)
+        assert station(WORLDS[env].ego_route, x, y) == pytest.approx(route.project(x, y)[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -196,11 +203,17 @@ def test_stations_on_the_route_are_the_map_s(env):
 )
 def test_ends_come_in_their_order(frame, standing, ahead, aside, expected):
     """At 20 Hz: 30 s of standing are 600 frames, the 200 s of an episode 4000."""
-    rules, roadmap = WORLDS[LEFT].rules, LEFT.logical.roadmap
+    roadmap = LEFT.logical.roadmap
     along = roadmap.destination_direction
     x, y = roadmap.destination_point + ahead * along + aside * np.array([-along[1], along[0]])
-    end = find_end(rules, frame, standing, x, y)
-    assert (None if end == RUNNING else ENDS[end]) == expected
+    run, pose = np.zeros(1, RUN)[0], np.zeros(1, POSE)[0]
+    run.frame, run.standing, run.end, pose.x, pose.y = frame, standing - 1, RUNNING, x, y
+    find_end(WORLDS[LEFT].rules[0], run, pose)
+    assert (None if run.end == RUNNING else ENDS[run.end]) == expected
+    pose.vx = 0.31
+    run.end = RUNNING
+    find_end(WORLDS[LEFT].rules[0], run, pose)
+    assert run.standing == 0
 
 
 def put_scenario(world, state, b, scenario, roadmap):
@@ -214,15 +227,20 @@ def test_a_slot_forgets_the_episode_before():
     first, second = (logical.sample(np.random.default_rng(seed)) for seed in (0, 1))
     small = ScriptedScenario(logical.name, second.npcs[:2])
     put_scenario(WORLDS[LEFT], used, 1, first, logical.roadmap)
-    used.numbers[1, LINE_FRAME], used.numbers[1, END], used.ego[1] = 7, 1, 99.0
+    used.runs[1].line_frame, used.runs[1].end, used.state.vehicles[1, 0].speed = 7, 1, 99.0
     put_scenario(WORLDS[LEFT], used, 1, small, logical.roadmap)
     put_scenario(WORLDS[LEFT], fresh, 1, small, logical.roadmap)
-    assert used.numbers[1, N_NPCS] == 2
-    assert used.size[1, 1:3].tolist() == [list(VEHICLE_SIZES[npc.type]) for npc in small.npcs]
-    for name in ("ego", "numbers", "size", "npc"):
-        assert np.array_equal(getattr(used, name)[1], getattr(fresh, name)[1]), name
-        assert not getattr(used, name)[0].any() or name == "numbers"
-    assert used.numbers[0, END] == slots.IDLE
+    assert used.state.episodes[1].n_vehicles == 3
+    traits = used.state.traits[1, 1:3]
+    assert [(size.length, size.width) for size in traits] == [VEHICLE_SIZES[npc.type] for npc in small.npcs]
+    assert used.state.vehicles[1, :3].tobytes() == fresh.state.vehicles[1, :3].tobytes()
+    assert used.state.traits[1, :3].tobytes() == fresh.state.traits[1, :3].tobytes()
+    for i in range(3):
+        length = used.state.vehicles[1, i].route_length
+        routes = used.state.routes[1, i, :length], fresh.state.routes[1, i, :length]
+        assert routes[0].tobytes() == routes[1].tobytes()
+    assert (used.state.episodes[1], used.runs[1]) == (fresh.state.episodes[1], fresh.runs[1])
+    assert used.runs[0].end == slots.IDLE
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(st.floats(0, 200), min_size=1, max_size=12))
@@ -233,23 +251,29 @@ def test_npcs_move_at_any_times_as_their_table_says(seed, times):
     put_scenario(world, state, 0, scenario, logical.roadmap)
     table = motion_table(scenario, logical.roadmap, times)
     for time, rows in zip(times, table, strict=True):
-        move_npcs(world.npc_routes, state.numbers, state.npc, state.npc_numbers, state.phases, 0, time)
-        assert np.array_equal(state.npc[0], rows)
+        vehicles = state.state.vehicles[0]
+        move_npcs(world.npc_routes, vehicles, state.scripts[0], state.phases[0], len(scenario.npcs), time)
+        moved = vehicles[1:][["x", "y", "heading", "speed", "acceleration"]]
+        assert np.array_equal(np.array(moved.tolist()), rows)
 
 
 def test_the_reward_of_many_is_that_of_each():
     rng = np.random.default_rng(2)
     state = make_slots(60, 2, (1, 2), LEFT.logical)
-    state.numbers[:, END] = rng.integers(-1, len(ENDS), 60)
-    state.outcome[:, :2] = rng.normal(0, 3, (60, 2))
-    state.outcome[:, 2:] = rng.integers(0, 2, (60, 2))
+    state.runs["end"] = rng.integers(-1, len(ENDS), 60)
+    state.runs["progress"], state.runs["mean_acceleration"] = rng.normal(0, 3, (2, 60))
+    state.runs["touched"], state.runs["rear_end"] = rng.integers(0, 2, (2, 60))
     weights = {name: float(rng.normal()) for name in WEIGHTS}
     active = rng.random(60) < 0.8
     many = dict(zip(TERMS, reward_terms(np.array([weights[name] for name in TERMS]), state, active), strict=True))
-    for b, (progress, acceleration, touched, rear_end) in enumerate(state.outcome):
-        end = ENDS[state.numbers[b, END]] if state.numbers[b, END] >= 0 else None
+    for b, run in enumerate(state.runs):
         one = terms_of_one(
-            weights, progress=progress, acceleration=acceleration, touched=touched, end=end, rear_end=bool(rear_end)
+            weights,
+            progress=run.progress,
+            acceleration=run.mean_acceleration,
+            touched=bool(run.touched),
+            end=ENDS[run.end] if run.end >= 0 else None,
+            rear_end=bool(run.rear_end),
         )
         assert {name: values[b] for name, values in many.items()} == pytest.approx(
             one if active[b] else dict.fromkeys(one, 0)
@@ -261,19 +285,24 @@ def test_the_world_is_the_environment_s():
         make_world(IntersectionStraightEnv({"simulation_frequency": 15, "policy_frequency": 5})),
         LEFT.logical.roadmap,
     )
-    assert (world.rules.substeps, world.rules.frequency, world.rules.max_frames) == (3, 15, 3000)
-    assert (world.rules.min_speed, world.rules.max_speed) == (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
-    assert not world.is_meta
+    rules = world.rules[0]
+    assert (rules.substeps, rules.frequency, rules.max_frames) == (3, 15, 3000)
+    assert (rules.min_speed, rules.max_speed) == (Vehicle.MIN_SPEED, Vehicle.MAX_SPEED)
+    assert not rules.is_meta
     limited = make_world(LaneChangeEnv({"action": {"type": "ContinuousAction", "speed_range": [0, 9]}}))
-    assert (limited.rules.min_speed, limited.rules.max_speed) == (0, 9)
+    assert (limited.rules[0].min_speed, limited.rules[0].max_speed) == (0, 9)
     meta_world = make_world(LaneChangeEnv({"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 8]}}))
-    assert (meta_world.is_meta, meta_world.target_speeds.tolist()) == (True, [0, 8])
+    assert (meta_world.rules[0].is_meta, meta_world.target_speeds.tolist()) == (True, [0, 8])
     assert WORLDS[LEFT].start == pytest.approx(roadmap.start_pose)
     ends = [route.pose(route.length)[:2] for route in roadmap.npc_routes]
-    assert WORLDS[LEFT].npc_ends == pytest.approx(np.array(ends))
-    turning = WORLDS[LEFT].ego_lanes[1]
-    assert math.hypot(*turning[3:5]) == pytest.approx(1)
-    assert 1 / turning[5] == pytest.approx(-16.75)
+    lanes = road_network(roadmap).lanes_list()
+    last = [steps[n - 1] for steps, n in zip(WORLDS[LEFT].routes, WORLDS[LEFT].route_lengths, strict=True)][1:]
+    for end, step_ in zip(ends, last, strict=True):
+        lane = lanes[WORLDS[LEFT].network.roads[step_.road].first_lane + step_.number]
+        assert lane.position(lane.length, 0) == pytest.approx(end)
+    turning = WORLDS[LEFT].ego_route[1]
+    assert math.hypot(turning.cos, turning.sin) == pytest.approx(1)
+    assert 1 / turning.curvature == pytest.approx(-16.75)
 
 
 def test_the_ego_of_the_single_environment_is_placed_as_the_kernels_have_it():
@@ -283,7 +312,8 @@ def test_the_ego_of_the_single_environment_is_placed_as_the_kernels_have_it():
     ego = place_ego(Vehicle, road, roadmap.start_pose, network.indexes(roadmap.ego_route))
     state = make_slots(1, 2, (1, 2), LEFT.logical)
     put_scenario(WORLDS[LEFT], state, 0, ScriptedScenario(LEFT.logical.name, ()), roadmap)
-    assert state.ego[0, :4].tolist() == [*ego.position, ego.heading, ego.speed]
-    assert network._indexes[state.numbers[0, slots.TARGET_LANE]] == ego.lane_index
+    row = state.state.vehicles[0, 0]
+    assert [row.x, row.y, row.heading, row.speed] == [*ego.position, ego.heading, ego.speed]
+    assert network._indexes[row.target_lane] == ego.lane_index
     assert (ego.LENGTH, ego.WIDTH) == EGO_SIZE
     assert not ego.collidable

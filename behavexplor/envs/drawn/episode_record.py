@@ -13,8 +13,8 @@ from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.trace import ABSENT, ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.envs.drawn.course import LaneIndex, ego_route
 from behavexplor.envs.drawn.terms import leaving_matters, must_move_on
-from behavexplor.envs.stock.frame_log import THING
-from behavexplor.envs.stock.record_types import Records
+from behavexplor.envs.engine.frame_log import THING
+from behavexplor.envs.engine.record_types import Records
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class Frame(NamedTuple):
     """What is on the road at one moment.
 
     Attributes:
-        things: the vehicles and obstacles, shape (n,) of `behavexplor.envs.stock.frame_log.THING`.
+        things: the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`.
         ego: the ego's place among them.
         lane: the ego's lane.
         is_on_road: highway-env's `on_road` of the ego.

@@ -16,9 +16,9 @@ from behavexplor.envs.drawn.course import LaneIndex
 from behavexplor.envs.drawn.draw_order import SPAWN, Place, decision_order, forms_of, start_order
 from behavexplor.envs.drawn.drawn_env import DrawnEnv
 from behavexplor.envs.drawn.episode_record import EpisodeRecord, Frame
+from behavexplor.envs.engine.lane_network import lane_indexes
 from behavexplor.envs.source_gate import REWARDS, replaced_in
 from behavexplor.envs.stock.known_classes import STARTS
-from behavexplor.envs.stock.lane_network import lane_indexes
 from behavexplor.envs.stock.slot_state import are_alike
 from behavexplor.envs.stock.stock_env import StockVectorEnv
 from behavexplor.errors import InputError

@@ -12,10 +12,9 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.objects import Obstacle, RoadObject
 from numpy.typing import NDArray
 
-from behavexplor.envs.kinematics import default_ranges
-from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
-from behavexplor.envs.stock.record_types import Records
-from behavexplor.envs.stock.state import (
+from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import (
     IDM,
     LINEAR,
     MDP,
@@ -28,6 +27,7 @@ from behavexplor.envs.stock.state import (
     Slots,
     Vehicle,
 )
+from behavexplor.envs.kinematics import default_ranges
 from behavexplor.envs.stock.stock_world import EGO, World
 from behavexplor.envs.stock.traits import give_traits, kind_of, traits_of
 from behavexplor.errors import InputError

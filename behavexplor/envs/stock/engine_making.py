@@ -11,14 +11,14 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.observation import TimeToCollisionObservation
 from highway_env.utils import class_from_path
 
+from behavexplor.envs.engine.collision_grid import make_memory
+from behavexplor.envs.engine.frame_log import FrameLog
+from behavexplor.envs.engine.observation import grid_view, make_view
+from behavexplor.envs.engine.pcg64 import N_WORDS
+from behavexplor.envs.engine.records import make_slots
 from behavexplor.envs.source_gate import OF_INTERSECTION
-from behavexplor.envs.stock.collision_grid import make_memory
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import N_FLAGS, N_NUMBERS, Engine, Outcome
-from behavexplor.envs.stock.frame_log import FrameLog
-from behavexplor.envs.stock.observing import grid_view, make_view
-from behavexplor.envs.stock.pcg64 import N_WORDS
-from behavexplor.envs.stock.state import make_slots
 from behavexplor.envs.stock.stock_world import OTHER, make_world
 from behavexplor.envs.stock.task import INTERSECTION, Task, make_starts, make_task, no_starts
 

@@ -5,17 +5,17 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.collision_grid import GridMemory, observe_times
-from behavexplor.envs.stock.frame_log import FrameLog, log_frame
+from behavexplor.envs.engine.collision_grid import GridMemory, observe_times
+from behavexplor.envs.engine.frame_log import FrameLog, log_frame
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.observation import View, observe
+from behavexplor.envs.engine.pcg64 import Words, shuffle_rows
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import Scene, Scratch, Slots
 from behavexplor.envs.stock.frames import clear_vehicles, give_command, run_frames
 from behavexplor.envs.stock.intersections import NOT_CHALLENGER, enter_intersection, spawn_vehicle
-from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.observing import View, observe
-from behavexplor.envs.stock.pcg64 import Words
-from behavexplor.envs.stock.record_types import Records
 from behavexplor.envs.stock.resets import start
 from behavexplor.envs.stock.reward_terms import is_terminated, put_terms, reward_of
-from behavexplor.envs.stock.state import Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import INTERSECTION, MOST_TERMS, Task
 from behavexplor.jit import kernel_in_place, kernel_inner
@@ -62,7 +62,7 @@ class Engine(NamedTuple):
         world: the road and the vehicles' classes.
         task: starts, rewards and ends.
         observed: options of the observation.
-        words: the generators, shape (B, 6); see `behavexplor.envs.stock.pcg64`.
+        words: the generators, shape (B, 6); see `behavexplor.envs.engine.pcg64`.
     """
 
     world: World
@@ -208,7 +208,9 @@ def _look(world: World, observed: View, scene: Scene, words: Words, memory: Grid
     if observed.options[0].is_grid:
         observe_times(world.network, scene, world.speeds, world.rules[0].policy_period, memory, observation)
     else:
-        observe(world.network, observed, scene, words, observation)
+        observe(world.network, observed, scene, observation)
+        if observed.options[0].is_shuffled:
+            shuffle_rows(words, observation, 1)
 
 
 @kernel_inner

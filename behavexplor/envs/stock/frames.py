@@ -3,18 +3,18 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.bicycle import move
-from behavexplor.envs.stock.collisions import collide
-from behavexplor.envs.stock.frame_log import FrameLog, log_frame
-from behavexplor.envs.stock.lane_geometry import lane_coordinates
-from behavexplor.envs.stock.lane_keeping import keep_lane_and_speed, take_maneuver
-from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.neighbors import UNKNOWN
-from behavexplor.envs.stock.places import note_places, update_lane
-from behavexplor.envs.stock.reactive_traffic import drive
-from behavexplor.envs.stock.record_types import Records
-from behavexplor.envs.stock.regulation import enforce_rules
-from behavexplor.envs.stock.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
+from behavexplor.envs.engine.collisions import collide
+from behavexplor.envs.engine.control import keep_lane_and_speed, take_maneuver
+from behavexplor.envs.engine.frame_log import FrameLog, log_frame
+from behavexplor.envs.engine.lane_cache import coordinates_on, note_places, update_lane
+from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.motion import move
+from behavexplor.envs.engine.neighbors import UNKNOWN
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
+from behavexplor.envs.engine.regulation import enforce_rules
+from behavexplor.envs.engine.traffic import drive
 from behavexplor.envs.stock.stock_world import Rules, World
 from behavexplor.jit import kernel_inner
 
@@ -81,7 +81,8 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, fram
         for i in range(episode.n_vehicles):
             kind, vehicle = scene.traits[i].kind, scene.vehicles[i]
             if kind == MDP:
-                keep_lane_and_speed(network, scene, i)
+                station, offset = coordinates_on(network, scene, i, vehicle.target_lane)
+                keep_lane_and_speed(network, vehicle, scene.routes[i], scene.traits[i].length, station, offset)
             elif kind != PLAIN and not vehicle.crashed:
                 drive(network, scene, i)
         if rules.regulation_period > 0:

@@ -4,9 +4,10 @@ These are options of `StockVectorEnv.reset`, for some of the slots that are rese
 
 - `starts`: {slot: environment of highway-env, unwrapped, that has just been reset}. Its state is copied, and its random
   generator, if that is numpy's. If the order of the observation is "shuffled", the first one has an order of its own.
-- `draws`: {slot: array of shape (n,)}. The draws that the episode makes from then on, in their order and in standard
-  form; see `behavexplor.envs.stock.pcg64`. At an intersection, each vehicle that may appear takes `N_DRAWS`, also if it
-  does not appear. The generator draws again after the last of them. The first observation of a start must not draw.
+- `draws`: {slot: array of shape (n,)}. The draws that the episode makes from then on, in their order and in
+  standard form; see `behavexplor.envs.engine.pcg64`. At an intersection, each vehicle that may appear takes `N_DRAWS`,
+  also if it does not appear. The generator draws again after the last of them. The first observation of a start must
+  not draw.
 """
 
 from collections.abc import Mapping
@@ -16,12 +17,12 @@ import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
+from behavexplor.envs.engine.lane_network import make_network
+from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, give
+from behavexplor.envs.engine.records import Slots
 from behavexplor.envs.stock.config_check import DRAWING
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import Engine
-from behavexplor.envs.stock.lane_network import make_network
-from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, give
-from behavexplor.envs.stock.state import Slots
 from behavexplor.envs.stock.stock_world import goal_lanes
 from behavexplor.envs.values import shown
 from behavexplor.errors import InputError

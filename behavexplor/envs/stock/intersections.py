@@ -5,10 +5,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from behavexplor.envs.stock.lane_geometry import lane_heading, lane_point
-from behavexplor.envs.stock.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
+from behavexplor.envs.engine.lane_geometry import lane_heading, lane_point
+from behavexplor.envs.engine.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
+from behavexplor.envs.engine.records import Scene
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
-from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task
 from behavexplor.jit import kernel_inner

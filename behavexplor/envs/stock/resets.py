@@ -2,11 +2,11 @@
 
 import math
 
+from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
+from behavexplor.envs.engine.pcg64 import THREE, TWO, Words, integer, normal, uniform, weighted
+from behavexplor.envs.engine.records import Scene
 from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, NOT_CHALLENGER, spawn_vehicle
-from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
-from behavexplor.envs.stock.pcg64 import THREE, TWO, Words, integer, normal, uniform, weighted
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_on_lane, place_vehicle, plan_route
-from behavexplor.envs.stock.state import Scene
 from behavexplor.envs.stock.stock_world import BARRIER, World
 from behavexplor.envs.stock.task import (
     DRAWN,
@@ -29,7 +29,7 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
         world: the road and the vehicles' classes.
         task: the environment's starts.
         scene: the episode, changed in place.
-        words: its random generator, changed in place; see `behavexplor.envs.stock.pcg64`.
+        words: its random generator, changed in place; see `behavexplor.envs.engine.pcg64`.
     """
     episode, kind = scene.episode, task.rules[0].kind
     episode.n_vehicles = episode.n_obstacles = episode.n_numbered = 0

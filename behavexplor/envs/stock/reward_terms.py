@@ -6,9 +6,9 @@ import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.lane_geometry import is_on_road, lane_coordinates
-from behavexplor.envs.stock.lane_keeping import clip
-from behavexplor.envs.stock.state import MDP, NO_LANE, PLAIN, Scene
+from behavexplor.envs.engine.control import clip, nearest_speed
+from behavexplor.envs.engine.lane_geometry import is_on_road, lane_coordinates
+from behavexplor.envs.engine.records import MDP, NO_LANE, PLAIN, Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import (
     EXIT,
@@ -20,7 +20,6 @@ from behavexplor.envs.stock.task import (
     U_TURN,
     Task,
 )
-from behavexplor.envs.vector.meta import nearest_speed
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]

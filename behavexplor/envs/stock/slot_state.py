@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from highway_env.road.road import LaneIndex, RoadNetwork
 
+from behavexplor.envs.engine.lane_network import road_numbers
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import NO_ROUTE, Slots
 from behavexplor.envs.stock.conversion import make_route
-from behavexplor.envs.stock.lane_network import road_numbers
-from behavexplor.envs.stock.record_types import Records
-from behavexplor.envs.stock.state import NO_ROUTE, Slots
 
 _NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_length"})
 _PRECISION = 1e-9  # numpy and the C library may differ in the last bit
@@ -18,7 +18,7 @@ class SlotState(NamedTuple):
     """A copy of a slot with n vehicles and obstacles.
 
     Attributes:
-        episode: shape () of `behavexplor.envs.stock.state.EPISODE`.
+        episode: shape () of `behavexplor.envs.engine.records.EPISODE`.
         vehicles: shape (n,) of `VEHICLE`.
         traits: shape (n,) of `TRAITS`.
         routes: shape (n, steps) of `ROUTE_STEP`.

@@ -13,6 +13,11 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.actions import check_actions
+from behavexplor.envs.engine.action_decoding import command_table, make_commands
+from behavexplor.envs.engine.frame_log import make_log
+from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
+from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
+from behavexplor.envs.engine.records import make_scratch, make_slots
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import (
@@ -35,18 +40,13 @@ from behavexplor.envs.stock.episodes import (
     Actions,
     advance,
 )
-from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.given_starts import chosen_draws, chosen_starts, copy_start, with_draws
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
-from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.stock.slot_state import SlotState, slot_state
-from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.task import KINDS
 from behavexplor.envs.stock.traits import TRAFFIC, classes_of_vehicles
 from behavexplor.envs.values import COUNT, FLAG, optional
-from behavexplor.envs.vector.action_decoding import command_table, make_commands
-from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for
 
@@ -79,7 +79,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     Attributes:
         frame_log: where every vehicle and obstacle was after each frame of the latest step; see
-            `behavexplor.envs.stock.frame_log.FrameLog`. After a call of `reset`, the first frame shows the start. The
+            `behavexplor.envs.engine.frame_log.FrameLog`. After a call of `reset`, the first frame shows the start. The
             next step overwrites it.
         places_own: whether highway-env itself begins the episodes, since a subclass makes its own road or vehicles.
 

@@ -15,10 +15,10 @@ from highway_env.road.road import LaneIndex, Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
+from behavexplor.envs.engine.lane_network import Network, make_network
+from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.records import OBSTACLE, TRAITS
 from behavexplor.envs.source_gate import replaced
-from behavexplor.envs.stock.lane_network import Network, make_network
-from behavexplor.envs.stock.record_types import Records, record_type
-from behavexplor.envs.stock.state import OBSTACLE, TRAITS
 from behavexplor.envs.stock.traits import kind_of, traits_of
 from behavexplor.errors import InputError
 

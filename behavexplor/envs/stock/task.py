@@ -19,9 +19,9 @@ from highway_env.envs import (
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.lane_network import lane_indexes, road_numbers
-from behavexplor.envs.stock.record_types import Records, record_type
-from behavexplor.envs.stock.state import SAME_NUMBER, VEHICLE
+from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
+from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.records import SAME_NUMBER, VEHICLE
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -12,8 +12,8 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
+from behavexplor.envs.engine.records import IDM, LINEAR, MDP, OBSTACLE, PLAIN, TRAITS, Traits
 from behavexplor.envs.source_gate import replaced
-from behavexplor.envs.stock.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, TRAITS, Traits
 from behavexplor.errors import InputError
 
 _CLASSES: Final[dict[int, type[RoadObject]]] = {

@@ -10,24 +10,23 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from behavexplor.data.npc_motion import N_COLUMNS, SPEED
+from behavexplor.data.npc_motion import N_COLUMNS
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import DrivingEnv
+from behavexplor.envs.engine.action_decoding import make_commands
+from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
+from behavexplor.envs.engine.observation import make_view
+from behavexplor.envs.engine.records import make_scratch
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.values import COUNT, shown
-from behavexplor.envs.vector.action_decoding import make_commands
-from behavexplor.envs.vector.arguments import chosen_mode, chosen_options, chosen_seeds, chosen_slots
-from behavexplor.envs.vector.observe import make_view, observe_kinematics, observe_scene
+from behavexplor.envs.vector.observe import observe_kinematics, observe_scene
 from behavexplor.envs.vector.rewards import TERMS, reward_terms
 from behavexplor.envs.vector.slots import (
-    END,
-    FRAME,
     IDLE,
-    N_NPCS,
     RUNNING,
     begin_episodes,
     fill_table,
@@ -98,13 +97,18 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
         self._world = make_world(single)
-        n_frames = int(np.ceil(self._world.rules.max_frames)) + 1
+        rules = self._world.rules[0]
+        n_frames = int(np.ceil(rules.max_frames)) + 1
         self._time = np.arange(n_frames) / self.config["simulation_frequency"]
-        n_decisions = -(-n_frames // self._world.rules.substeps)
+        n_decisions = -(-n_frames // int(rules.substeps))
         self._n_values = int(np.prod(self.single_action_space.shape or ()))  # of an action
         self._slots = make_slots(num_envs, n_frames, (n_decisions, self._n_values), self.logical)
         self._commands = make_commands(single.action_type)
-        self._view = make_view(single.observation_type) if isinstance(single.observation_type, Kinematics) else None
+        self._seen: tuple[Any, ...] = (self._slots,)  # what is observed
+        if isinstance(single.observation_type, Kinematics):
+            scratch = make_scratch(len(self._world.network.lanes), self._slots.state.vehicles.shape[1])
+            self._seen = self._world, self._slots, make_view(single.observation_type), scratch
+            self._slots.state.episodes["n_side_lanes"] = single.observation_type.n_side_lanes()
         space = self.single_observation_space
         self._observations = np.zeros((num_envs, *(space.shape or ())), dtype=space.dtype)
         self._n_waypoints = self._slots.phases.shape[2] - 1
@@ -159,7 +163,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
         if self.checks_actions:
             check_actions(self.action_space, actions)
-        actions, end = np.asarray(actions), self._slots.numbers[:, END]
+        actions, end = np.asarray(actions), self._slots.runs["end"]
         values = np.ascontiguousarray(actions.reshape(self.num_envs, self._n_values), dtype=np.float64)
         active, ends = end == RUNNING, np.zeros((2, self.num_envs), dtype=bool)
         n_ended = self._step_slots(self._world, self._slots, values, self._commands(actions), active, ends)
@@ -210,11 +214,11 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             begun[b] = scenario
         npcs = npc_arrays(list(begun.values()), self.logical.roadmap, self._n_waypoints)
         if not self._begin_slots(self._world, self._slots, np.flatnonzero(mask), *npcs):
-            raise InputError(f"A scenario has more than {self._slots.npc.shape[1]} NPCs, for which there is room")
+            raise InputError(f"A scenario has more than {self._slots.scripts.shape[1]} NPCs, for which there is room")
         infos = np.full(self.num_envs, None, dtype=object)
         for b, scenario in begun.items():
             self.scenarios[b] = infos[b] = scenario
-        self._has_idle = bool((self._slots.numbers[:, END] == IDLE).any())
+        self._has_idle = bool((self._slots.runs["end"] == IDLE).any())
         return {"scenario": infos, "_scenario": mask.copy()}
 
     def _compile(self) -> None:
@@ -223,8 +227,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         values, commands = np.zeros((self.num_envs, self._n_values)), np.zeros((self.num_envs, 2))
         ends = np.zeros((2, self.num_envs), dtype=bool)
         self._step_slots: Any = compiled_for(step, world, slots, values, commands, mask, ends)
-        observe: Any = observe_scene if self._view is None else observe_kinematics
-        self._seen = (slots,) if self._view is None else (world, slots, self._view)
+        observe: Any = observe_scene if len(self._seen) == 1 else observe_kinematics
         self._observe_slots = compiled_for(observe, *self._seen, mask, self._observations)
         npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
         self._begin_slots = compiled_for(begin_episodes, world, slots, np.flatnonzero(mask), *npcs)
@@ -238,7 +241,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
         if terms is None or not mask.any():
             return {}
-        speeds, terms = np.where(mask, self._slots.ego[:, SPEED], 0.0), np.where(mask, terms, 0.0)
+        speeds, terms = np.where(mask, self._slots.state.vehicles["speed"][:, 0], 0.0), np.where(mask, terms, 0.0)
         rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
         return {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
 
@@ -246,7 +249,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return what that `info` has besides at the end of an episode, for the chosen slots."""
         ends, traces = np.full((2, self.num_envs), None, dtype=object)
         for b in done.nonzero()[0].tolist():
-            ends[b], traces[b] = ENDS[self._slots.numbers[b, END]], self._trace(b)
+            ends[b], traces[b] = ENDS[self._slots.runs["end"][b]], self._trace(b)
         return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 
     def _final_infos(self, done: Bools, terms: Floats | None) -> dict[str, Any]:
@@ -259,24 +262,25 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     def _trace(self, b: int) -> Trace:
         """Return the trace of the episode that has ended in slot b."""
         slots, roadmap = self._slots, self.logical.roadmap
-        frames = int(slots.numbers[b, FRAME]) + 1
-        decisions, n_npcs = np.arange(0, frames - 1, self._world.rules.substeps), slots.numbers[b, N_NPCS]
-        motion = np.empty((frames, n_npcs, N_COLUMNS))
+        run, n_vehicles = slots.runs[b], slots.state.episodes[b].n_vehicles
+        frames, traits = int(run.frame) + 1, slots.state.traits[b, :n_vehicles]
+        decisions = np.arange(0, frames - 1, int(self._world.rules[0].substeps))
+        motion = np.empty((frames, n_vehicles - 1, N_COLUMNS))
         self._fill_table(*self._motion_of(b), self._time[:frames], motion)
         return episode_trace(
             roadmap,
             time=self._time[:frames],
-            ego=slots.record[b, :frames],
+            ego=slots.poses[b, :frames],
             motion=motion,
-            sizes=slots.size[b, : 1 + n_npcs],
+            sizes=np.stack([traits["length"], traits["width"]], axis=1),
             actions=slots.actions[b, : len(decisions)],
             action_frames=decisions,
-            end=ENDS[slots.numbers[b, END]],
+            end=ENDS[run.end],
         )
 
     def _motion_of(self, b: int) -> tuple[Any, ...]:
         """Return what determines the motion of the NPCs in slot b."""
-        return self._world.npc_routes, self._slots.npc_numbers[b], self._slots.phases[b]
+        return self._world.npc_routes, self._slots.scripts[b], self._slots.phases[b]
 
     def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[ScriptedScenario | None]:
         given = options.get("scenarios")

@@ -1,24 +1,19 @@
 """The state of all episodes in lock-step, one row (slot) for each episode."""
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.npc_motion import (
-    ACCELERATION,
     BEGIN,
-    HEADING,
-    N_COLUMNS,
     N_PHASE_COLUMNS,
     PHASE_ACCELERATION,
     PHASE_SPEED,
-    SPEED,
     STATION,
     Routes,
-    X,
-    Y,
     fill_frames,
     fill_phases,
     npc_at,
@@ -28,63 +23,59 @@ from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.vector.contact import touches_line
-from behavexplor.envs.vector.lanes import closest_lane
-from behavexplor.envs.vector.world import World
+from behavexplor.envs.engine import records
+from behavexplor.envs.engine.contact import touches_line
+from behavexplor.envs.engine.lane_geometry import closest_lane
+from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.records import Traits, Vehicle
+from behavexplor.envs.episode import POSE
+from behavexplor.envs.vector.world import ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Run: TypeAlias = np.record
 
-STEERING = N_COLUMNS  # column of `ego` after those of a motion table
-N_EGO = N_COLUMNS + 1
-VX, VY = 3, 4  # columns of `record` after X, Y and HEADING
-N_RECORD = 5
+RUNNING, IDLE = -1, -2  # `end` if no episode has ended; otherwise it is an index of `behavexplor.data.trace.ENDS`
 
-FRAME, STANDING, LINE_FRAME, END, N_NPCS = range(5)  # columns of `numbers`
-TARGET_LANE, ROUTE_POSITION, SPEED_INDEX = range(5, 8)  # columns of `numbers` for meta-actions
-N_COUNT = 8
-RUNNING, IDLE = -1, -2  # `END` if no episode has ended; otherwise it is an index of `behavexplor.data.trace.ENDS`
+RUN: Final = record_type(
+    frame=np.int64,  # the latest one
+    standing=np.int64,  # number of frames for which the ego has stood still
+    line_frame=np.int64,  # at which it first touched an illegal line; -1: none
+    end=np.int64,
+    progress=np.float64,  # along the route in the latest decision [m]
+    mean_acceleration=np.float64,  # in the latest decision [m/s2]
+    touched=np.bool_,  # whether the ego touched an illegal line for the first time in the latest decision
+    rear_end=np.bool_,  # whether a faster NPC struck it from behind
+)
 
-ROUTE, N_PHASES, PHASE = range(3)  # columns of `npc_numbers`
-
-PROGRESS, MEAN_ACCELERATION, TOUCHED, REAR_END = range(4)  # columns of `outcome`
+SCRIPT: Final = record_type(route=np.int64, n_phases=np.int64, phase=np.int64)
 
 
-class Slots(NamedTuple):
-    """B episodes in lock-step, each with at most N NPCs.
+class ScriptedSlots(NamedTuple):
+    """B episodes in lock-step, each with an ego and at most N NPCs.
 
     Attributes:
-        ego: the egos' motion, with the columns of a motion table, and the steering command [rad], shape (B, 6). The
-            acceleration is the commanded one.
-        numbers: whole numbers, shape (B, 8): the latest frame, the number of frames for which the ego has stood still,
-            the frame at which it first touched an illegal line (-1: none), the end of the episode, the number of NPCs,
-            and for meta-actions the target lane, the position on the route and the index of the target speed.
-        record: x [m], y [m], heading [rad] and velocity [m/s] of the ego in every frame, shape (B, T, 5).
-        actions: the actions of each decision, shape (B, D, A).
-        outcome: result of the latest decision, shape (B, 4): progress along the route [m], mean acceleration [m/s2],
-            whether the ego touched an illegal line for the first time, and whether a faster NPC struck it from behind.
-        size: length and width of every vehicle [m], the ego first, shape (B, 1 + N, 2).
-        npc: current motion of the NPCs, with the columns of a motion table, shape (B, N, 5).
-        npc_numbers: route, number of phases and current phase of every NPC, shape (B, N, 3).
+        state: the vehicles, of which the ego is the first.
+        runs: shape (B,) of `RUN`.
+        scripts: route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`.
         phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
             `behavexplor.data.npc_motion.fill_phases`.
+        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.episode.POSE`.
+        actions: the actions of each decision, shape (B, D, A).
     """
 
-    ego: Floats
-    numbers: Ints
-    record: Floats
-    actions: Floats
-    outcome: Floats
-    size: Floats
-    npc: Floats
-    npc_numbers: Ints
+    state: records.Slots
+    runs: Records
+    scripts: Records
     phases: Floats
+    poses: Records
+    actions: Floats
 
 
 def make_slots(
     n_slots: int, n_frames: int, shape_of_actions: tuple[int, int], logical: ScriptedLogicalScenario
-) -> Slots:
+) -> ScriptedSlots:
     """Create slots without episodes.
 
     Args:
@@ -93,27 +84,30 @@ def make_slots(
         shape_of_actions: greatest number of decisions of an episode, and the number of values of an action.
         logical: logical scenario of the scenarios to run.
     """
-    npcs = logical.n_npcs
-    routes = logical.roadmap.npc_routes
+    npcs, routes = logical.n_npcs, logical.roadmap.npc_routes
     n_phases = 1 + max(len(logical.position_ranges(route)) for route in routes)
-    numbers = np.zeros((n_slots, N_COUNT), dtype=np.int64)
-    numbers[:, END] = IDLE
-    return Slots(
-        ego=np.zeros((n_slots, N_EGO)),
-        numbers=numbers,
-        record=np.empty((n_slots, n_frames, N_RECORD)),
-        actions=np.zeros((n_slots, *shape_of_actions)),
-        outcome=np.zeros((n_slots, 4)),
-        size=np.zeros((n_slots, 1 + npcs, 2)),
-        npc=np.zeros((n_slots, npcs, N_COLUMNS)),
-        npc_numbers=np.zeros((n_slots, npcs, 3), dtype=np.int64),
+    n_steps = max(len(route.lanes) for route in (logical.roadmap.ego_route, *routes))
+    runs = np.zeros(n_slots, RUN)
+    runs["end"] = IDLE
+    return ScriptedSlots(
+        state=records.make_slots(n_slots, 1 + npcs, n_steps),
+        runs=runs,
+        scripts=np.zeros((n_slots, npcs), SCRIPT),
         phases=np.zeros((n_slots, npcs, n_phases, N_PHASE_COLUMNS)),
+        poses=np.zeros((n_slots, n_frames), POSE),
+        actions=np.zeros((n_slots, *shape_of_actions)),
     )
 
 
 @kernel_in_place
 def begin_episodes(
-    world: World, slots: Slots, chosen: Ints, counts: Ints, routes: Ints, sizes: Floats, waypoints: Floats
+    world: ScriptedWorld,
+    slots: ScriptedSlots,
+    chosen: Ints,
+    counts: Ints,
+    routes: Ints,
+    sizes: Floats,
+    waypoints: Floats,
 ) -> bool:
     """Begin an episode in each chosen slot. The NPCs of all these episodes follow one another in the arrays.
 
@@ -131,77 +125,108 @@ def begin_episodes(
     """
     n_npcs = 0
     for k in range(len(chosen)):
-        if not (0 <= chosen[k] < len(slots.numbers) and 0 <= counts[k] <= slots.npc.shape[1]):
+        if not (0 <= chosen[k] < len(slots.runs) and 0 <= counts[k] <= slots.scripts.shape[1]):
             return False
         n_npcs += counts[k]
     if n_npcs > min(len(routes), len(sizes), len(waypoints)) or waypoints.shape[1] >= slots.phases.shape[2]:
         return False
     first = 0
     for k in range(len(chosen)):
-        end = first + counts[k]
-        _begin(world, slots, chosen[k], routes[first:end], sizes[first:end], waypoints[first:end])
+        b, end = chosen[k], first + counts[k]
+        _begin_ego(world, slots, b)
+        slots.state.episodes[b].n_vehicles = 1 + counts[k]
+        for n in range(first, end):
+            _begin_npc(world, slots, b, n - first, routes[n], waypoints[n])
+            _set_size(slots.state.traits[b, 1 + n - first], sizes[n, 0], sizes[n, 1])
+        vehicles, scripts = slots.state.vehicles[b], slots.scripts[b]
+        move_npcs(world.npc_routes, vehicles, scripts, slots.phases[b], counts[k], 0.0)
         first = end
     return True
 
 
 @kernel_inner
-def _begin(world: World, slots: Slots, b: int, routes: Ints, sizes: Floats, waypoints: Floats) -> None:
-    numbers, ego = slots.numbers[b], slots.ego[b]
-    ego[:] = 0.0
-    ego[X], ego[Y], ego[HEADING] = world.start[0], world.start[1], world.start[2]
-    numbers[:] = 0
-    numbers[LINE_FRAME], numbers[END], numbers[N_NPCS] = -1, RUNNING, len(routes)
-    numbers[TARGET_LANE] = closest_lane(world.network.lanes, ego[X], ego[Y], ego[HEADING])
-    slots.size[b] = 0.0
-    slots.size[b, 0, 0], slots.size[b, 0, 1] = EGO_SIZE
-    slots.npc[b] = 0.0
-    for i in range(len(routes)):
-        # Numba would make an array to copy a row.
-        slots.size[b, 1 + i, 0], slots.size[b, 1 + i, 1] = sizes[i, 0], sizes[i, 1]
-        slots.npc_numbers[b, i, ROUTE] = routes[i]
-        slots.npc_numbers[b, i, N_PHASES] = fill_phases(waypoints[i], slots.phases[b, i])
-        slots.npc_numbers[b, i, PHASE] = 0
-    move_npcs(world.npc_routes, slots.numbers, slots.npc, slots.npc_numbers, slots.phases, b, 0.0)
-    if touches_line(world.illegal_lines, ego[X], ego[Y], ego[HEADING]):
-        numbers[LINE_FRAME] = 0
-    row = slots.record[b, 0]
-    row[X], row[Y], row[HEADING], row[VX], row[VY] = ego[X], ego[Y], ego[HEADING], 0.0, 0.0
+def _begin_ego(world: ScriptedWorld, slots: ScriptedSlots, b: int) -> None:
+    run, ego, traits = slots.runs[b], slots.state.vehicles[b, 0], slots.state.traits[b, 0]
+    run.frame = run.standing = 0
+    run.line_frame, run.end = -1, RUNNING
+    ego.x, ego.y, ego.heading = world.start[0], world.start[1], world.start[2]
+    ego.cos, ego.sin = math.cos(ego.heading), math.sin(ego.heading)
+    ego.speed = ego.steering = ego.acceleration = 0.0
+    ego.speed_index, ego.target_speed = 0, world.target_speeds[0]
+    ego.lane = closest_lane(world.network, 0, ego.x, ego.y, ego.heading)[0]
+    ego.target_lane = ego.lane
+    _set_route(world, slots.state.routes[b, 0], ego, 0)
+    _set_size(traits, EGO_SIZE[0], EGO_SIZE[1])
+    traits.min_speed, traits.max_speed = world.rules[0].min_speed, world.rules[0].max_speed
+    if touches_line(world.illegal_lines, ego.x, ego.y, ego.heading):
+        run.line_frame = 0
+    pose = slots.poses[b, 0]
+    pose.x, pose.y, pose.heading, pose.vx, pose.vy = ego.x, ego.y, ego.heading, 0.0, 0.0
 
 
 @kernel_inner
-def move_npcs(
-    routes: Routes, numbers: Ints, npc: Floats, npc_numbers: Ints, phases: Floats, b: int, time: float
-) -> None:
-    """Move the NPCs of slot b to their positions at a time [s], which never decreases. Arrays are those of `Slots`."""
-    for i in range(numbers[b, N_NPCS]):
-        n = npc_numbers[b, i, PHASE]
-        while n + 1 < npc_numbers[b, i, N_PHASES] and phases[b, i, n + 1, BEGIN] <= time:
+def _begin_npc(world: ScriptedWorld, slots: ScriptedSlots, b: int, i: int, route: int, waypoints: Floats) -> None:
+    script = slots.scripts[b, i]
+    script.route, script.phase = route, 0
+    script.n_phases = fill_phases(waypoints, slots.phases[b, i])
+    _set_route(world, slots.state.routes[b, 1 + i], slots.state.vehicles[b, 1 + i], 1 + route)
+
+
+@kernel_inner
+def _set_route(world: ScriptedWorld, steps: Records, vehicle: Vehicle, route: int) -> None:
+    vehicle.route_position, vehicle.route_length = 0, world.route_lengths[route]
+    for k in range(world.route_lengths[route]):
+        steps[k] = world.routes[route, k]
+
+
+@kernel_inner
+def _set_size(traits: Traits, length: float, width: float) -> None:
+    traits.length, traits.width, traits.diameter = length, width, math.hypot(length, width)
+
+
+@kernel_inner
+def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Floats, n_npcs: int, time: float) -> None:
+    """Move the NPCs of a slot to where they are at a time [s], which never decreases.
+
+    Neither the cosine and sine of their headings nor their lanes are updated.
+
+    Args:
+        routes: the routes of NPCs.
+        vehicles: the ego and the NPCs, changed in place.
+        scripts: shape (N,) of `SCRIPT`, changed in place.
+        phases: shape (N, phases, 4).
+        n_npcs: number of NPCs.
+        time: the time [s].
+    """
+    for i in range(n_npcs):
+        script, npc, n = scripts[i], vehicles[1 + i], scripts[i].phase
+        while n + 1 < script.n_phases and phases[i, n + 1, BEGIN] <= time:
             n += 1
-        npc_numbers[b, i, PHASE] = n
-        npc[b, i, X], npc[b, i, Y], npc[b, i, HEADING], npc[b, i, SPEED] = npc_at(
+        script.phase = n
+        npc.x, npc.y, npc.heading, npc.speed = npc_at(
             routes,
-            npc_numbers[b, i, ROUTE],
-            time - phases[b, i, n, BEGIN],
-            phases[b, i, n, STATION],
-            phases[b, i, n, PHASE_SPEED],
-            phases[b, i, n, PHASE_ACCELERATION],
+            script.route,
+            time - phases[i, n, BEGIN],
+            phases[i, n, STATION],
+            phases[i, n, PHASE_SPEED],
+            phases[i, n, PHASE_ACCELERATION],
         )
-        npc[b, i, ACCELERATION] = phases[b, i, n, PHASE_ACCELERATION]
+        npc.acceleration = phases[i, n, PHASE_ACCELERATION]
 
 
 @kernel_in_place
-def fill_table(routes: Routes, npc_numbers: Ints, phases: Floats, time: Floats, table: Floats) -> None:
+def fill_table(routes: Routes, scripts: Records, phases: Floats, time: Floats, table: Floats) -> None:
     """Fill in the NPCs' motion table of a slot at given times; see `behavexplor.data.npc_motion.motion_table`.
 
     Args:
         routes: routes of NPCs.
-        npc_numbers: numbers of the slot's NPCs, shape (N, 3).
+        scripts: shape (N,) of `SCRIPT`.
         phases: their phases, shape (N, phases, 4).
         time: times [s], shape (T,).
         table: table of the NPCs that are there, shape (T, n_npcs, 5); changed in place.
     """
     for i in range(table.shape[1]):
-        fill_frames(routes, npc_numbers[i, ROUTE], phases[i], npc_numbers[i, N_PHASES], time, table[:, i])
+        fill_frames(routes, scripts[i].route, phases[i], scripts[i].n_phases, time, table[:, i])
 
 
 class NPCArrays(NamedTuple):

@@ -1,8 +1,4 @@
-"""Simulate one decision of every ego, from its command to the outcome.
-
-Functions take numbers and single arrays instead of `World` and `Slots`. Those have dozens of fields, and every call
-would copy all of them.
-"""
+"""Simulate one decision of every ego, from its command to the outcome."""
 
 import math
 from typing import Final
@@ -11,46 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import is_rear_end
-from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.data.trace import ENDS
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.vector.contact import RADIUS, boxes_touch, corners, touches_line
-from behavexplor.envs.vector.meta import changed_lane, changed_speed, follow_road, steering, throttle
-from behavexplor.envs.vector.slots import (
-    END,
-    FRAME,
-    LINE_FRAME,
-    MEAN_ACCELERATION,
-    N_NPCS,
-    PROGRESS,
-    REAR_END,
-    ROUTE_POSITION,
-    RUNNING,
-    SPEED_INDEX,
-    STANDING,
-    STEERING,
-    TARGET_LANE,
-    TOUCHED,
-    VX,
-    VY,
-    Slots,
-    move_npcs,
-)
-from behavexplor.envs.vector.world import (
-    EGO_BEGIN,
-    EGO_COS,
-    EGO_CURVATURE,
-    EGO_LENGTH,
-    EGO_SIN,
-    EGO_X,
-    EGO_Y,
-    Rules,
-    World,
-)
+from behavexplor.envs.engine.contact import boxes_touch, corners, touches_line
+from behavexplor.envs.engine.control import keep_lane_and_speed, take_maneuver
+from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.motion import move
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import Traits, Vehicle
+from behavexplor.envs.episode import Pose
+from behavexplor.envs.vector.slots import RUNNING, Run, ScriptedSlots, move_npcs
+from behavexplor.envs.vector.world import ScriptedRules, ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 COLLISION, ARRIVED, PASSED, STANDSTILL, TIMEOUT = (
@@ -62,8 +33,8 @@ _is_rear_end = kernel_inner(is_rear_end)
 
 
 @kernel_in_place
-def step(  # noqa: C901 - one branch more, for the check
-    world: World, slots: Slots, actions: Floats, commands: Floats, active: Bools, ends: Bools
+def step(
+    world: ScriptedWorld, slots: ScriptedSlots, actions: Floats, commands: Floats, active: Bools, ends: Bools
 ) -> int:
     """Simulate until the next decision, or until an episode ends. Return the number of episodes that have ended now.
 
@@ -80,174 +51,136 @@ def step(  # noqa: C901 - one branch more, for the check
     """
     if not _have_room(world, slots, actions, active):
         return -1
-    ended = 0
-    rules, ego, numbers, record = world.rules, slots.ego, slots.numbers, slots.record
+    ended, rules = 0, world.rules[0]
     for b in range(len(active)):
-        if not active[b]:
-            _note_end(world.terminal, numbers[b, END], b, ends)
-            continue
-        x, y, heading, speed = ego[b, X], ego[b, Y], ego[b, HEADING], ego[b, SPEED]
-        acceleration, angle = commands[b, 0], commands[b, 1]
-        lane, position, index = numbers[b, TARGET_LANE], numbers[b, ROUTE_POSITION], numbers[b, SPEED_INDEX]
-        if world.is_meta:
-            maneuver = int(commands[b, 0])
-            index = changed_speed(world.target_speeds, index, maneuver, speed)
-            lane, position = follow_road(world.network, position, lane, x, y)
-            lane = changed_lane(world.network, lane, maneuver, x, y)
-        decided = frame = numbers[b, FRAME]
-        for k in range(actions.shape[1]):  # numba would make an array to copy a row
-            slots.actions[b, decided // rules.substeps, k] = actions[b, k]
-        for _ in range(rules.substeps):
-            if world.is_meta:
-                lane, position = follow_road(world.network, position, lane, x, y)
-                angle = steering(world.network.lanes, lane, x, y, heading, speed)
-                acceleration = throttle(world.target_speeds[index], speed)
-            acceleration = _within_speeds(rules, speed, acceleration)
-            slip = math.atan(0.5 * math.tan(angle))
-            x, y, heading, speed = _bicycle(rules, x, y, heading, speed, acceleration, slip)
-            frame += 1
-            record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING] = x, y, heading
-            record[b, frame, VX], record[b, frame, VY] = (
-                speed * math.cos(heading + slip),
-                speed * math.sin(heading + slip),
-            )
-            if numbers[b, LINE_FRAME] < 0 and touches_line(world.illegal_lines, x, y, heading):
-                numbers[b, LINE_FRAME] = frame
-            time = frame / rules.frequency
-            move_npcs(world.npc_routes, numbers, slots.npc, slots.npc_numbers, slots.phases, b, time)
-            is_slow = math.hypot(record[b, frame, VX], record[b, frame, VY]) < rules.standstill_speed
-            numbers[b, STANDING] = numbers[b, STANDING] + 1 if is_slow else 0
-            end = _find_end(rules, frame, numbers[b, STANDING], x, y)
-            if _touched(slots.npc, slots.size, b, 0, numbers[b, N_NPCS], x, y, heading) >= 0:
-                end = COLLISION
-            if end != RUNNING:
-                break
-        ego[b, X], ego[b, Y], ego[b, HEADING], ego[b, SPEED] = x, y, heading, speed
-        ego[b, ACCELERATION], ego[b, STEERING] = acceleration, angle
-        numbers[b, TARGET_LANE], numbers[b, ROUTE_POSITION], numbers[b, SPEED_INDEX] = lane, position, index
-        numbers[b, FRAME], numbers[b, END] = frame, end
-        _appraise(rules, world.ego_lanes, record, slots.outcome, b, decided, frame)
-        slots.outcome[b, TOUCHED] = 1.0 if numbers[b, LINE_FRAME] > decided else 0.0
-        rear_end = end == COLLISION and _struck_from_behind(record, frame, slots.npc, slots.size, b, numbers[b, N_NPCS])
-        slots.outcome[b, REAR_END] = 1.0 if rear_end else 0.0
-        _note_end(world.terminal, end, b, ends)
-        ended += end != RUNNING
+        run, poses = slots.runs[b], slots.poses[b]
+        if active[b]:
+            vehicles, traits = slots.state.vehicles[b], slots.state.traits[b]
+            n_npcs = slots.state.episodes[b].n_vehicles - 1
+            ego, route, decided = vehicles[0], slots.state.routes[b, 0], run.frame
+            for k in range(actions.shape[1]):  # numba would make an array to copy a row
+                slots.actions[b, decided // rules.substeps, k] = actions[b, k]
+            if rules.is_meta:
+                take_maneuver(world.network, world.target_speeds, ego, route, int(commands[b, 0]))
+            else:
+                ego.acceleration, ego.steering = commands[b, 0], commands[b, 1]
+            while run.end == RUNNING and run.frame < decided + rules.substeps:
+                run.frame += 1
+                _drive(world.network, rules, ego, route, traits[0], poses[run.frame])
+                if run.line_frame < 0 and touches_line(world.illegal_lines, ego.x, ego.y, ego.heading):
+                    run.line_frame = run.frame
+                time = run.frame / rules.frequency
+                move_npcs(world.npc_routes, vehicles, slots.scripts[b], slots.phases[b], n_npcs, time)
+                _find_end(rules, run, poses[run.frame])
+                if first_touched(vehicles, traits, 0, n_npcs) >= 0:
+                    run.end = COLLISION
+            _appraise(world.ego_route, rules, run, poses, decided)
+            run.rear_end = run.end == COLLISION and _struck_from_behind(poses[run.frame], vehicles, traits, n_npcs)
+            ended += run.end != RUNNING
+        if run.end >= 0:
+            ends[0, b], ends[1, b] = world.terminal[run.end], not world.terminal[run.end]
     return ended
 
 
 @kernel_inner
-def _have_room(world: World, slots: Slots, actions: Floats, active: Bools) -> bool:
+def _have_room(world: ScriptedWorld, slots: ScriptedSlots, actions: Floats, active: Bools) -> bool:
     """Return whether the slots have room for another decision of the active episodes."""
-    rules, (n_decisions, n_values) = world.rules, slots.actions.shape[1:]
+    rules, (n_decisions, n_values) = world.rules[0], slots.actions.shape[1:]
     for b in range(len(active)):
-        frame, n_npcs = slots.numbers[b, FRAME], slots.numbers[b, N_NPCS]
+        frame, n_npcs = slots.runs[b].frame, slots.state.episodes[b].n_vehicles - 1
         goes_on = 0 <= frame < rules.max_frames and frame // rules.substeps < n_decisions
-        if active[b] and not (goes_on and 0 <= n_npcs <= slots.npc.shape[1]):
+        if active[b] and not (goes_on and 0 <= n_npcs <= slots.scripts.shape[1]):
             return False
-    return bool(rules.max_frames <= slots.record.shape[1] - 1 and actions.shape[1] <= n_values)
+    return bool(rules.max_frames <= slots.poses.shape[1] - 1 and actions.shape[1] <= n_values)
 
 
 @kernel_inner
-def _note_end(terminal: Bools, end: int, b: int, ends: Bools) -> None:
-    if end >= 0:
-        ends[0, b], ends[1, b] = terminal[end], not terminal[end]
+def _drive(network: Network, rules: ScriptedRules, ego: Vehicle, route: Records, traits: Traits, pose: Pose) -> None:
+    """Move the ego by one step, and record its pose. Its velocity is that of its center, so it includes the slip."""
+    if rules.is_meta:
+        station, offset = lane_coordinates(network.lanes[ego.target_lane], ego.x, ego.y)
+        keep_lane_and_speed(network, ego, route, traits.length, station, offset)
+    slip = move(ego, traits, rules.dt)
+    cos, sin = ego.cos, ego.sin
+    if slip != 0.0:
+        cos, sin = math.cos(ego.heading + slip), math.sin(ego.heading + slip)
+    pose.x, pose.y, pose.heading, pose.vx, pose.vy = ego.x, ego.y, ego.heading, ego.speed * cos, ego.speed * sin
 
 
 @kernel_inner
-def _within_speeds(rules: Rules, speed: float, acceleration: float) -> float:
-    """Limit the acceleration to keep the ego within its speed range: `Vehicle.clip_actions`."""
-    if speed > rules.max_speed:
-        return min(acceleration, rules.max_speed - speed)
-    if speed < rules.min_speed:
-        return max(acceleration, rules.min_speed - speed)
-    return acceleration
-
-
-@kernel_inner
-def _bicycle(
-    rules: Rules, x: float, y: float, heading: float, speed: float, acceleration: float, slip: float
-) -> tuple[float, float, float, float]:
-    """Advance the ego by one step of highway-env's bicycle model: `Vehicle.step`."""
-    dt = 1 / rules.frequency
-    x += speed * math.cos(heading + slip) * dt
-    y += speed * math.sin(heading + slip) * dt
-    heading += speed * math.sin(slip) / (LENGTH / 2) * dt
-    return x, y, heading, speed + acceleration * dt
-
-
-@kernel_inner
-def _find_end(rules: Rules, frame: int, standing: int, x: float, y: float) -> int:
-    """Return the end of the episode other than a collision, or `RUNNING`: `DrivingEnv._find_end`."""
-    dx, dy = x - rules.destination_x, y - rules.destination_y
+def _find_end(rules: ScriptedRules, run: Run, pose: Pose) -> None:
+    """Note how long the ego has stood, and any end of the episode but a collision: `DrivingEnv._find_end`."""
+    run.standing = run.standing + 1 if math.hypot(pose.vx, pose.vy) < rules.standstill_speed else 0
+    dx, dy = pose.x - rules.destination_x, pose.y - rules.destination_y
     if math.hypot(dx, dy) <= rules.arrival_distance:
-        return ARRIVED
-    if dx * rules.destination_cos + dy * rules.destination_sin > rules.passed_distance:
-        return PASSED
-    if standing >= rules.standstill_frames:
-        return STANDSTILL
-    return TIMEOUT if frame >= rules.max_frames else RUNNING
+        run.end = ARRIVED
+    elif dx * rules.destination_cos + dy * rules.destination_sin > rules.passed_distance:
+        run.end = PASSED
+    elif run.standing >= rules.standstill_frames:
+        run.end = STANDSTILL
+    elif run.frame >= rules.max_frames:
+        run.end = TIMEOUT
 
 
 @kernel_inner
-def _touched(npc: Floats, size: Floats, b: int, first: int, n_npcs: int, x: float, y: float, heading: float) -> int:
-    """Return the first NPC of slot b, from `first` on, that the ego's box touches, or -1 if there is none."""
+def first_touched(vehicles: Records, traits: Records, first: int, n_npcs: int) -> int:
+    """Return the first NPC, from `first` on, that the ego's box touches, or -1 if there is none."""
+    ego, own = vehicles[0], traits[0]
     for i in range(first, n_npcs):
-        length, width = size[b, 1 + i, 0], size[b, 1 + i, 1]
-        reach = RADIUS + math.hypot(length, width) / 2
-        dx, dy = npc[b, i, X] - x, npc[b, i, Y] - y
+        npc, size = vehicles[1 + i], traits[1 + i]
+        reach = own.diameter / 2 + size.diameter / 2
+        dx, dy = npc.x - ego.x, npc.y - ego.y
         if abs(dx) > reach or abs(dy) > reach or math.hypot(dx, dy) > reach:
             continue
-        box = corners(x, y, heading, EGO_SIZE[0], EGO_SIZE[1])
-        if boxes_touch(box, corners(npc[b, i, X], npc[b, i, Y], npc[b, i, HEADING], length, width)):
+        box = corners(ego.x, ego.y, ego.heading, own.length, own.width)
+        if boxes_touch(box, corners(npc.x, npc.y, npc.heading, size.length, size.width)):
             return i
     return -1
 
 
 @kernel_inner
-def _appraise(
-    rules: Rules, ego_lanes: Floats, record: Floats, outcome: Floats, b: int, decided: int, frame: int
-) -> None:
-    """Compute the ego's progress and mean acceleration since the latest decision: `Recorder.reward_terms`."""
-    elapsed = frame / rules.frequency - decided / rules.frequency
-    before = math.hypot(record[b, decided, VX], record[b, decided, VY])
-    outcome[b, MEAN_ACCELERATION] = (math.hypot(record[b, frame, VX], record[b, frame, VY]) - before) / elapsed
-    start = _station(ego_lanes, record[b, decided, X], record[b, decided, Y])
-    outcome[b, PROGRESS] = _station(ego_lanes, record[b, frame, X], record[b, frame, Y]) - start
+def _appraise(ego_route: Records, rules: ScriptedRules, run: Run, poses: Records, decided: int) -> None:
+    """Compute what is rewarded of the latest decision but rear-end collisions: `Recorder.reward_terms`."""
+    before, now = poses[decided], poses[run.frame]
+    elapsed = run.frame / rules.frequency - decided / rules.frequency
+    run.mean_acceleration = (math.hypot(now.vx, now.vy) - math.hypot(before.vx, before.vy)) / elapsed
+    run.progress = _station(ego_route, now.x, now.y) - _station(ego_route, before.x, before.y)
+    run.touched = run.line_frame > decided
 
 
 @kernel_inner
-def _struck_from_behind(record: Floats, frame: int, npc: Floats, size: Floats, b: int, n_npcs: int) -> bool:
+def _struck_from_behind(pose: Pose, vehicles: Records, traits: Records, n_npcs: int) -> bool:
     """Return whether every NPC that touches the ego ran into its back."""
-    x, y, heading = record[b, frame, X], record[b, frame, Y], record[b, frame, HEADING]
-    speed = math.hypot(record[b, frame, VX], record[b, frame, VY])
-    i = _touched(npc, size, b, 0, n_npcs, x, y, heading)
+    ego, speed = vehicles[0], math.hypot(pose.vx, pose.vy)
+    i = first_touched(vehicles, traits, 0, n_npcs)
     while i >= 0:
-        ahead = (npc[b, i, X] - x) * math.cos(heading) + (npc[b, i, Y] - y) * math.sin(heading)
-        turned = (npc[b, i, HEADING] - heading + math.pi) % (2 * math.pi) - math.pi
-        if not _is_rear_end(ahead, turned, LENGTH, speed, npc[b, i, SPEED]):
+        npc = vehicles[1 + i]
+        ahead = (npc.x - ego.x) * math.cos(ego.heading) + (npc.y - ego.y) * math.sin(ego.heading)
+        turned = (npc.heading - ego.heading + math.pi) % (2 * math.pi) - math.pi
+        if not _is_rear_end(ahead, turned, LENGTH, speed, npc.speed):
             return False
-        i = _touched(npc, size, b, i + 1, n_npcs, x, y, heading)
+        i = first_touched(vehicles, traits, i + 1, n_npcs)
     return True
 
 
 @kernel_inner
-def _station(lanes: Floats, x: float, y: float) -> float:
+def _station(ego_route: Records, x: float, y: float) -> float:
     """Compute the station of a point on the ego's route [m]: `behavexplor.data.roadmap.Route.project`."""
     best, nearest = 0.0, math.inf
-    last = len(lanes) - 1
+    last = len(ego_route) - 1
     for i in range(last + 1):
-        dx, dy = x - lanes[i, EGO_X], y - lanes[i, EGO_Y]
-        cos, sin = lanes[i, EGO_COS], lanes[i, EGO_SIN]
-        station, offset = dx * cos + dy * sin, dy * cos - dx * sin
-        if lanes[i, EGO_CURVATURE] != 0.0:
-            radius = 1 / lanes[i, EGO_CURVATURE]
+        piece = ego_route[i]
+        dx, dy = x - piece.x, y - piece.y
+        station, offset = dx * piece.cos + dy * piece.sin, dy * piece.cos - dx * piece.sin
+        if piece.curvature != 0.0:
+            radius = 1 / piece.curvature
             side = math.copysign(1.0, radius)
             ahead, to_center = station, radius - offset
             station = math.atan2(side * ahead, side * to_center) * radius
             offset = radius - side * math.hypot(ahead, to_center)
         before = max(-station, 0.0) if i > 0 else 0.0
-        behind = max(station - lanes[i, EGO_LENGTH], 0.0) if i < last else 0.0
+        behind = max(station - piece.length, 0.0) if i < last else 0.0
         gap = math.hypot(offset, before + behind)
         if gap < nearest:
-            best, nearest = lanes[i, EGO_BEGIN] + station, gap
+            best, nearest = piece.begin + station, gap
     return best

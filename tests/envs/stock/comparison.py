@@ -17,12 +17,12 @@ import highway_env  # noqa: F401 - registers the environments
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
+from behavexplor.envs.engine.action_decoding import make_commands
+from behavexplor.envs.engine.frame_log import make_log
+from behavexplor.envs.engine.records import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.frames import clear_vehicles, step
-from behavexplor.envs.stock.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
-from behavexplor.envs.vector.action_decoding import make_commands
 from behavexplor.jit import kernel_in_place
 from tests.kernel_calls import called_alone
 

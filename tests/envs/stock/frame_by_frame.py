@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from behavexplor.envs.engine.lane_network import lane_indexes
 from behavexplor.envs.stock import StockVectorEnv
-from behavexplor.envs.stock.lane_network import lane_indexes
 from tests.envs.stock.comparison import make, results_of_child
 from tests.envs.stock.side_by_side import deviation
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from behavexplor.envs.engine.frame_log import make_log
+from behavexplor.envs.engine.records import make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.frame_log import make_log
 from behavexplor.envs.stock.frames import step
-from behavexplor.envs.stock.state import make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
 from tests.envs.stock.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make
 from tests.kernel_calls import called_alone

@@ -9,13 +9,13 @@ from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from behavexplor.envs.engine.lane_cache import note_places
+from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane
+from behavexplor.envs.engine.lane_network import lane_indexes, make_network
+from behavexplor.envs.engine.neighbors import UNKNOWN, neighbors
+from behavexplor.envs.engine.records import Scene, make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.frames import clear_vehicles
-from behavexplor.envs.stock.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane
-from behavexplor.envs.stock.lane_network import lane_indexes, make_network
-from behavexplor.envs.stock.neighbors import UNKNOWN, neighbors
-from behavexplor.envs.stock.places import note_places
-from behavexplor.envs.stock.state import Scene, make_scratch, make_slots
 from behavexplor.envs.stock.stock_world import make_world
 from behavexplor.jit import kernel_in_place
 from tests.envs.stock.comparison import N_PLACES, N_STEPS, make

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.envs.stock import pcg64
-from behavexplor.envs.stock.pcg64 import N_WORDS, generator_words, give, put_words
+from behavexplor.envs.engine import pcg64
+from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, give, put_words
 from behavexplor.jit import kernel_in_place
 
 NAMES = ["exr", "sxr", "nxr"]

@@ -2,13 +2,13 @@
 
 import math
 
-from behavexplor.envs.stock.state import Traits, Vehicle
+from behavexplor.envs.engine.records import Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 
 @kernel_inner
-def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
-    """Advance a vehicle by one step of the bicycle model. Its lane is not updated.
+def move(vehicle: Vehicle, traits: Traits, dt: float) -> float:
+    """Advance a vehicle by one step of the bicycle model, and return its slip angle [rad]. Its lane is not updated.
 
     Args:
         vehicle: the vehicle, changed in place.
@@ -16,7 +16,7 @@ def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
         dt: duration of a frame [s].
     """
     _limit_commands(vehicle, traits)
-    speed, heading = vehicle.speed, vehicle.heading
+    speed, heading, slip = vehicle.speed, vehicle.heading, 0.0
     if vehicle.steering == 0.0:  # most vehicles go straight on; the formulas below give the same
         vehicle.x += speed * vehicle.cos * dt
         vehicle.y += speed * vehicle.sin * dt
@@ -33,6 +33,7 @@ def move(vehicle: Vehicle, traits: Traits, dt: float) -> None:
         vehicle.crashed = True
         vehicle.has_impact = False
     vehicle.speed += vehicle.acceleration * dt
+    return slip
 
 
 @kernel_inner

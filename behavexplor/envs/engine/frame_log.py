@@ -4,10 +4,10 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from behavexplor.envs.stock.lane_geometry import is_on_road
-from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.record_types import Records, record_type
-from behavexplor.envs.stock.state import Scene
+from behavexplor.envs.engine.lane_geometry import is_on_road
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.records import Scene
 from behavexplor.jit import kernel_inner
 
 Frame: TypeAlias = np.record

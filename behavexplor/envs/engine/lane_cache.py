@@ -1,8 +1,8 @@
 """Where vehicles and obstacles are on lanes. What is known of their closest lanes is not computed again in a frame."""
 
-from behavexplor.envs.stock.lane_geometry import closest_lane, lane_coordinates
-from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.state import Scene
+from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.records import Scene
 from behavexplor.jit import kernel_inner
 
 

@@ -6,16 +6,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from highway_env.envs.common.observation import ExitObservation, KinematicObservation
 from highway_env.road.lane import AbstractLane
-from highway_env.vehicle.kinematics import Vehicle as HighwayVehicle
 from numpy.typing import NDArray
 
+from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point, wrap_to_pi
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.records import OBSTACLE, SAME_NUMBER, Scene, Vehicle
 from behavexplor.envs.kinematics import FEATURES, RELATIVE, default_ranges
-from behavexplor.envs.stock.lane_geometry import lane_coordinates, lane_heading, lane_point
-from behavexplor.envs.stock.lane_network import Network
-from behavexplor.envs.stock.pcg64 import Words, shuffle_rows
-from behavexplor.envs.stock.record_types import Records, record_type
-from behavexplor.envs.stock.state import OBSTACLE, SAME_NUMBER, Scene, Vehicle
-from behavexplor.envs.vector.lanes import wrap_to_pi
 from behavexplor.jit import kernel_inner
 
 Singles = NDArray[np.float32]
@@ -24,7 +21,6 @@ PRESENCE, POS_X, POS_Y, VEL_X, VEL_Y, ANGLE, COS_H, SIN_H, COS_D, SIN_D, LONG_OF
     len(FEATURES)
 )
 LANE_WIDTH: Final = float(AbstractLane.DEFAULT_WIDTH)  # [m]
-BEHIND: Final = -2 * float(HighwayVehicle.LENGTH)  # vehicles further behind are not seen, unless all are [m]
 NOT_A_LANE: Final = -1
 _KNOWN: Any = np.bool_(True)  # numba would compile a function once more for each constant of Python's own type
 
@@ -46,6 +42,7 @@ OPTIONS: Final = record_type(
     is_sorted=np.bool_,
     is_shuffled=np.bool_,
     distance=np.float64,  # greatest distance at which vehicles are observed [m]
+    behind=np.float64,  # vehicles further behind are not observed, unless all are [m]
     exit_lane=np.int64,  # lane along which the ego's x is measured, or NOT_A_LANE
 )
 
@@ -72,6 +69,7 @@ def make_view(observation: KinematicObservation) -> View:
     row.is_shuffled = observation.order == "shuffled"
     row.is_sorted = not row.is_shuffled
     row.distance = observation.env.PERCEPTION_DISTANCE
+    row.behind = 2 * observation.env.vehicle.LENGTH
     row.exit_lane = NOT_A_LANE
     if isinstance(observation, ExitObservation):
         network = observation.env.road.network
@@ -102,14 +100,13 @@ def _make_columns(observation: KinematicObservation) -> Records:
 
 
 @kernel_inner
-def observe(network: Network, view: View, scene: Scene, words: Words, table: Singles) -> None:
-    """Fill a Kinematics observation.
+def observe(network: Network, view: View, scene: Scene, table: Singles) -> None:
+    """Fill a Kinematics observation, in highway-env's order even if it is "shuffled".
 
     Args:
         network: the road network.
         view: the options.
         scene: the episode.
-        words: its random generator, which draws the order if it is "shuffled".
         table: the observation, shape (vehicles_count, features).
     """
     options, ego = view.options[0], scene.episode.ego
@@ -129,8 +126,6 @@ def observe(network: Network, view: View, scene: Scene, words: Words, table: Sin
             if column.is_relative:
                 value -= own
             table[1 + row, k] = _normalized(view, scene, k, value)
-    if options.is_shuffled:
-        shuffle_rows(words, table, 1)
 
 
 @kernel_inner
@@ -146,7 +141,7 @@ def _sort_seen(network: Network, view: View, scene: Scene, most: int) -> int:
         if j == scene.episode.ego or not math.sqrt(dx * dx + dy * dy) < options.distance:
             continue
         gap = lane_coordinates(lane, other.x, other.y)[0] - own
-        if not (gap > BEHIND or (options.see_behind and j < n_vehicles)):
+        if not (gap > -options.behind or (options.see_behind and j < n_vehicles)):
             continue
         place = count
         if options.is_sorted:

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.record_types import Records, record_type
+from behavexplor.envs.engine.record_types import Records, record_type
 
 Ints = NDArray[np.int64]
 Vehicle: TypeAlias = np.record

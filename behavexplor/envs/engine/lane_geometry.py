@@ -8,13 +8,26 @@ from typing import Final
 
 from highway_env.road.lane import AbstractLane
 
-from behavexplor.envs.stock.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
-from behavexplor.envs.stock.state import Vehicle
-from behavexplor.envs.vector.lanes import wrap_to_pi
+from behavexplor.envs.engine.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
+from behavexplor.envs.engine.records import Vehicle
 from behavexplor.jit import kernel_inner
 
 VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]
 SLACK: Final = 1e-9  # more than the rounding errors of a lane's least distance [m]
+
+
+@kernel_inner
+def wrap_to_pi(angle: float) -> float:
+    """Wrap an angle to [-pi, pi)."""
+    turned = angle + math.pi
+    if 0 <= turned < 2 * math.pi:  # these three cases need no division, and have the same result
+        return turned - math.pi
+    if -2 * math.pi < turned < 0:
+        return turned + 2 * math.pi - math.pi
+    if 2 * math.pi <= turned < 4 * math.pi:
+        return turned - 2 * math.pi - math.pi
+    wrapped: float = (turned % (2 * math.pi)) - math.pi
+    return wrapped
 
 
 @kernel_inner

@@ -5,7 +5,7 @@ of `RoadNetwork.graph`. Ties between lanes are decided by that order.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,8 +13,8 @@ from highway_env.road.lane import AbstractLane, CircularLane, SineLane, Straight
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
+from behavexplor.envs.engine.record_types import Records, record_type
 from behavexplor.envs.source_gate import replaced
-from behavexplor.envs.stock.record_types import Records, record_type
 from behavexplor.errors import InputError
 
 Ints = NDArray[np.int64]
@@ -90,7 +90,11 @@ def road_numbers(network: RoadNetwork) -> dict[tuple[str, str], int]:
 
 
 def make_network(
-    network: RoadNetwork, *, connected_lanes: bool = False, is_goal: Callable[[LaneIndex], bool] = lambda _: False
+    network: RoadNetwork,
+    *,
+    connected_lanes: bool = False,
+    is_goal: Callable[[LaneIndex], bool] = lambda _: False,
+    same_geometry: Collection[type[AbstractLane]] = (),
 ) -> Network:
     """Convert a road network of highway-env to tables.
 
@@ -99,6 +103,7 @@ def make_network(
         connected_lanes: whether neighbors are looked for on preceding and following lanes, too: highway-env's option
             `neighbour_vehicles_connected_lanes`.
         is_goal: which lanes are marked. The meaning of the mark is the environment's.
+        same_geometry: subclasses of highway-env's lanes that compute the same in another way.
 
     Raises:
         InputError: if a lane has another geometry.
@@ -117,7 +122,8 @@ def make_network(
         exits += following
         for number, lane in enumerate(group):
             row = lanes[first + number]
-            _describe(row, lane, (origin, target, number))
+            row.kind = _kind(lane, (origin, target, number), same_geometry)
+            _describe(row, lane)
             row.road, row.number, row.is_goal = road, number, is_goal((origin, target, number))
     return Network(
         lanes=lanes.view(np.ndarray),
@@ -133,9 +139,8 @@ def _roads(network: RoadNetwork) -> Iterator[tuple[tuple[str, str], list[Abstrac
             yield (origin, target), lanes
 
 
-def _describe(row: Lane, lane: AbstractLane, index: LaneIndex) -> None:
-    """Fill a lane's row with its geometry and its rules."""
-    row.kind = _kind(lane, index)
+def _describe(row: Lane, lane: AbstractLane) -> None:
+    """Fill a lane's row, which has its kind, with its geometry and its rules."""
     if row.kind == CIRCULAR:
         (row.x, row.y), row.radius, row.turn = lane.center, lane.radius, lane.direction
         half = lane.length / lane.radius / 2
@@ -150,10 +155,12 @@ def _describe(row: Lane, lane: AbstractLane, index: LaneIndex) -> None:
     row.speed_limit = math.nan if lane.speed_limit is None else lane.speed_limit
 
 
-def _kind(lane: AbstractLane, index: LaneIndex) -> int:
+def _kind(lane: AbstractLane, index: LaneIndex, same_geometry: Collection[type[AbstractLane]]) -> int:
     """Return the kind of a lane. A subclass is of its parent's kind if it changes none of the geometry."""
     for kind, known in _CLASSES.items():
-        if isinstance(lane, known) and replaced(type(lane), known, _CHANGEABLE) is None:
+        if not isinstance(lane, known):
+            continue
+        if type(lane) in same_geometry or replaced(type(lane), known, _CHANGEABLE) is None:
             return kind
     raise InputError(
         f"The lane {index} is a {type(lane).__name__}, which the compiled engine does not know; use straight, sine "

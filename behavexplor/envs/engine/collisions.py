@@ -6,8 +6,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.stock.record_types import Records
-from behavexplor.envs.stock.state import OBSTACLE, Traits, Vehicle
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import OBSTACLE, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]

@@ -6,11 +6,11 @@ for in a frame.
 
 from typing import Final
 
-from behavexplor.envs.stock.lane_geometry import VEHICLE_LENGTH, is_on_lane, may_be_on_lane
-from behavexplor.envs.stock.lane_network import STRAIGHT, Lane, Network
-from behavexplor.envs.stock.places import coordinates_on
-from behavexplor.envs.stock.record_types import Records
-from behavexplor.envs.stock.state import Scene
+from behavexplor.envs.engine.lane_cache import coordinates_on
+from behavexplor.envs.engine.lane_geometry import VEHICLE_LENGTH, is_on_lane, may_be_on_lane
+from behavexplor.envs.engine.lane_network import STRAIGHT, Lane, Network
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import Scene
 from behavexplor.jit import kernel_inner
 
 NO_VEHICLE: Final = -1
