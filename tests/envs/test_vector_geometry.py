@@ -1,13 +1,15 @@
 """The compiled geometry of the vector environment: that of the package, and of highway-env's road network."""
 
+import math
+
 import numpy as np
 import pytest
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.engine import control
-from behavexplor.envs.engine.contact import boxes_touch, corners, line_meets_box, touches_line
+from behavexplor.envs.engine import contact, control
+from behavexplor.envs.engine.contact import boxes_touch, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.records import VEHICLE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
@@ -18,7 +20,7 @@ from tests.kernel_calls import called_alone
 
 boxes_touch = called_alone(boxes_touch)
 closest_lane = called_alone(closest_lane)
-corners = called_alone(corners)
+corners_of = called_alone(contact.corners)
 lane_coordinates = called_alone(lane_coordinates)
 lane_heading = called_alone(lane_heading)
 lane_point = called_alone(lane_point)
@@ -27,6 +29,10 @@ next_lane = called_alone(control._next_lane)
 touches_line = called_alone(touches_line)
 
 ENVS = [IntersectionLeftEnv, LaneChangeEnv]
+
+
+def corners(x, y, heading, length, width):
+    return corners_of(x, y, math.cos(heading), math.sin(heading), length, width)
 
 
 def random_box(rng):
@@ -69,7 +75,7 @@ def test_no_illegal_line_is_overlooked(env_class):
     for _ in range(500):
         position = lines[rng.integers(len(lines)), 0] + rng.uniform(-12, 12, 2)
         heading = rng.uniform(-4, 4)
-        touched = touches_line(lines.reshape(-1, 4), *position, heading)
+        touched = touches_line(lines.reshape(-1, 4), *position, math.cos(heading), math.sin(heading))
         assert touched == segment_meets_box(as_array((*position, heading, *EGO_SIZE)), lines).any()
         found.add(touched)
     assert found == {True, False}

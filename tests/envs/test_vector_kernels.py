@@ -16,8 +16,8 @@ from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.engine import control
-from behavexplor.envs.engine.contact import boxes_touch, corners, line_distance, line_meets_box, touches_line
+from behavexplor.envs.engine import contact, control
+from behavexplor.envs.engine.contact import boxes_touch, line_distance, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
 from behavexplor.envs.engine.motion import _limit_commands
 from behavexplor.envs.engine.records import TRAITS, VEHICLE
@@ -43,7 +43,7 @@ from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
 from tests.kernel_calls import called_alone
 
 boxes_touch = called_alone(boxes_touch)
-corners = called_alone(corners)
+corners_of = called_alone(contact.corners)
 line_distance = called_alone(line_distance)
 line_meets_box = called_alone(line_meets_box)
 move_npcs = called_alone(move_npcs)
@@ -63,6 +63,10 @@ CLEAR = 1e-6  # distances below that are not judged: rounding decides there [m]
 places = st.integers(-1200, 1200).map(lambda n: n / 100)  # shapely takes tinier lines for points at infinity
 boxes = st.tuples(places, places, st.floats(-7, 7), st.floats(0.5, 10), st.floats(0.5, 4))
 segments = st.tuples(places, places, places, places)
+
+
+def corners(x, y, heading, length, width):
+    return corners_of(x, y, math.cos(heading), math.sin(heading), length, width)
 
 
 def polygon(box):
@@ -109,7 +113,7 @@ def test_illegal_lines_are_touched_where_shapely_says_so(which, dx, dy, heading)
     box = polygon((x, y, heading, *EGO_SIZE))
     gaps = [box.distance(LineString([line[:2], line[2:]])) for line in lines]
     if min(gaps) == 0 or min(gaps) > CLEAR:
-        assert touches_line(lines, x, y, heading) == (min(gaps) == 0)
+        assert touches_line(lines, x, y, math.cos(heading), math.sin(heading)) == (min(gaps) == 0)
 
 
 def meta_ego(env, rng):

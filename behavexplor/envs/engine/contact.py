@@ -1,4 +1,8 @@
-"""Compiled contact tests of boxes with boxes and lines, one pair at a time; see `behavexplor.data.geometry`."""
+"""Contact of boxes with boxes and lines, one pair at a time, and collisions: `RoadObject.handle_collisions`.
+
+There are two tests of boxes. They decide differently where boxes touch without overlapping: `boxes_touch` is that of
+`behavexplor.data.geometry`, and `collide` is highway-env's, which also foresees contact.
+"""
 
 import math
 from typing import Final, TypeAlias
@@ -7,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.records import OBSTACLE, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
@@ -17,9 +23,8 @@ RADIUS: Final = math.hypot(*EGO_SIZE) / 2  # distance of the ego's corners from 
 
 
 @kernel_inner
-def corners(x: float, y: float, heading: float, length: float, width: float) -> Corners:
-    """Compute the corners of an oriented box, in order around it."""
-    cos, sin = math.cos(heading), math.sin(heading)
+def corners(x: float, y: float, cos: float, sin: float, length: float, width: float) -> Corners:
+    """Compute the corners of an oriented box, in order around it, from its center and the direction of its heading."""
     a, b = 0.5 * length, 0.5 * width
     return (
         (a * cos - b * sin + x, a * cos - -b * sin + x, -a * cos - -b * sin + x, -a * cos - b * sin + x),
@@ -86,14 +91,137 @@ def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> 
 
 
 @kernel_inner
-def touches_line(lines: Floats, x: float, y: float, heading: float) -> bool:
-    """Return whether the ego's box touches any of the lines, shape (lines, 4) [m]."""
+def touches_line(lines: Floats, x: float, y: float, cos: float, sin: float) -> bool:
+    """Return whether the ego's box touches any of the lines, shape (lines, 4) [m]; see `corners`."""
     for i in range(len(lines)):
         ax, ay, bx, by = lines[i, 0], lines[i, 1], lines[i, 2], lines[i, 3]
         if min(ax, bx) - x > RADIUS or x - max(ax, bx) > RADIUS or min(ay, by) - y > RADIUS or y - max(ay, by) > RADIUS:
             continue
         if line_distance(x, y, ax, ay, bx, by) > RADIUS:
             continue
-        if line_meets_box(corners(x, y, heading, EGO_SIZE[0], EGO_SIZE[1]), ax, ay, bx, by):
+        if line_meets_box(corners(x, y, cos, sin, EGO_SIZE[0], EGO_SIZE[1]), ax, ay, bx, by):
             return True
     return False
+
+
+@kernel_inner
+def collide(vehicles: Records, traits: Records, n_vehicles: int, n_obstacles: int, dt: float, xs: Floats) -> None:
+    """Find collisions of all pairs, and note what they do to the vehicles.
+
+    Most pairs are passed over at once, because they are too far apart along x, or because neither checks collisions.
+
+    Args:
+        vehicles: the vehicles and obstacles, changed in place.
+        traits: their traits.
+        n_vehicles: number of vehicles, which come first.
+        n_obstacles: number of obstacles.
+        dt: duration of a frame, for which a collision is foreseen [s].
+        xs: memory for the positions along x, shape (N,).
+    """
+    longest = 0.0
+    end_of_checking = 0
+    for j in range(n_vehicles + n_obstacles):
+        xs[j] = vehicles[j].x
+        longest = max(longest, traits[j].diameter)
+        if traits[j].checks_collisions:
+            end_of_checking = j + 1
+    for i in range(n_vehicles):
+        x, reach = xs[i], (traits[i].diameter + longest) / 2 + vehicles[i].speed * dt
+        end = n_vehicles + n_obstacles if traits[i].checks_collisions else end_of_checking
+        after = xs[i + 1 : end]
+        for k in range(_count_within(after, x, reach)):
+            j = i + 1 + k
+            if abs(xs[j] - x) <= reach:
+                _collide_pair(vehicles[i], traits[i], vehicles[j], traits[j], dt)
+
+
+@kernel_inner
+def _count_within(xs: Floats, x: float, reach: float) -> int:
+    """Return how many of the first positions contain all that are within reach, in one pass without branches."""
+    end = 0
+    for k in range(len(xs)):
+        end = max(end, k + 1 if abs(xs[k] - x) <= reach else 0)
+    return end
+
+
+@kernel_inner
+def _collide_pair(vehicle: Vehicle, traits: Traits, other: Vehicle, other_traits: Traits, dt: float) -> None:
+    """Find a collision of two vehicles, or of a vehicle and an obstacle: `RoadObject.handle_collisions`."""
+    if not (traits.checks_collisions or other_traits.checks_collisions):
+        return
+    dx, dy = other.x - vehicle.x, other.y - vehicle.y
+    if math.sqrt(dx * dx + dy * dy) > (traits.diameter + other_traits.diameter) / 2 + vehicle.speed * dt:
+        return
+    a, b = _box(vehicle, traits), _box(other, other_traits)
+    dx = vehicle.speed * vehicle.cos * dt - other.speed * other.cos * dt
+    dy = vehicle.speed * vehicle.sin * dt - other.speed * other.sin * dt
+    is_now, is_soon, push_x, push_y = _contact(a, b, dx, dy)
+    if is_soon:
+        share = 1.0 if other_traits.kind == OBSTACLE else 2.0
+        vehicle.impact_x, vehicle.impact_y, vehicle.has_impact = push_x / share, push_y / share, True
+        if other_traits.kind != OBSTACLE:
+            other.impact_x, other.impact_y, other.has_impact = -push_x / 2, -push_y / 2, True
+    if is_now:
+        vehicle.crashed = other.crashed = True
+
+
+@kernel_inner
+def _box(vehicle: Vehicle, traits: Traits) -> Corners:
+    """Compute the corners of a vehicle: `RoadObject.polygon`, which begins with the third of them."""
+    return corners(vehicle.x, vehicle.y, vehicle.cos, vehicle.sin, traits.length, traits.width)
+
+
+@kernel_inner
+def _contact(a: Corners, b: Corners, dx: float, dy: float) -> tuple[bool, bool, float, float]:
+    """Return whether two boxes overlap, whether they will, and the push that parts them [m].
+
+    This is `highway_env.utils.are_polygons_intersecting`. It ends early only if the rest cannot change the result.
+
+    Args:
+        a: corners of a box [m].
+        b: corners of the other box [m].
+        dx: motion of the first box relative to the other [m].
+        dy: motion of the first box relative to the other [m].
+    """
+    is_now = is_soon = True
+    least = math.inf
+    push_x = push_y = 0.0
+    for side in range(8):
+        xs, ys = a if side < 4 else b
+        start, end = (side + 2) % 4, (side + 3) % 4
+        nx, ny = -ys[end] + ys[start], xs[end] - xs[start]
+        norm = math.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / norm, ny / norm
+        low_a, high_a = _span(a, nx, ny)
+        low_b, high_b = _span(b, nx, ny)
+        if _gap(low_a, high_a, low_b, high_b) > 0:
+            is_now = False
+        motion = nx * dx + ny * dy
+        if motion < 0:
+            low_a += motion
+        else:
+            high_a += motion
+        gap = _gap(low_a, high_a, low_b, high_b)
+        if gap > 0:
+            is_soon = False
+        if not is_now and not is_soon:
+            break
+        if abs(gap) < least:
+            least = abs(gap)
+            ax, ay = _center(a)
+            bx, by = _center(b)
+            sign = 1.0 if (ax - bx) * nx + (ay - by) * ny > 0 else -1.0
+            push_x, push_y = sign * nx, sign * ny
+    return is_now, is_soon, least * push_x, least * push_y
+
+
+@kernel_inner
+def _gap(low_a: float, high_a: float, low_b: float, high_b: float) -> float:
+    """Compute the distance of two intervals, negative if they overlap: `highway_env.utils.interval_distance`."""
+    return low_b - high_a if low_a < low_b else low_a - high_b
+
+
+@kernel_inner
+def _center(box: Corners) -> tuple[float, float]:
+    xs, ys = box
+    return (xs[2] + xs[3] + xs[0] + xs[1]) / 4, (ys[2] + ys[3] + ys[0] + ys[1]) / 4

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.engine.collisions import collide
+from behavexplor.envs.engine.contact import collide
 from behavexplor.envs.engine.control import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.frame_log import FrameLog, log_frame
 from behavexplor.envs.engine.lane_cache import coordinates_on, note_places, update_lane

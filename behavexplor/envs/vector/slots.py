@@ -158,7 +158,7 @@ def _begin_ego(world: ScriptedWorld, slots: ScriptedSlots, b: int) -> None:
     _set_route(world, slots.state.routes[b, 0], ego, 0)
     _set_size(traits, EGO_SIZE[0], EGO_SIZE[1])
     traits.min_speed, traits.max_speed = world.rules[0].min_speed, world.rules[0].max_speed
-    if touches_line(world.illegal_lines, ego.x, ego.y, ego.heading):
+    if touches_line(world.illegal_lines, ego.x, ego.y, ego.cos, ego.sin):
         run.line_frame = 0
     pose = slots.poses[b, 0]
     pose.x, pose.y, pose.heading, pose.vx, pose.vy = ego.x, ego.y, ego.heading, 0.0, 0.0

@@ -67,7 +67,7 @@ def step(
             while run.end == RUNNING and run.frame < decided + rules.substeps:
                 run.frame += 1
                 _drive(world.network, rules, ego, route, traits[0], poses[run.frame])
-                if run.line_frame < 0 and touches_line(world.illegal_lines, ego.x, ego.y, ego.heading):
+                if run.line_frame < 0 and touches_line(world.illegal_lines, ego.x, ego.y, ego.cos, ego.sin):
                     run.line_frame = run.frame
                 time = run.frame / rules.frequency
                 move_npcs(world.npc_routes, vehicles, slots.scripts[b], slots.phases[b], n_npcs, time)
@@ -132,8 +132,9 @@ def first_touched(vehicles: Records, traits: Records, first: int, n_npcs: int) -
         dx, dy = npc.x - ego.x, npc.y - ego.y
         if abs(dx) > reach or abs(dy) > reach or math.hypot(dx, dy) > reach:
             continue
-        box = corners(ego.x, ego.y, ego.heading, own.length, own.width)
-        if boxes_touch(box, corners(npc.x, npc.y, npc.heading, size.length, size.width)):
+        box = corners(ego.x, ego.y, ego.cos, ego.sin, own.length, own.width)
+        cos, sin = math.cos(npc.heading), math.sin(npc.heading)
+        if boxes_touch(box, corners(npc.x, npc.y, cos, sin, size.length, size.width)):
             return i
     return -1
 
