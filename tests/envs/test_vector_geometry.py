@@ -8,10 +8,10 @@ from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.engine import contact, control
+from behavexplor.envs.engine import contact, lane_keeping
 from behavexplor.envs.engine.contact import boxes_touch, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point
-from behavexplor.envs.engine.records import VEHICLE
+from behavexplor.envs.engine.state import VEHICLE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
@@ -25,7 +25,7 @@ lane_coordinates = called_alone(lane_coordinates)
 lane_heading = called_alone(lane_heading)
 lane_point = called_alone(lane_point)
 line_meets_box = called_alone(line_meets_box)
-next_lane = called_alone(control._next_lane)
+next_lane = called_alone(lane_keeping._next_lane)
 touches_line = called_alone(touches_line)
 
 ENVS = [IntersectionLeftEnv, LaneChangeEnv]

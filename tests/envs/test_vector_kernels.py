@@ -16,11 +16,11 @@ from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.engine import contact, control
+from behavexplor.envs.engine import contact, lane_keeping
+from behavexplor.envs.engine.bicycle import _limit_commands
 from behavexplor.envs.engine.contact import boxes_touch, line_distance, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
-from behavexplor.envs.engine.motion import _limit_commands
-from behavexplor.envs.engine.records import TRAITS, VEHICLE
+from behavexplor.envs.engine.state import TRAITS, VEHICLE
 from behavexplor.envs.episode import POSE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
@@ -48,9 +48,9 @@ line_distance = called_alone(line_distance)
 line_meets_box = called_alone(line_meets_box)
 move_npcs = called_alone(move_npcs)
 touches_line = called_alone(touches_line)
-take_maneuver = called_alone(control.take_maneuver)
-nearest_speed = called_alone(control.nearest_speed)
-keep_lane_and_speed = called_alone(control.keep_lane_and_speed)
+take_maneuver = called_alone(lane_keeping.take_maneuver)
+nearest_speed = called_alone(lane_keeping.nearest_speed)
+keep_lane_and_speed = called_alone(lane_keeping.keep_lane_and_speed)
 lane_coordinates = called_alone(lane_coordinates)
 limit_commands = called_alone(_limit_commands)
 find_end = called_alone(step._find_end)
@@ -158,7 +158,7 @@ def test_maneuvers_are_highway_env_s(env):
         assert row.acceleration == vehicle.action["acceleration"]
         assert row.steering == vehicle.action["steering"]
         changed.add((maneuver, bool(row.target_lane != target)))
-    assert {(control.LANE_LEFT, True), (control.LANE_RIGHT, True), (control.IDLE, False)} <= changed
+    assert {(lane_keeping.LANE_LEFT, True), (lane_keeping.LANE_RIGHT, True), (lane_keeping.IDLE, False)} <= changed
 
 
 @given(st.floats(-50, 50), st.lists(st.floats(0.5, 5), min_size=1, max_size=1), st.integers(2, 6))

@@ -6,10 +6,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.envs.engine.control import not_zero
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.lane_keeping import not_zero
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.records import Scene
+from behavexplor.envs.engine.state import Scene
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import OBSTACLE, Traits, Vehicle
+from behavexplor.envs.engine.state import OBSTACLE, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.records import Scene
+from behavexplor.envs.engine.state import Scene
 from behavexplor.jit import kernel_inner
 
 

@@ -9,7 +9,7 @@ from typing import Final
 from highway_env.road.lane import AbstractLane
 
 from behavexplor.envs.engine.lane_network import CIRCULAR, SINE, STRAIGHT, Lane, Network
-from behavexplor.envs.engine.records import Vehicle
+from behavexplor.envs.engine.state import Vehicle
 from behavexplor.jit import kernel_inner
 
 VEHICLE_LENGTH: Final = float(AbstractLane.VEHICLE_LENGTH)  # highway-env extends lanes by this length [m]

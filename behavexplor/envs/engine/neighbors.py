@@ -10,7 +10,7 @@ from behavexplor.envs.engine.lane_cache import coordinates_on
 from behavexplor.envs.engine.lane_geometry import VEHICLE_LENGTH, is_on_lane, may_be_on_lane
 from behavexplor.envs.engine.lane_network import STRAIGHT, Lane, Network
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import Scene
+from behavexplor.envs.engine.state import Scene
 from behavexplor.jit import kernel_inner
 
 NO_VEHICLE: Final = -1

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.motion import move
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import (
+from behavexplor.envs.engine.state import (
     IDM,
     LINEAR,
     N_PREDICTIONS,

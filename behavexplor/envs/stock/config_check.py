@@ -9,7 +9,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import class_from_path
 from pydantic import StrictStr
 
-from behavexplor.envs.engine.records import IDM, LINEAR
+from behavexplor.envs.engine.state import IDM, LINEAR
 from behavexplor.envs.env_config import ACTIONS, check_type
 from behavexplor.envs.stock.task import (
     EXIT,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import (
+from behavexplor.envs.engine.state import (
     IDM,
     LINEAR,
     MDP,

@@ -13,9 +13,9 @@ from highway_env.utils import class_from_path
 
 from behavexplor.envs.engine.collision_grid import make_memory
 from behavexplor.envs.engine.frame_log import FrameLog
-from behavexplor.envs.engine.observation import grid_view, make_view
+from behavexplor.envs.engine.observing import grid_view, make_view
 from behavexplor.envs.engine.pcg64 import N_WORDS
-from behavexplor.envs.engine.records import make_slots
+from behavexplor.envs.engine.state import make_slots
 from behavexplor.envs.source_gate import OF_INTERSECTION
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import N_FLAGS, N_NUMBERS, Engine, Outcome

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import make_network
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, give
-from behavexplor.envs.engine.records import Slots
+from behavexplor.envs.engine.state import Slots
 from behavexplor.envs.stock.config_check import DRAWING
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import Engine

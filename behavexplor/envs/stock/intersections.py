@@ -7,7 +7,7 @@ import numpy as np
 
 from behavexplor.envs.engine.lane_geometry import lane_heading, lane_point
 from behavexplor.envs.engine.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
-from behavexplor.envs.engine.records import Scene
+from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import DRAWN, Task

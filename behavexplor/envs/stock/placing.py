@@ -7,10 +7,10 @@ import numpy as np
 from highway_env.vehicle.behavior import LinearVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.engine.control import nearest_speed
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_heading, lane_point
+from behavexplor.envs.engine.lane_keeping import nearest_speed
 from behavexplor.envs.engine.pcg64 import Words, uniform
-from behavexplor.envs.engine.records import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
+from behavexplor.envs.engine.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
 from behavexplor.envs.stock.stock_world import EGO, OTHER, World
 from behavexplor.jit import kernel_inner
 

@@ -4,7 +4,7 @@ import math
 
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.pcg64 import THREE, TWO, Words, integer, normal, uniform, weighted
-from behavexplor.envs.engine.records import Scene
+from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.stock.intersections import INITIAL_PROBABILITY, NOT_CHALLENGER, spawn_vehicle
 from behavexplor.envs.stock.placing import AS_EGO, AS_OTHER, draw_behavior, place_on_lane, place_vehicle, plan_route
 from behavexplor.envs.stock.stock_world import BARRIER, World

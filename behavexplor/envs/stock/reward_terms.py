@@ -6,9 +6,9 @@ import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
 from numpy.typing import NDArray
 
-from behavexplor.envs.engine.control import clip, nearest_speed
 from behavexplor.envs.engine.lane_geometry import is_on_road, lane_coordinates
-from behavexplor.envs.engine.records import MDP, NO_LANE, PLAIN, Scene
+from behavexplor.envs.engine.lane_keeping import clip, nearest_speed
+from behavexplor.envs.engine.state import MDP, NO_LANE, PLAIN, Scene
 from behavexplor.envs.stock.stock_world import World
 from behavexplor.envs.stock.task import (
     EXIT,

@@ -7,7 +7,7 @@ from highway_env.road.road import LaneIndex, RoadNetwork
 
 from behavexplor.envs.engine.lane_network import road_numbers
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import NO_ROUTE, Slots
+from behavexplor.envs.engine.state import NO_ROUTE, Slots
 from behavexplor.envs.stock.conversion import make_route
 
 _NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_length"})
@@ -18,7 +18,7 @@ class SlotState(NamedTuple):
     """A copy of a slot with n vehicles and obstacles.
 
     Attributes:
-        episode: shape () of `behavexplor.envs.engine.records.EPISODE`.
+        episode: shape () of `behavexplor.envs.engine.state.EPISODE`.
         vehicles: shape (n,) of `VEHICLE`.
         traits: shape (n,) of `TRAITS`.
         routes: shape (n, steps) of `ROUTE_STEP`.

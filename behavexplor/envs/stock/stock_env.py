@@ -17,7 +17,7 @@ from behavexplor.envs.engine.action_decoding import command_table, make_commands
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
-from behavexplor.envs.engine.records import make_scratch, make_slots
+from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import (

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import Network, make_network
 from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.records import OBSTACLE, TRAITS
+from behavexplor.envs.engine.state import OBSTACLE, TRAITS
 from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.stock.traits import kind_of, traits_of
 from behavexplor.errors import InputError

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.records import SAME_NUMBER, VEHICLE
+from behavexplor.envs.engine.state import SAME_NUMBER, VEHICLE
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
-from behavexplor.envs.engine.records import IDM, LINEAR, MDP, OBSTACLE, PLAIN, TRAITS, Traits
+from behavexplor.envs.engine.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, TRAITS, Traits
 from behavexplor.envs.source_gate import replaced
 from behavexplor.errors import InputError
 

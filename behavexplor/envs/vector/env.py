@@ -17,8 +17,8 @@ from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.engine.action_decoding import make_commands
 from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
-from behavexplor.envs.engine.observation import make_view
-from behavexplor.envs.engine.records import make_scratch
+from behavexplor.envs.engine.observing import make_view
+from behavexplor.envs.engine.state import make_scratch
 from behavexplor.envs.episode import episode_trace
 from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.source_gate import classes_of, guard_of

@@ -23,11 +23,11 @@ from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.engine import records
+from behavexplor.envs.engine import state as engine_state
 from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane
 from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.records import Traits, Vehicle
+from behavexplor.envs.engine.state import Traits, Vehicle
 from behavexplor.envs.episode import POSE
 from behavexplor.envs.vector.world import ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
@@ -65,7 +65,7 @@ class ScriptedSlots(NamedTuple):
         actions: the actions of each decision, shape (B, D, A).
     """
 
-    state: records.Slots
+    state: engine_state.Slots
     runs: Records
     scripts: Records
     phases: Floats
@@ -90,7 +90,7 @@ def make_slots(
     runs = np.zeros(n_slots, RUN)
     runs["end"] = IDLE
     return ScriptedSlots(
-        state=records.make_slots(n_slots, 1 + npcs, n_steps),
+        state=engine_state.make_slots(n_slots, 1 + npcs, n_steps),
         runs=runs,
         scripts=np.zeros((n_slots, npcs), SCRIPT),
         phases=np.zeros((n_slots, npcs, n_phases, N_PHASE_COLUMNS)),

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from behavexplor.data.conventions import is_rear_end
 from behavexplor.data.trace import ENDS
 from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.contact import boxes_touch, corners, touches_line
-from behavexplor.envs.engine.control import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.motion import move
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import Traits, Vehicle
+from behavexplor.envs.engine.state import Traits, Vehicle
 from behavexplor.envs.episode import Pose
 from behavexplor.envs.vector.slots import RUNNING, Run, ScriptedSlots, move_npcs
 from behavexplor.envs.vector.world import ScriptedRules, ScriptedWorld

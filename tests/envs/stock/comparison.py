@@ -19,7 +19,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from behavexplor.envs.engine.action_decoding import make_commands
 from behavexplor.envs.engine.frame_log import make_log
-from behavexplor.envs.engine.records import EPISODE, VEHICLE, Scene, make_scratch, make_slots
+from behavexplor.envs.engine.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.frames import clear_vehicles, step
 from behavexplor.envs.stock.stock_world import make_world

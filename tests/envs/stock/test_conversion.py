@@ -9,7 +9,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.objects import Landmark
 
 from behavexplor.envs.engine.lane_network import lane_indexes, make_network, road_numbers
-from behavexplor.envs.engine.records import IDM, LINEAR, MDP, OBSTACLE, PLAIN, make_slots
+from behavexplor.envs.engine.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, make_slots
 from behavexplor.envs.stock.conversion import load, restore
 from behavexplor.envs.stock.stock_world import EGO, OTHER, make_world
 from behavexplor.envs.stock.traits import kind_of

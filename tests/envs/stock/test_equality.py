@@ -6,7 +6,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from behavexplor.envs.engine.frame_log import make_log
-from behavexplor.envs.engine.records import make_scratch, make_slots
+from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.frames import step
 from behavexplor.envs.stock.stock_world import make_world

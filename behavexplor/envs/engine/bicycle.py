@@ -2,7 +2,7 @@
 
 import math
 
-from behavexplor.envs.engine.records import Traits, Vehicle
+from behavexplor.envs.engine.state import Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 

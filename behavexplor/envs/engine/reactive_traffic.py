@@ -7,12 +7,12 @@ decides about changes of lane.
 import math
 from typing import Final
 
-from behavexplor.envs.engine.control import clip, follow_road, linear_steering, not_zero, steering
 from behavexplor.envs.engine.lane_cache import coordinates_on
 from behavexplor.envs.engine.lane_geometry import is_reachable, lane_coordinates
+from behavexplor.envs.engine.lane_keeping import clip, follow_road, linear_steering, not_zero, steering
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.neighbors import NO_VEHICLE, neighbors
-from behavexplor.envs.engine.records import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
+from behavexplor.envs.engine.state import LINEAR, OBSTACLE, PLAIN, Scene, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 MIN_CHANGE_SPEED: Final = 1  # a slower vehicle does not change lane [m/s]

@@ -19,7 +19,7 @@ from behavexplor.envs.engine.lane_geometry import (
 )
 from behavexplor.envs.engine.lane_network import Lane, Network
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.records import SAME_NUMBER, Traits, Vehicle
+from behavexplor.envs.engine.state import SAME_NUMBER, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]
