@@ -277,7 +277,7 @@ def test_compiling_is_announced_once_and_only_ours(caplog):
     notice.on_start(compiling("elsewhere.kernels"))
     notice.on_end(compiling("elsewhere.kernels"))
     assert caplog.messages == []
-    for module in ("behavexplor.data.npc_motion", "behavexplor.envs.vector.step"):
+    for module in ("behavexplor.data.npc_motion", "behavexplor.envs.tasks.scripted_step"):
         notice.on_start(compiling(module))
         assert [record.name for record in caplog.records] == ["behavexplor.jit"]
     assert caplog.messages[0].startswith("Compiling to machine code")

@@ -5,6 +5,8 @@ from typing import Final
 
 STANDING_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
 ARRIVAL_DISTANCE: Final = 1.0  # an ego whose center is within this distance of its destination has arrived [m]
+PASSED_DISTANCE: Final = 5.0  # an ego so far beyond its destination, along its lane, has passed it [m]
+TERMINAL: Final = ("collision", "arrived", "passed")  # ends that terminate an episode; all others truncate it
 STANDSTILL_TIME: Final = 30.0  # an episode ends when the ego has stood for so long [s]
 EPISODE_TIME: Final = 200.0  # an episode takes at most so long, unless the environment is configured otherwise [s]
 MOST_ENVS: Final = 4096  # environments in lock-step in a training

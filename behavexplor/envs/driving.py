@@ -1,38 +1,36 @@
 """The base environment of all functional scenarios: an ego among NPCs that play back a concrete scenario."""
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
 import numpy as np
-from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import observation_factory
 from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED, STANDSTILL_TIME
-from behavexplor.data.npc_motion import motion_table
+from behavexplor.data.conventions import TERMINAL
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
-from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
+from behavexplor.data.trace import Trace
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.kinematics import Kinematics
-from behavexplor.envs.network import road_network
-from behavexplor.envs.recorder import Recorder
+from behavexplor.envs.one_slot import OneSlot
+from behavexplor.envs.plain_simulation import PlainSimulation
 from behavexplor.envs.scene_observation import SceneObservation
-from behavexplor.envs.vehicles import ScriptedVehicle, place_ego
+from behavexplor.envs.source_gate import ChangedError, ChangeGuard, classes_of, guard_of, replaced_in
+from behavexplor.envs.support import odd_action, odd_method, odd_observation
 from behavexplor.envs.viewer import MapViewer
 from behavexplor.errors import InputError, unknown_name
 
-PASSED_DISTANCE = 5.0  # distance beyond the destination, along its lane [m]
-
 RENDER_MODES = ("human", "rgb_array")
-TERMINAL = ("collision", "arrived", "passed")  # ends that terminate the episode; all other ends truncate it
 
 
-class DrivingEnv(AbstractEnv):  # type: ignore[misc]
+class DrivingEnv(PlainSimulation):
     """Drive to a destination among scripted vehicles.
 
     Each functional scenario is a subclass with its own `logical` scenario: a map, and the range of concrete scenarios
@@ -126,23 +124,24 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
     """
 
     logical: ScriptedLogicalScenario
-    config: dict[str, Any]
     scenario: ScriptedScenario
     viewer: MapViewer | None
     observation_type: Any  # highway-env has no annotations
-    action_type: Any
     _has_new_config = True
     _has_begun = False
-    _recorder: Recorder
-    _end: str | None = None
-    _terms: dict[str, float]
+    _is_made = False
+    _road: Road | None = None
+    _egos: list[Vehicle]
+    _is_shown = False  # whether there are vehicles that show the running episode
+    _slot: OneSlot | None = None
+    _guard: ChangeGuard | None = None
 
     def __init__(self, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
         self.metadata = {"render_modes": list(RENDER_MODES)}
         if render_mode not in (None, *RENDER_MODES):
             raise InputError(f"render_mode: expected None, {' or '.join(RENDER_MODES)}, got {render_mode!r:.80}")
-        super().__init__(config, render_mode)
-        self._has_begun = False  # highway-env's constructor has reset the environment without a seed
+        super().__init__(config, render_mode)  # which resets the environment without a seed
+        self._has_begun, self._is_made = False, True
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "viewer": None}  # a window cannot be pickled
@@ -160,7 +159,7 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         if "observation" not in changes and self.config["observation"] == default_observation(self.logical):
             changed["observation"] = default_observation(logical)
         self.config, self.logical = changed, logical
-        self._has_new_config, self._has_begun = True, False
+        self._has_new_config, self._has_begun, self._slot, self._guard = True, False, None, None
         super().configure({})
 
     def define_spaces(self) -> None:
@@ -206,34 +205,74 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         self._has_begun = True
         self._terms = {}
         self.scenario = scenario
-        self.action_type = action_factory(self, self.config["action"])  # determines the ego's class
-        self._place(scenario)
+        self._is_shown = False
         self.define_spaces()
-        observation = self.observation_type.observe()
+        if self._is_made:
+            self._begin()
+        observation = self._observed()
         if self.render_mode == "human":
             self.render()
         return observation, {"scenario": scenario}
 
-    def _place(self, scenario: ScriptedScenario) -> None:
-        """Put the ego and the NPCs of a scenario on the road."""
-        roadmap = self.logical.roadmap
-        network = road_network(roadmap)
-        self.road = Road(network, np_random=self.np_random)
-        vehicle_class = self.action_type.vehicle_class
-        ego = place_ego(vehicle_class, self.road, roadmap.start_pose, network.indexes(roadmap.ego_route))
-        n_frames = int(self.config["duration"] * self.config["simulation_frequency"]) + 1
-        time = np.arange(n_frames + 1) / self.config["simulation_frequency"]
-        motion = motion_table(scenario, roadmap, time)
-        npcs = [
-            ScriptedVehicle(
-                self.road, VEHICLE_SIZES[npc.type], motion[:, i], network.indexes(roadmap.routes[npc.route])
-            )
-            for i, npc in enumerate(scenario.npcs)
-        ]
-        self.controlled_vehicles = [ego]
-        self.road.vehicles = [ego, *npcs]
-        self._recorder = Recorder(roadmap, time, motion, [(v.LENGTH, v.WIDTH) for v in self.road.vehicles])
-        self._recorder.frame(ego)
+    def _begin(self) -> None:
+        """Begin the episode in the engine, or on highway-env's objects if it does not support this environment."""
+        obstacle = self._obstacle()
+        if obstacle is None:
+            self._slot = self._slot or OneSlot(self)
+            self._is_shown = False
+            self._slot.begin(self.scenario)
+            return
+        self._slot = None
+        _say_plain(type(self), obstacle)
+        self._show()
+
+    def _obstacle(self) -> str | None:
+        """Return why the engine cannot simulate this environment; None if it can."""
+        obstacle = odd_method(self, DrivingEnv) or odd_action(self.action_type) or replaced_in(self)
+        if obstacle:
+            return obstacle
+        by_engine = odd_observation(self.observation_type) is None
+        try:
+            if self._guard is None or not self._guard.is_current():
+                classes = classes_of(self, map(type, self.road.vehicles), with_observation=by_engine)
+                self._guard = guard_of(classes)
+        except ChangedError as error:
+            return f"this program: the {error.reason}"
+        return None
+
+    @property
+    def road(self) -> Any:  # highway-env has no annotations
+        """The road with all vehicles. They are made when they are asked for, and show the episode from then on."""
+        self._show()
+        return self._road
+
+    @road.setter
+    def road(self, road: Road | None) -> None:
+        self._road = road
+
+    @property
+    def controlled_vehicles(self) -> list[Vehicle]:
+        """The ego; see `road`."""
+        self._show()
+        return self._egos
+
+    @controlled_vehicles.setter
+    def controlled_vehicles(self, vehicles: list[Vehicle]) -> None:
+        self._egos = vehicles
+
+    def _show(self) -> None:
+        """Make vehicles that show the running episode, if there are none yet."""
+        if self._is_shown or not hasattr(self, "scenario"):
+            return
+        self._is_shown = True
+        self._place(self.scenario)
+        if self._slot is not None and self._has_begun:
+            self._slot.show(self)
+
+    def _observed(self) -> Any:
+        if self._slot is not None and self._slot.observes:
+            return self._slot.observation()
+        return self.observation_type.observe()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Simulate until the next decision, or until the episode ends (see the class).
@@ -248,40 +287,45 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         if self._end is not None:
             raise gymnasium.error.ResetNeeded("The episode has ended: call reset before step")
         check_actions(self.action_space, action)
-        return super().step(action)  # type: ignore[no-any-return]
+        self.time += 1 / self.config["policy_frequency"]
+        self._simulate(action)
+        observation = self._observed()
+        reward, terminated, truncated = self._reward(action), self._is_terminated(), self._is_truncated()
+        info = self._info(observation, action)
+        if self.render_mode == "human":
+            self.render()
+        return observation, reward, terminated, truncated, info
 
     def _simulate(self, action: Any = None) -> None:
         """Simulate until the next decision, or until the episode ends."""
-        self._recorder.action(action)
-        self.action_type.act(action)
+        if self._slot is None:
+            super()._simulate(action)
+            return
+        if self._is_shown:
+            self._slot.take(self)
+        if self.viewer is not None and self.enable_auto_render:
+            self._simulate_in_pictures(self._slot, action)
+        else:
+            self._slot.decide(action)
+        self.enable_auto_render = False
+        self._note_state(self._slot)
+        self._terms = self._slot.terms()
+
+    def _simulate_in_pictures(self, slot: OneSlot, action: Any) -> None:
+        """Simulate a decision frame by frame, and draw the frames between this decision and the next one."""
         substeps = self.config["simulation_frequency"] // self.config["policy_frequency"]
         for substep in range(substeps):
-            self.road.act()
-            self.road.step(1 / self.config["simulation_frequency"])
-            self.steps += 1
-            self._recorder.frame(self.vehicle)
-            self._end = self._find_end()
+            slot.decide(action, 1)
+            self._note_state(slot)
             if self._end is not None:
                 break
             if substep < substeps - 1:
                 self._automatic_rendering()
-        self.enable_auto_render = False
-        self._terms = self._recorder.reward_terms(self.config["reward"], self._end)
 
-    def _find_end(self) -> str | None:
-        roadmap = self.logical.roadmap
-        if self._recorder.touched_npcs():
-            return "collision"
-        gap = self.vehicle.position - roadmap.destination_point
-        if np.hypot(*gap) <= ARRIVAL_DISTANCE:
-            return "arrived"
-        if gap @ roadmap.destination_direction > PASSED_DISTANCE:
-            return "passed"
-        if self._recorder.standing_frames(STANDING_SPEED) >= STANDSTILL_TIME * self.config["simulation_frequency"]:
-            return "standstill"
-        if self.steps >= self.config["duration"] * self.config["simulation_frequency"]:
-            return "timeout"
-        return None
+    def _note_state(self, slot: OneSlot) -> None:
+        self.steps, self._end = slot.frame, slot.end
+        if self._is_shown:
+            slot.show(self)
 
     def _rewards(self, action: Any) -> dict[str, float]:  # noqa: ARG002 - highway-env's signature
         return self._terms
@@ -296,13 +340,34 @@ class DrivingEnv(AbstractEnv):  # type: ignore[misc]
         return self._end is not None and self._end not in TERMINAL
 
     def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:  # noqa: ARG002 - highway-env's signature
-        info = {"speed": self.vehicle.speed, "rewards": dict(self._rewards(action))}
+        speed = self.vehicle.speed if self._slot is None else self._slot.speed
+        info = {"speed": speed, "rewards": dict(self._rewards(action))}
         if self._end is not None:
-            info |= {"end": self._end, "trace": self._recorder.trace(self._end)}
+            info |= {"end": self._end, "trace": self._trace(self._end)}
         return info
+
+    def _trace(self, end: str) -> Trace:
+        return super()._trace(end) if self._slot is None else self._slot.trace()
 
     def render(self) -> NDArray[np.uint8] | None:
         """Render the scene from above: double yellow lines, curbs, routes, and every vehicle at its own size."""
         if self.render_mode is not None and self.viewer is None:
             self.viewer = MapViewer(self)
         return super().render()  # type: ignore[no-any-return]
+
+
+_said: set[tuple[type, str]] = set()
+
+
+def _say_plain(env_class: type, obstacle: str) -> None:
+    """Report, once for each reason, that an environment is simulated on highway-env's objects.
+
+    The report is a log message of level WARNING, so that it shows without any logging configuration.
+    """
+    if (env_class, obstacle) not in _said:
+        _said.add((env_class, obstacle))
+        logging.getLogger(__name__).warning(
+            "%s is simulated on highway-env's objects, many times as slow as compiled: the engine does not support %s",
+            env_class.__name__,
+            obstacle,
+        )

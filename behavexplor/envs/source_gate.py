@@ -45,15 +45,16 @@ _PORTED: Final = Path(__file__).with_name("source_digests.json")
 _VALUE: Final = "= "  # before a value, which may look like a digest otherwise
 
 
-def classes_of(env: AbstractEnv, vehicles: Iterable[type]) -> tuple[type, ...]:
+def classes_of(env: AbstractEnv, vehicles: Iterable[type], *, with_observation: bool = True) -> tuple[type, ...]:
     """Return the classes that an environment consists of, with their parents.
 
     Args:
         env: an environment that has been reset.
         vehicles: classes of its vehicles and obstacles.
+        with_observation: whether the class of its observation is one of them.
     """
     lanes = {type(lane): None for lane in env.road.network.lanes_list()}
-    things = (env, env.road, env.road.network, env.observation_type, env.action_type)
+    things = [env, env.road, env.road.network, *([env.observation_type] if with_observation else []), env.action_type]
     parents = {parent: None for one in (*map(type, things), *lanes, *vehicles) for parent in one.__mro__}
     return tuple(parent for parent in parents if _package(parent) not in ("builtins", "typing", "abc"))
 

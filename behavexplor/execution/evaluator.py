@@ -26,7 +26,6 @@ from behavexplor.execution.simulation import Simulation, compile_kernels
 from behavexplor.jit import keep_no_code
 
 LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
-_LEAST_LOCK_STEP: Final = 2  # a single episode would run in the environment that is not compiled, with other last bits
 
 EXECUTE: Final = "execute"  # functions of the service, beside `FINGERPRINT`
 PREFLIGHT: Final = "preflight"
@@ -250,7 +249,7 @@ def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:
         at_a_time: number of scenarios that a process executes at a time. A driver also decides for the episodes in
             lock-step that are not there, so there are no more of them than necessary.
     """
-    return recipe_for(Evaluator, target, lock_step=min(max(at_a_time, _LEAST_LOCK_STEP), LOCK_STEP))
+    return recipe_for(Evaluator, target, lock_step=min(at_a_time, LOCK_STEP))
 
 
 def recipe_for(service: type[Evaluator], target: Target, **settings: Any) -> Recipe:

@@ -30,7 +30,7 @@ from behavexplor.envs.making import (
 )
 from behavexplor.errors import InputError
 from behavexplor.execution.drawn_actions import DrawnActions
-from behavexplor.execution.rollout import LockStep, rollout, rollout_all
+from behavexplor.execution.rollout import LockStep, rollout, rollout_all, run_episodes
 
 FILE, MODULE, MEMORY = "file", "module", "memory"  # where the ADS of a simulation comes from
 _KERNELS_OF_VIEWS: Final = ({"observation": {"type": "Kinematics"}}, {"action": {"type": "DiscreteMetaAction"}})
@@ -92,6 +92,7 @@ class Simulation:
         self.logical = logical_of(self.env, env)
         self.plain = ""
         self._stochastic = stochastic
+        self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
         is_asked = stock and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
@@ -99,8 +100,19 @@ class Simulation:
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
     def run(self, scenario: Scenario) -> Trace:
-        """Run a scenario to its end, and return its trace."""
-        return rollout(self.env, self._driver(1), scenario)
+        """Run a scenario to its end, and return its trace.
+
+        Scripted vehicles are simulated in a compiled environment with one slot, if it supports the configuration, and
+        highway-env's environments as they are.
+        """
+        if self._is_stock:
+            return rollout(self.env, self._driver(1), scenario)
+        self._single = self._single or self.lock_step(1)
+        if self._single is None:
+            return rollout(self.env, self._driver(1), scenario)
+        self._single.give_up()  # an episode in which the driver has failed
+        ((_, trace),) = run_episodes(self._single, [scenario])
+        return trace
 
     def run_all(self, scenarios: Sequence[Scenario], batch: int = 64) -> Iterator[tuple[int, Trace]]:
         """Run scenarios to their ends, in lock-step if the ADS and the vector environment support it.
@@ -120,7 +132,7 @@ class Simulation:
         envs.close()
 
     def lock_step(self, count: int) -> LockStep | None:
-        """Return episodes in lock-step; None if `run` is as fast, or the environment has no compiled form.
+        """Return episodes in lock-step; None if the environment has no compiled form.
 
         Args:
             count: number of episodes at a time. It is 1 if the ADS takes one observation at a time.
@@ -143,7 +155,7 @@ class Simulation:
     def compiled(self, count: int) -> VectorEnv[Any, Any, Any] | None:
         """Return a vector environment for episodes in lock-step; see `lock_step`."""
         count = count if getattr(self.ads, "vectorized", False) else 1
-        return self.vector_env(count) if count > 1 or self._is_stock else None
+        return self.vector_env(count)
 
     def vector_env(self, count: int, **changes: Any) -> VectorEnv[Any, Any, Any] | None:
         """Return a vector environment with the observations and actions of the ADS.

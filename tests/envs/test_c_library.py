@@ -97,6 +97,7 @@ def test_what_a_program_replaces_is_called(monkeypatch):
     env = gymnasium.make("behavexplor/intersection-straight-v0").unwrapped
     env.reset(seed=0)
     monkeypatch.setattr(Vehicle, "step", lambda vehicle, dt: setattr(vehicle, "speed", 3.0))
+    env.reset(seed=0)
     env.step(np.array([0.0, 0.0]))
     assert env.vehicle.speed == 3.0
     assert with_c_library(abs) is abs

@@ -164,12 +164,13 @@ def test_without_a_scenario_the_seed_decides(env):
     assert env.reset()[1]["scenario"] == second
 
 
-def test_the_ego_is_highway_env_s_bicycle(env):
+def test_the_ego_is_highway_env_s_bicycle():
     """The recorded motion is that of the model in highway-env's documentation, integrated at 20 Hz."""
+    env = gymnasium.make(S1, config={**SCENE, "duration": 2.0})
     env.reset(options={"scenario": scene()})
     for _ in range(20):
-        env.step(np.array([0.8, 0.1]))
-    recorded = env._recorder.trace("timeout")
+        *_, info = env.step(np.array([0.8, 0.1]))
+    recorded = info["trace"]
     x, y, heading, speed = *recorded.position[0, 0], recorded.heading[0, 0], 0.0
     acceleration, steering = -8 + 12 * 0.9, 0.06
     slip = np.arctan(0.5 * np.tan(steering))

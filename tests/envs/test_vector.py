@@ -27,6 +27,7 @@ from behavexplor.envs.kinematics import FEATURES
 from behavexplor.envs.recorder import Recorder
 from behavexplor.envs.vector import DrivingVectorEnv, vector_env
 from behavexplor.errors import InputError
+from tests.envs.plain import plain
 
 TOLERANCE = 1e-9
 SCENARIOS = int(os.environ.get("SCENARIOS", "200"))  # of the slow comparison, by environment and action type
@@ -107,7 +108,7 @@ def compare(env_class, config, n_envs, seed, scenarios=None):
     """Drive both to the end of every episode."""
     rng = np.random.default_rng(seed)
     vector = vector_env(env_class)(n_envs, config, autoreset_mode="Disabled")
-    singles = [env_class(config) for _ in range(n_envs)]
+    singles = [plain(env_class)(config) for _ in range(n_envs)]
     scenarios = scenarios or [None] * n_envs
     observations, infos = vector.reset(seed=seed, options={"scenarios": scenarios})
     worst, terms, different, decisions = 0.0, set(), set(), 0
@@ -432,9 +433,9 @@ def test_what_is_no_action_for_each_is_refused(action, actions):
     before, _ = env.reset(seed=0)
     with pytest.raises(InputError, match="actions: expected finite numbers of"):
         env.step(actions)
-    egos = env._slots.state.vehicles[:, 0]
+    egos = env._episodes.slots.state.vehicles[:, 0]
     assert np.array_equal(np.stack([egos["x"], egos["y"], egos["heading"]], axis=1), before[:, 0, 1:4])
-    assert (env._slots.runs["frame"] == 0).all()
+    assert (env._episodes.slots.runs["frame"] == 0).all()
 
 
 @pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
@@ -626,11 +627,11 @@ def make_lane_change():
 )
 def test_a_decision_beyond_the_room_of_a_slot_is_refused(field, value):
     env = make_lane_change()
-    (env._slots.runs if field == "frame" else env._slots.state.episodes)[field][1] = value
-    before = copy.deepcopy(env._slots)
+    (env._episodes.slots.runs if field == "frame" else env._episodes.slots.state.episodes)[field][1] = value
+    before = copy.deepcopy(env._episodes.slots)
     with pytest.raises(InputError, match="longer than its record"):
         env.step(env.action_space.sample())
-    pairs = zip((*before.state, *before[1:]), (*env._slots.state, *env._slots[1:]), strict=True)
+    pairs = zip((*before.state, *before[1:]), (*env._episodes.slots.state, *env._episodes.slots[1:]), strict=True)
     assert all(np.array_equal(*pair) for pair in pairs)
 
 

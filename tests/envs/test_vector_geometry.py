@@ -15,7 +15,7 @@ from behavexplor.envs.engine.state import VEHICLE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
-from behavexplor.envs.vector.world import make_world
+from behavexplor.envs.tasks.scripted_world import make_world
 from tests.kernel_calls import called_alone
 
 boxes_touch = called_alone(boxes_touch)

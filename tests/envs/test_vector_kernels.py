@@ -28,9 +28,10 @@ from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
 from behavexplor.envs.reward import WEIGHTS
 from behavexplor.envs.reward import reward_terms as terms_of_one
-from behavexplor.envs.vector import slots, step
-from behavexplor.envs.vector.rewards import TERMS, reward_terms
-from behavexplor.envs.vector.slots import (
+from behavexplor.envs.tasks import scripted_slots as slots
+from behavexplor.envs.tasks import scripted_step as step
+from behavexplor.envs.tasks.scripted_rewards import TERMS, reward_terms
+from behavexplor.envs.tasks.scripted_slots import (
     RUN,
     RUNNING,
     begin_episodes,
@@ -38,7 +39,7 @@ from behavexplor.envs.vector.slots import (
     move_npcs,
     npc_arrays,
 )
-from behavexplor.envs.vector.world import make_world
+from behavexplor.envs.tasks.scripted_world import make_world
 from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
 from tests.kernel_calls import called_alone
 

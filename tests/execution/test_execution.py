@@ -116,7 +116,7 @@ def test_which_of_many_scenarios_an_ads_fails_in_does_not_depend_on_the_others(w
 
 
 def test_what_is_not_vectorized_runs_alone():
-    assert begun("tests.drivers:Hermit").batch is None
+    assert begun("tests.drivers:Hermit").batch.capacity == 1
     with start_executor(Target("intersection-straight", "tests.drivers:Hermit", unconfined=True), 0) as executor:
         futures = [executor.submit(EXECUTE, scenario.to_json().encode()) for scenario in SCENARIOS]
         assert all(Trace.from_bytes(future.result()).end for future in futures)

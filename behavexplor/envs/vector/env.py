@@ -10,34 +10,18 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from behavexplor.data.npc_motion import N_COLUMNS
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.trace import ENDS, Trace
+from behavexplor.data.trace import ENDS
 from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.engine.action_decoding import make_commands
 from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
-from behavexplor.envs.engine.observing import make_view
-from behavexplor.envs.engine.state import make_scratch
-from behavexplor.envs.episode import episode_trace
-from behavexplor.envs.kinematics import Kinematics
 from behavexplor.envs.source_gate import classes_of, guard_of
+from behavexplor.envs.support import odd_action, odd_method, odd_observation
+from behavexplor.envs.tasks.scripted_episodes import ScriptedEpisodes
+from behavexplor.envs.tasks.scripted_rewards import TERMS
+from behavexplor.envs.tasks.scripted_slots import IDLE, RUNNING
 from behavexplor.envs.values import COUNT, shown
-from behavexplor.envs.vector.observe import observe_kinematics, observe_scene
-from behavexplor.envs.vector.rewards import TERMS, reward_terms
-from behavexplor.envs.vector.slots import (
-    IDLE,
-    RUNNING,
-    begin_episodes,
-    fill_table,
-    make_slots,
-    npc_arrays,
-)
-from behavexplor.envs.vector.step import step
-from behavexplor.envs.vector.support import check_supported
-from behavexplor.envs.vector.world import make_world
 from behavexplor.errors import InputError
-from behavexplor.jit import compiled_for
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -86,7 +70,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             raise InputError("The vector environment cannot render: replay a trace, or use gymnasium.make")
         self._mode = chosen_mode(autoreset_mode)
         single = self.env_class(config)
-        check_supported(single)
+        _check_supported(single)
         classes = classes_of(single, map(type, single.road.vehicles))
         self._guard = guard_of(classes)
         self.num_envs = num_envs
@@ -96,27 +80,10 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
-        self._world = make_world(single)
-        rules = self._world.rules[0]
-        n_frames = int(np.ceil(rules.max_frames)) + 1
-        self._time = np.arange(n_frames) / self.config["simulation_frequency"]
-        n_decisions = -(-n_frames // int(rules.substeps))
-        self._n_values = int(np.prod(self.single_action_space.shape or ()))  # of an action
-        self._slots = make_slots(num_envs, n_frames, (n_decisions, self._n_values), self.logical)
-        self._commands = make_commands(single.action_type)
-        self._seen: tuple[Any, ...] = (self._slots,)  # what is observed
-        if isinstance(single.observation_type, Kinematics):
-            scratch = make_scratch(len(self._world.network.lanes), self._slots.state.vehicles.shape[1])
-            self._seen = self._world, self._slots, make_view(single.observation_type), scratch
-            self._slots.state.episodes["n_side_lanes"] = single.observation_type.n_side_lanes()
-        space = self.single_observation_space
-        self._observations = np.zeros((num_envs, *(space.shape or ())), dtype=space.dtype)
-        self._n_waypoints = self._slots.phases.shape[2] - 1
-        self._compile()
+        self._episodes = ScriptedEpisodes(single, num_envs)
         self._has_idle = True
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
-        self._weights = np.array([self.config["reward"][name] for name in TERMS], dtype=np.float64)
         self.gives_rewards = self.checks_actions = True
 
     def reset(
@@ -142,8 +109,8 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             if mask[b] and own_seed is not None:
                 self._generators[b], _ = seeding.np_random(own_seed)
         infos = self._begin(mask, scenarios, is_whole=bool(mask.all()))
-        self._observe(mask)
-        return self._observations.copy(), infos
+        self._episodes.observe(mask)
+        return self._episodes.observations.copy(), infos
 
     def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
         """Take an action in every sub-environment.
@@ -163,33 +130,30 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
         if self.checks_actions:
             check_actions(self.action_space, actions)
-        actions, end = np.asarray(actions), self._slots.runs["end"]
-        values = np.ascontiguousarray(actions.reshape(self.num_envs, self._n_values), dtype=np.float64)
-        active, ends = end == RUNNING, np.zeros((2, self.num_envs), dtype=bool)
-        n_ended = self._step_slots(self._world, self._slots, values, self._commands(actions), active, ends)
-        if n_ended < 0:
-            raise InputError("An episode is longer than its record has room for: make the environment again")
+        end = self._episodes.ends
+        active = end == RUNNING
+        n_ended, ends = self._episodes.decide(np.asarray(actions), active)
         terminated, truncated = ends
-        self._observe(active)
+        self._episodes.observe(active)
         terms, rewards = None, np.zeros(self.num_envs)
         if self.gives_rewards:
-            terms = reward_terms(self._weights, self._slots, active)
+            terms = self._episodes.terms(active)
             rewards = sum(terms, rewards)
         infos: dict[str, Any] = {}
         done = active & (end != RUNNING) if n_ended else None
         if self._mode is AutoresetMode.SAME_STEP and done is not None:
             infos = self._step_infos(active & ~done, terms) | self._final_infos(done, terms)
             infos |= self._begin(done)
-            self._observe(done)
-            return self._observations.copy(), rewards, terminated, truncated, infos
+            self._episodes.observe(done)
+            return self._episodes.observations.copy(), rewards, terminated, truncated, infos
         infos = self._step_infos(active, terms)
         if done is not None:
             infos |= self._end_infos(done)
         if self._mode is AutoresetMode.NEXT_STEP and not active.all():
             infos |= self._begin(~active)
-            self._observe(~active)
+            self._episodes.observe(~active)
             ends[:, ~active] = False
-        return self._observations.copy(), rewards, terminated, truncated, infos
+        return self._episodes.observations.copy(), rewards, terminated, truncated, infos
 
     def _begin(
         self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None, *, is_whole: bool = False
@@ -212,36 +176,18 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 generator = self._generators[b] = self._generators[b] or seeding.np_random()[0]
                 scenario = self.logical.sample(generator)
             begun[b] = scenario
-        npcs = npc_arrays(list(begun.values()), self.logical.roadmap, self._n_waypoints)
-        if not self._begin_slots(self._world, self._slots, np.flatnonzero(mask), *npcs):
-            raise InputError(f"A scenario has more than {self._slots.scripts.shape[1]} NPCs, for which there is room")
+        self._episodes.begin(np.flatnonzero(mask), begun.values())
         infos = np.full(self.num_envs, None, dtype=object)
         for b, scenario in begun.items():
             self.scenarios[b] = infos[b] = scenario
-        self._has_idle = bool((self._slots.runs["end"] == IDLE).any())
+        self._has_idle = bool((self._episodes.ends == IDLE).any())
         return {"scenario": infos, "_scenario": mask.copy()}
-
-    def _compile(self) -> None:
-        """Compile the kernels for the types of this environment's arrays, or read them from the cache."""
-        world, slots, mask = self._world, self._slots, np.zeros(self.num_envs, dtype=bool)
-        values, commands = np.zeros((self.num_envs, self._n_values)), np.zeros((self.num_envs, 2))
-        ends = np.zeros((2, self.num_envs), dtype=bool)
-        self._step_slots: Any = compiled_for(step, world, slots, values, commands, mask, ends)
-        observe: Any = observe_scene if len(self._seen) == 1 else observe_kinematics
-        self._observe_slots = compiled_for(observe, *self._seen, mask, self._observations)
-        npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
-        self._begin_slots = compiled_for(begin_episodes, world, slots, np.flatnonzero(mask), *npcs)
-        table = np.empty((1, 1, N_COLUMNS))
-        self._fill_table: Any = compiled_for(fill_table, *self._motion_of(0), self._time[:1], table)
-
-    def _observe(self, mask: Bools) -> None:
-        self._observe_slots(*self._seen, mask, self._observations)
 
     def _step_infos(self, mask: Bools, terms: Floats | None) -> dict[str, Any]:
         """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
         if terms is None or not mask.any():
             return {}
-        speeds, terms = np.where(mask, self._slots.state.vehicles["speed"][:, 0], 0.0), np.where(mask, terms, 0.0)
+        speeds, terms = np.where(mask, self._episodes.speeds, 0.0), np.where(mask, terms, 0.0)
         rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
         return {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
 
@@ -249,38 +195,15 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Return what that `info` has besides at the end of an episode, for the chosen slots."""
         ends, traces = np.full((2, self.num_envs), None, dtype=object)
         for b in done.nonzero()[0].tolist():
-            ends[b], traces[b] = ENDS[self._slots.runs["end"][b]], self._trace(b)
+            ends[b], traces[b] = ENDS[self._episodes.ends[b]], self._episodes.trace(b)
         return {"end": ends, "_end": done, "trace": traces, "_trace": done}
 
     def _final_infos(self, done: Bools, terms: Floats | None) -> dict[str, Any]:
         observations = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(done).tolist():
-            observations[b] = self._observations[b].copy()
+            observations[b] = self._episodes.observations[b].copy()
         infos = {"final_obs": observations, "_final_obs": done}
         return infos | {"final_info": self._step_infos(done, terms) | self._end_infos(done), "_final_info": done}
-
-    def _trace(self, b: int) -> Trace:
-        """Return the trace of the episode that has ended in slot b."""
-        slots, roadmap = self._slots, self.logical.roadmap
-        run, n_vehicles = slots.runs[b], slots.state.episodes[b].n_vehicles
-        frames, traits = int(run.frame) + 1, slots.state.traits[b, :n_vehicles]
-        decisions = np.arange(0, frames - 1, int(self._world.rules[0].substeps))
-        motion = np.empty((frames, n_vehicles - 1, N_COLUMNS))
-        self._fill_table(*self._motion_of(b), self._time[:frames], motion)
-        return episode_trace(
-            roadmap,
-            time=self._time[:frames],
-            ego=slots.poses[b, :frames],
-            motion=motion,
-            sizes=np.stack([traits["length"], traits["width"]], axis=1),
-            actions=slots.actions[b, : len(decisions)],
-            action_frames=decisions,
-            end=ENDS[run.end],
-        )
-
-    def _motion_of(self, b: int) -> tuple[Any, ...]:
-        """Return what determines the motion of the NPCs in slot b."""
-        return self._world.npc_routes, self._slots.scripts[b], self._slots.phases[b]
 
     def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[ScriptedScenario | None]:
         given = options.get("scenarios")
@@ -307,3 +230,17 @@ def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:
     name = env_class.__name__.removesuffix("Env") + "VectorEnv"
     members = {"env_class": env_class, "__doc__": DrivingVectorEnv.__doc__, "__module__": env_class.__module__}
     return type(name, (DrivingVectorEnv,), members)
+
+
+def _check_supported(env: DrivingEnv) -> None:
+    """Check that the vector environment can replace an environment.
+
+    Raises:
+        InputError: if it cannot. The message names what is not supported.
+    """
+    obstacle = odd_method(env, DrivingEnv) or odd_observation(env.observation_type) or odd_action(env.action_type)
+    if obstacle:
+        raise InputError(
+            f"The vector environment does not support {obstacle}; use gymnasium.make, or gymnasium.make_vec with "
+            f"vectorization_mode='sync'"
+        )

@@ -8,11 +8,10 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
-from behavexplor.data.conventions import ARRIVAL_DISTANCE, STANDING_SPEED, STANDSTILL_TIME
+from behavexplor.data.conventions import ARRIVAL_DISTANCE, PASSED_DISTANCE, STANDING_SPEED, STANDSTILL_TIME, TERMINAL
 from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import ENDS
-from behavexplor.envs import driving
 from behavexplor.envs.engine.lane_network import Network, make_network, road_numbers
 from behavexplor.envs.engine.record_types import Records, record_type
 from behavexplor.envs.engine.state import ROUTE_STEP
@@ -80,8 +79,8 @@ class ScriptedWorld(NamedTuple):
     terminal: NDArray[np.bool_]
 
 
-def make_world(env: driving.DrivingEnv) -> ScriptedWorld:
-    """Return the map and rules of an environment that has been reset."""
+def make_world(env: Any) -> ScriptedWorld:
+    """Return the map and rules of a `behavexplor.envs.driving.DrivingEnv` that has been reset."""
     roadmap, action = env.logical.roadmap, env.action_type
     is_meta = isinstance(action, DiscreteMetaAction)
     routes = _route_steps(roadmap)
@@ -95,11 +94,11 @@ def make_world(env: driving.DrivingEnv) -> ScriptedWorld:
         illegal_lines=np.array(roadmap.illegal_lines, dtype=np.float64).reshape(-1, 4),
         start=np.array(roadmap.start_pose, dtype=np.float64),
         target_speeds=np.array(action.target_speeds, dtype=np.float64) if is_meta else np.zeros(2),
-        terminal=np.array([end in driving.TERMINAL for end in ENDS]),
+        terminal=np.array([end in TERMINAL for end in ENDS]),
     )
 
 
-def _make_rules(env: driving.DrivingEnv) -> Records:
+def _make_rules(env: Any) -> Records:
     roadmap, action = env.logical.roadmap, env.action_type
     speeds = action.speed_range if isinstance(action, ContinuousAction) and action.speed_range else None
     table = np.zeros(1, RULES)
@@ -109,7 +108,7 @@ def _make_rules(env: driving.DrivingEnv) -> Records:
     rules.dt = 1 / rules.frequency
     rules.substeps = rules.frequency // env.config["policy_frequency"]
     rules.max_frames = env.config["duration"] * rules.frequency
-    rules.arrival_distance, rules.passed_distance = ARRIVAL_DISTANCE, driving.PASSED_DISTANCE
+    rules.arrival_distance, rules.passed_distance = ARRIVAL_DISTANCE, PASSED_DISTANCE
     rules.standstill_speed, rules.standstill_frames = STANDING_SPEED, STANDSTILL_TIME * rules.frequency
     rules.destination_x, rules.destination_y = roadmap.destination_point
     heading = roadmap.ego_route.pose(roadmap.destination)[2]

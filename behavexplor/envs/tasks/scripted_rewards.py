@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.vector.slots import ScriptedSlots
+from behavexplor.envs.tasks.scripted_slots import ScriptedSlots
 from behavexplor.jit import kernel_in_place
 
 Floats = NDArray[np.float64]

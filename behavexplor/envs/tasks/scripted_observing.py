@@ -10,8 +10,8 @@ from behavexplor.envs.engine.lane_geometry import closest_lane
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.observing import LONG_OFF, View, observe
 from behavexplor.envs.engine.state import Scene, Scratch, Vehicle
-from behavexplor.envs.vector.slots import ScriptedSlots
-from behavexplor.envs.vector.world import ScriptedWorld
+from behavexplor.envs.tasks.scripted_slots import ScriptedSlots
+from behavexplor.envs.tasks.scripted_world import ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]

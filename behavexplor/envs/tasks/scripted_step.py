@@ -17,8 +17,8 @@ from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.record_types import Records
 from behavexplor.envs.engine.state import Traits, Vehicle
 from behavexplor.envs.episode import Pose
-from behavexplor.envs.vector.slots import RUNNING, Run, ScriptedSlots, move_npcs
-from behavexplor.envs.vector.world import ScriptedRules, ScriptedWorld
+from behavexplor.envs.tasks.scripted_slots import RUNNING, Run, ScriptedSlots, move_npcs
+from behavexplor.envs.tasks.scripted_world import ScriptedRules, ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,13 @@ _is_rear_end = kernel_inner(is_rear_end)
 
 @kernel_in_place
 def step(
-    world: ScriptedWorld, slots: ScriptedSlots, actions: Floats, commands: Floats, active: Bools, ends: Bools
+    world: ScriptedWorld,
+    slots: ScriptedSlots,
+    actions: Floats,
+    commands: Floats,
+    active: Bools,
+    ends: Bools,
+    n_frames: int,
 ) -> int:
     """Simulate until the next decision, or until an episode ends. Return the number of episodes that have ended now.
 
@@ -48,38 +54,48 @@ def step(
             of the maneuver.
         active: whether each slot is stepped, shape (B,).
         ends: whether each episode is terminated, and whether it is truncated, shape (2, B); all False at first.
+        n_frames: greatest number of frames to simulate. If it is less than those of a decision, the next call with the
+            same actions goes on with it.
     """
     if not _have_room(world, slots, actions, active):
         return -1
-    ended, rules = 0, world.rules[0]
+    ended = 0
     for b in range(len(active)):
-        run, poses = slots.runs[b], slots.poses[b]
+        run = slots.runs[b]
         if active[b]:
-            vehicles, traits = slots.state.vehicles[b], slots.state.traits[b]
-            n_npcs = slots.state.episodes[b].n_vehicles - 1
-            ego, route, decided = vehicles[0], slots.state.routes[b, 0], run.frame
-            for k in range(actions.shape[1]):  # numba would make an array to copy a row
-                slots.actions[b, decided // rules.substeps, k] = actions[b, k]
-            if rules.is_meta:
-                take_maneuver(world.network, world.target_speeds, ego, route, int(commands[b, 0]))
-            else:
-                ego.acceleration, ego.steering = commands[b, 0], commands[b, 1]
-            while run.end == RUNNING and run.frame < decided + rules.substeps:
-                run.frame += 1
-                _drive(world.network, rules, ego, route, traits[0], poses[run.frame])
-                if run.line_frame < 0 and touches_line(world.illegal_lines, ego.x, ego.y, ego.cos, ego.sin):
-                    run.line_frame = run.frame
-                time = run.frame / rules.frequency
-                move_npcs(world.npc_routes, vehicles, slots.scripts[b], slots.phases[b], n_npcs, time)
-                _find_end(rules, run, poses[run.frame])
-                if first_touched(vehicles, traits, 0, n_npcs) >= 0:
-                    run.end = COLLISION
-            _appraise(world.ego_route, rules, run, poses, decided)
-            run.rear_end = run.end == COLLISION and _struck_from_behind(poses[run.frame], vehicles, traits, n_npcs)
+            _decide(world, slots, b, actions[b], commands[b], n_frames)
             ended += run.end != RUNNING
         if run.end >= 0:
             ends[0, b], ends[1, b] = world.terminal[run.end], not world.terminal[run.end]
     return ended
+
+
+@kernel_inner
+def _decide(world: ScriptedWorld, slots: ScriptedSlots, b: int, action: Floats, command: Floats, n_frames: int) -> None:
+    """Simulate slot b; the arguments are those of `step`."""
+    run, poses, rules = slots.runs[b], slots.poses[b], world.rules[0]
+    vehicles, traits, n_npcs = slots.state.vehicles[b], slots.state.traits[b], slots.state.episodes[b].n_vehicles - 1
+    ego, route, first = vehicles[0], slots.state.routes[b, 0], run.frame
+    decided = first // rules.substeps * rules.substeps
+    for k in range(len(action)):  # numba would make an array to copy a row
+        slots.actions[b, decided // rules.substeps, k] = action[k]
+    if not rules.is_meta:
+        ego.acceleration, ego.steering = command[0], command[1]
+    elif first == decided:
+        take_maneuver(world.network, world.target_speeds, ego, route, int(command[0]))
+    last = min(decided + rules.substeps, first + n_frames)
+    while run.end == RUNNING and run.frame < last:
+        run.frame += 1
+        _drive(world.network, rules, ego, route, traits[0], poses[run.frame])
+        if run.line_frame < 0 and touches_line(world.illegal_lines, ego.x, ego.y, ego.cos, ego.sin):
+            run.line_frame = run.frame
+        time = run.frame / rules.frequency
+        move_npcs(world.npc_routes, vehicles, slots.scripts[b], slots.phases[b], n_npcs, time)
+        _find_end(rules, run, poses[run.frame])
+        if first_touched(vehicles, traits, 0, n_npcs) >= 0:
+            run.end = COLLISION
+    _appraise(world.ego_route, rules, run, poses, decided)
+    run.rear_end = run.end == COLLISION and _struck_from_behind(poses[run.frame], vehicles, traits, n_npcs)
 
 
 @kernel_inner

@@ -29,7 +29,7 @@ from behavexplor.envs.engine.lane_geometry import closest_lane
 from behavexplor.envs.engine.record_types import Records, record_type
 from behavexplor.envs.engine.state import Traits, Vehicle
 from behavexplor.envs.episode import POSE
-from behavexplor.envs.vector.world import ScriptedWorld
+from behavexplor.envs.tasks.scripted_world import ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]

@@ -1,0 +1,162 @@
+"""Episodes with scripted vehicles, compiled and in lock-step, for the single and the vector environment."""
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.npc_motion import N_COLUMNS
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.trace import ENDS, Trace
+from behavexplor.envs.engine.action_decoding import make_commands
+from behavexplor.envs.engine.observing import make_view
+from behavexplor.envs.engine.state import make_scratch
+from behavexplor.envs.episode import episode_trace
+from behavexplor.envs.scene_observation import SceneObservation
+from behavexplor.envs.support import odd_observation
+from behavexplor.envs.tasks.scripted_observing import observe_kinematics, observe_scene
+from behavexplor.envs.tasks.scripted_rewards import TERMS, reward_terms
+from behavexplor.envs.tasks.scripted_slots import begin_episodes, fill_table, make_slots, npc_arrays
+from behavexplor.envs.tasks.scripted_step import step
+from behavexplor.envs.tasks.scripted_world import make_world
+from behavexplor.errors import InputError
+from behavexplor.jit import compiled_for
+
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+WHOLE: Final = 2**31 - 1  # number of frames of a decision: all of them
+
+
+class ScriptedEpisodes:
+    """Episodes of an environment in lock-step, one in each slot.
+
+    Args:
+        env: a `behavexplor.envs.driving.DrivingEnv`, whose map, rules, actions and observations these episodes have.
+        n_slots: number of slots.
+
+    Attributes:
+        slots: the state.
+        world: the map and the rules.
+        observes: whether the engine knows this observation.
+        observations: the latest observations, shape (n_slots, ...).
+    """
+
+    def __init__(self, env: Any, n_slots: int) -> None:
+        self.logical, self.world = env.logical, make_world(env)
+        rules = self.world.rules[0]
+        n_frames = int(np.ceil(rules.max_frames)) + 1
+        self._time = np.arange(n_frames) / env.config["simulation_frequency"]
+        self._substeps = int(rules.substeps)
+        self._n_values = int(np.prod(env.action_space.shape or ()))  # of an action
+        self.slots = make_slots(n_slots, n_frames, (-(-n_frames // self._substeps), self._n_values), self.logical)
+        self._n_waypoints = self.slots.phases.shape[2] - 1
+        self._commands = make_commands(env.action_type)
+        self._weights = np.array([env.config["reward"][name] for name in TERMS], dtype=np.float64)
+        self._seen = self._observed(env.observation_type)
+        self.observes = bool(self._seen)
+        shape, kind = (env.observation_space.shape or (), env.observation_space.dtype) if self._seen else ((), None)
+        self.observations: NDArray[Any] = np.zeros((n_slots, *shape), dtype=kind)
+        self._compile(n_slots)
+
+    @property
+    def ends(self) -> Ints:
+        """The end of each episode, shape (n_slots,): `RUNNING`, `IDLE` or an index of `behavexplor.data.trace.ENDS`."""
+        ends: Ints = self.slots.runs["end"]
+        return ends
+
+    @property
+    def speeds(self) -> Floats:
+        """The egos' speeds, shape (n_slots,) [m/s]."""
+        speeds: Floats = self.slots.state.vehicles["speed"][:, 0]
+        return speeds
+
+    def begin(self, chosen: Ints, scenarios: Iterable[ScriptedScenario]) -> None:
+        """Begin episodes.
+
+        Args:
+            chosen: the slots, shape (E,).
+            scenarios: a scenario for each of them.
+
+        Raises:
+            InputError: if a scenario has no room in a slot. No episode has begun then.
+        """
+        npcs = npc_arrays(list(scenarios), self.logical.roadmap, self._n_waypoints)
+        if not self._begin_slots(self.world, self.slots, chosen, *npcs):
+            raise InputError(f"A scenario has more than {self.slots.scripts.shape[1]} NPCs, for which there is room")
+
+    def decide(self, actions: NDArray[Any], active: Bools, n_frames: int = WHOLE) -> tuple[int, Bools]:
+        """Simulate one decision in each active slot.
+
+        Args:
+            actions: one for each slot, shape (n_slots, ...).
+            active: the slots whose episodes go on, shape (n_slots,).
+            n_frames: greatest number of frames; see `behavexplor.envs.tasks.scripted_step.step`.
+
+        Returns:
+            The number of episodes that have ended in it; and whether each episode is terminated, and whether it is
+            truncated, shape (2, n_slots).
+
+        Raises:
+            InputError: if the record of an episode has no room for it.
+        """
+        values = np.ascontiguousarray(actions.reshape(len(active), self._n_values), dtype=np.float64)
+        ends = np.zeros((2, len(active)), dtype=bool)
+        ended = self._step_slots(self.world, self.slots, values, self._commands(actions), active, ends, n_frames)
+        if ended < 0:
+            raise InputError("An episode is longer than its record has room for: make the environment again")
+        return ended, ends
+
+    def observe(self, chosen: Bools) -> None:
+        """Renew the observations of the chosen slots, shape (n_slots,)."""
+        self._observe_slots(*self._seen, chosen, self.observations)
+
+    def terms(self, active: Bools) -> Floats:
+        """Return the terms of the rewards of the latest decision; see `behavexplor.envs.tasks.scripted_rewards`."""
+        return reward_terms(self._weights, self.slots, active)
+
+    def trace(self, b: int) -> Trace:
+        """Return the trace of the episode that has ended in slot b."""
+        run, n_vehicles = self.slots.runs[b], self.slots.state.episodes[b].n_vehicles
+        frames, traits = int(run.frame) + 1, self.slots.state.traits[b, :n_vehicles]
+        decisions = np.arange(0, frames - 1, self._substeps)
+        motion = np.empty((frames, n_vehicles - 1, N_COLUMNS))
+        self._fill_table(*self._motion_of(b), self._time[:frames], motion)
+        return episode_trace(
+            self.logical.roadmap,
+            time=self._time[:frames],
+            ego=self.slots.poses[b, :frames],
+            motion=motion,
+            sizes=np.stack([traits["length"], traits["width"]], axis=1),
+            actions=self.slots.actions[b, : len(decisions)],
+            action_frames=decisions,
+            end=ENDS[run.end],
+        )
+
+    def _observed(self, observation: Any) -> tuple[Any, ...]:
+        """Return the arguments of the kernel that observes; none if the engine does not know the observation."""
+        if type(observation) is SceneObservation:
+            return (self.slots,)
+        if odd_observation(observation):
+            return ()
+        self.slots.state.episodes["n_side_lanes"] = observation.n_side_lanes()
+        scratch = make_scratch(len(self.world.network.lanes), self.slots.state.vehicles.shape[1])
+        return self.world, self.slots, make_view(observation), scratch
+
+    def _motion_of(self, b: int) -> tuple[Any, ...]:
+        """Return what determines the motion of the NPCs in slot b."""
+        return self.world.npc_routes, self.slots.scripts[b], self.slots.phases[b]
+
+    def _compile(self, n_slots: int) -> None:
+        """Compile the kernels for the types of these arrays, or read them from the cache."""
+        mask = np.zeros(n_slots, dtype=bool)
+        given = np.zeros((n_slots, self._n_values)), np.zeros((n_slots, 2)), mask, np.zeros((2, n_slots), dtype=bool)
+        self._step_slots: Any = compiled_for(step, self.world, self.slots, *given, WHOLE)
+        observe: Any = observe_scene if len(self._seen) == 1 else observe_kinematics
+        self._observe_slots: Any = compiled_for(observe, *self._seen, mask, self.observations) if self._seen else None
+        npcs = npc_arrays([], self.logical.roadmap, self._n_waypoints)
+        self._begin_slots = compiled_for(begin_episodes, self.world, self.slots, np.flatnonzero(mask), *npcs)
+        table = np.empty((1, 1, N_COLUMNS))
+        self._fill_table: Any = compiled_for(fill_table, *self._motion_of(0), self._time[:1], table)
