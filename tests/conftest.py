@@ -7,7 +7,7 @@ from hypothesis import settings
 
 from behavexplor.envs.drawn.vehicle_classes import parameters, set_parameters
 
-SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.drawn.vector_env"]
+SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.drawn.drawn_vector_env"]
 
 settings.register_profile("untimed", deadline=None)  # machines are shared: the first call of a kernel compiles it
 settings.load_profile("untimed")

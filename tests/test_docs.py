@@ -17,7 +17,7 @@ from behavexplor.behavior.miner import MinerOptions
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.bench.experiment_archive import ARCHIVE
 from behavexplor.commands import OK, main
-from behavexplor.envs.reward import WEIGHTS
+from behavexplor.envs.tasks.scripted_reward import WEIGHTS
 from behavexplor.execution.simulation import Simulation
 
 NAMES = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")

@@ -1,7 +1,7 @@
 """Road plans: all lanes of a road with their markings, as other tools need them.
 
 Both kinds of roads become a plan: the map of a functional scenario by `plan_of_map`, and the road of a stock
-environment by `behavexplor.envs.drawn.lane_reading`.
+environment by `behavexplor.envs.drawn.course`.
 """
 
 import math

@@ -11,8 +11,8 @@ import highway_env.envs.common.observation as observations
 
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
-from behavexplor.envs.kinematics import FEATURES, ORDERS
-from behavexplor.envs.reward import WEIGHTS
+from behavexplor.envs.observation_types import FEATURES, ORDERS
+from behavexplor.envs.tasks.scripted_reward import WEIGHTS
 from behavexplor.envs.values import (
     COUNT,
     EVEN_NUMBERS,

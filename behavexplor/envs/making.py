@@ -196,7 +196,7 @@ def make_vector_env(
         InputError: if the vector form does not support the configuration.
     """
     if _is_stock(env):
-        from behavexplor.envs.drawn.vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
+        from behavexplor.envs.drawn.drawn_vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
 
         stock: Any = env
         return None if changes else DrawnVectorEnv(stock, num_envs, rewards=rewards)

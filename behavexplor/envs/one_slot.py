@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.tasks.scripted_episodes import WHOLE, ScriptedEpisodes
-from behavexplor.envs.tasks.scripted_rewards import TERMS
+from behavexplor.envs.tasks.scripted_reward import TERMS
 
 _ALL: Final = np.ones(1, dtype=bool)
 

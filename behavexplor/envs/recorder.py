@@ -12,9 +12,10 @@ from behavexplor.data.conventions import is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.trace import Trace
-from behavexplor.envs.episode import POSE, episode_trace
-from behavexplor.envs.reward import reward_terms
+from behavexplor.data.trace import ENDS, Trace
+from behavexplor.envs.tasks.scripted_reward import TERMS, reward_terms
+from behavexplor.envs.tasks.scripted_slots import RUN, RUNNING
+from behavexplor.envs.tasks.scripted_trace import POSE, episode_trace
 
 Floats = NDArray[np.float64]
 
@@ -93,20 +94,20 @@ class Recorder:
         return self._standing
 
     def reward_terms(self, weights: Mapping[str, float], end: str | None) -> dict[str, float]:
-        """Compute the terms of the reward for the latest decision; see `behavexplor.envs.reward`."""
+        """Compute the terms of the reward for the latest decision; see `behavexplor.envs.tasks.scripted_reward`."""
         decided = self._action_frames[-1]
         before, now = self._ego[decided], self._ego[-1]
         route = self._roadmap.ego_route
         elapsed = float(self._time[len(self._ego) - 1] - self._time[decided])
         npcs = self.touched_npcs() if end == "collision" else []
-        return reward_terms(
-            weights,
-            progress=route.project(*now[:2])[0] - route.project(*before[:2])[0],
-            acceleration=(math.hypot(*now[3:]) - math.hypot(*before[3:])) / elapsed,
-            touched=self._line_frame is not None and self._line_frame > decided,
-            end=end,
-            rear_end=bool(npcs) and all(self._struck_by(npc) for npc in npcs),
-        )
+        run = np.zeros(1, RUN)
+        run["progress"] = route.project(*now[:2])[0] - route.project(*before[:2])[0]
+        run["mean_acceleration"] = (math.hypot(*now[3:]) - math.hypot(*before[3:])) / elapsed
+        run["touched"] = self._line_frame is not None and self._line_frame > decided
+        run["rear_end"] = bool(npcs) and all(self._struck_by(npc) for npc in npcs)
+        run["end"] = RUNNING if end is None else ENDS.index(end)
+        terms = reward_terms(weights, run, np.ones(1, dtype=bool))
+        return dict(zip(TERMS, terms[:, 0].tolist(), strict=True))
 
     def _struck_by(self, npc: int) -> bool:
         x, y, heading, vx, vy = self._ego[-1]

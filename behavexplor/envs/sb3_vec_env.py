@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from behavexplor.envs.source_gate import replaced_in
 from behavexplor.envs.stock import vector_env
-from behavexplor.envs.vector import DrivingVectorEnv
+from behavexplor.envs.vector_env import DrivingVectorEnv
 from behavexplor.errors import InputError
 
 _KNOWN_WRAPPERS = (Monitor, OrderEnforcing, PassiveEnvChecker, TimeLimit)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.envs.engine.action_decoding import make_commands
+from behavexplor.envs.engine.actions import make_commands
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
 
 RANGES = {"acceleration_range": [-3.3, 4.7], "steering_range": [-0.1, 0.77]}

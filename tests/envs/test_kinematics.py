@@ -7,7 +7,7 @@ from highway_env.vehicle.objects import Landmark, Obstacle
 
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.kinematics import FEATURES, Kinematics
+from behavexplor.envs.observation_types import FEATURES, Kinematics
 
 CONFIGS = {
     "default": {},

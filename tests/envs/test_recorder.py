@@ -16,7 +16,7 @@ from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.recorder import Recorder
-from behavexplor.envs.reward import WEIGHTS
+from behavexplor.envs.tasks.scripted_reward import WEIGHTS
 
 LEFT = IntersectionLeftEnv.logical
 TIME = np.arange(41) / 20

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.trace import ENDS
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.reward import WEIGHTS, reward_terms
+from behavexplor.envs.tasks.scripted_reward import TERMS, WEIGHTS, reward_terms
+from behavexplor.envs.tasks.scripted_slots import RUN, RUNNING
 from behavexplor.judge.specs import judge
 
 S1 = "behavexplor/intersection-straight-v0"
@@ -17,15 +19,22 @@ GO, HOLD = np.array([1.0, 0.0]), np.array([1 / 3, 0.0])
 
 
 def terms(**changes):
-    quiet = {"progress": 0.0, "acceleration": 0.0, "touched": False, "end": None, "rear_end": False}
-    return reward_terms(WEIGHTS, **(quiet | changes))
+    """The terms of three slots, of which the last is not active."""
+    runs = np.zeros(3, RUN)
+    runs["end"] = RUNNING
+    for name, value in changes.items():
+        runs[name] = ENDS.index(value) if name == "end" else value
+    many = reward_terms(WEIGHTS, runs, np.array([True, True, False]))
+    assert (many[:, 0] == many[:, 1]).all()
+    assert not many[:, 2].any()
+    return dict(zip(TERMS, many[:, 0], strict=True))
 
 
 @pytest.mark.parametrize(
     ("happened", "expected"),
     [
         ({"progress": 1.1}, {"progress": 0.11}),
-        ({"acceleration": -3.0}, {"effort": -0.018}),
+        ({"mean_acceleration": -3.0}, {"effort": -0.018}),
         ({"touched": True}, {"lines": -8.0}),
         ({"end": "collision"}, {"collision": -20.0}),
         ({"end": "collision", "rear_end": True}, {"rear_end": -2.0}),

@@ -6,7 +6,7 @@ import pytest
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv
-from behavexplor.envs.vector import vector_env
+from behavexplor.envs.vector_env import vector_env
 from behavexplor.errors import InputError
 
 stable_baselines3 = pytest.importorskip("stable_baselines3")

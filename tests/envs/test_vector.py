@@ -23,9 +23,9 @@ from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.functional.lane_follow import LaneFollowEnv, LaneFollowVectorEnv
-from behavexplor.envs.kinematics import FEATURES
+from behavexplor.envs.observation_types import FEATURES
 from behavexplor.envs.recorder import Recorder
-from behavexplor.envs.vector import DrivingVectorEnv, vector_env
+from behavexplor.envs.vector_env import DrivingVectorEnv, vector_env
 from behavexplor.errors import InputError
 from tests.envs.plain import plain
 

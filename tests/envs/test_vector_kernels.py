@@ -21,16 +21,12 @@ from behavexplor.envs.engine.bicycle import _limit_commands
 from behavexplor.envs.engine.contact import boxes_touch, line_distance, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
 from behavexplor.envs.engine.state import TRAITS, VEHICLE
-from behavexplor.envs.episode import POSE
 from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
 from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
 from behavexplor.envs.functional.lane_change import LaneChangeEnv
 from behavexplor.envs.network import road_network
-from behavexplor.envs.reward import WEIGHTS
-from behavexplor.envs.reward import reward_terms as terms_of_one
 from behavexplor.envs.tasks import scripted_slots as slots
 from behavexplor.envs.tasks import scripted_step as step
-from behavexplor.envs.tasks.scripted_rewards import TERMS, reward_terms
 from behavexplor.envs.tasks.scripted_slots import (
     RUN,
     RUNNING,
@@ -39,6 +35,7 @@ from behavexplor.envs.tasks.scripted_slots import (
     move_npcs,
     npc_arrays,
 )
+from behavexplor.envs.tasks.scripted_trace import POSE
 from behavexplor.envs.tasks.scripted_world import make_world
 from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
 from tests.kernel_calls import called_alone
@@ -260,29 +257,6 @@ def test_npcs_move_at_any_times_as_their_table_says(seed, times):
         move_npcs(world.npc_routes, vehicles, state.scripts[0], state.phases[0], len(scenario.npcs), time)
         moved = vehicles[1:][["x", "y", "heading", "speed", "acceleration"]]
         assert np.array_equal(np.array(moved.tolist()), rows)
-
-
-def test_the_reward_of_many_is_that_of_each():
-    rng = np.random.default_rng(2)
-    state = make_slots(60, 2, (1, 2), LEFT.logical)
-    state.runs["end"] = rng.integers(-1, len(ENDS), 60)
-    state.runs["progress"], state.runs["mean_acceleration"] = rng.normal(0, 3, (2, 60))
-    state.runs["touched"], state.runs["rear_end"] = rng.integers(0, 2, (2, 60))
-    weights = {name: float(rng.normal()) for name in WEIGHTS}
-    active = rng.random(60) < 0.8
-    many = dict(zip(TERMS, reward_terms(np.array([weights[name] for name in TERMS]), state, active), strict=True))
-    for b, run in enumerate(state.runs):
-        one = terms_of_one(
-            weights,
-            progress=run.progress,
-            acceleration=run.mean_acceleration,
-            touched=bool(run.touched),
-            end=ENDS[run.end] if run.end >= 0 else None,
-            rear_end=bool(run.rear_end),
-        )
-        assert {name: values[b] for name, values in many.items()} == pytest.approx(
-            one if active[b] else dict.fromkeys(one, 0)
-        )
 
 
 def test_the_world_is_the_environment_s():

@@ -8,7 +8,7 @@ import numpy as np
 from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.vector import vector_env
+from behavexplor.envs.vector_env import vector_env
 
 NAME = "tests/Crossing-v0"
 EGO_START, CROSSED_AT = 20.0, 21.7  # stations on the ego's lane [m]

@@ -13,11 +13,10 @@ from behavexplor.data.drawn_logical import Draw, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
 from behavexplor.data.road_plan import RoadPlan
 from behavexplor.data.road_shape import RoadShape
+from behavexplor.envs.drawn.course import road_plan, road_shape
 from behavexplor.envs.drawn.episode_record import EpisodeRecord, Watch
 from behavexplor.envs.drawn.generator import DrawnGenerator
-from behavexplor.envs.drawn.lane_reading import road_plan
 from behavexplor.envs.drawn.layout import Layout
-from behavexplor.envs.drawn.road_outline import road_shape
 from behavexplor.envs.drawn.terms import has_arrived
 from behavexplor.envs.drawn.vehicle_classes import VehicleClasses
 from behavexplor.envs.drawn.wide_traffic import widen

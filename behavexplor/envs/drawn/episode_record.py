@@ -14,7 +14,7 @@ from behavexplor.data.trace import ABSENT, ARRIVED, CRASHED, OFF_ROAD, Trace
 from behavexplor.envs.drawn.course import LaneIndex, ego_route
 from behavexplor.envs.drawn.terms import leaving_matters, must_move_on
 from behavexplor.envs.engine.frame_log import THING
-from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.state import Records
 
 Floats = NDArray[np.float64]
 

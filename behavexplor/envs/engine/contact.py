@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.state import OBSTACLE, Traits, Vehicle
+from behavexplor.envs.engine.state import OBSTACLE, Records, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]

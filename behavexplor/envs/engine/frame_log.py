@@ -6,8 +6,7 @@ import numpy as np
 
 from behavexplor.envs.engine.lane_geometry import is_on_road
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.state import Scene
+from behavexplor.envs.engine.state import Records, Scene, record_type
 from behavexplor.jit import kernel_inner
 
 Frame: TypeAlias = np.record

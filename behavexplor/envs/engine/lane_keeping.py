@@ -18,8 +18,7 @@ from behavexplor.envs.engine.lane_geometry import (
     wrap_to_pi,
 )
 from behavexplor.envs.engine.lane_network import Lane, Network
-from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.state import SAME_NUMBER, Traits, Vehicle
+from behavexplor.envs.engine.state import SAME_NUMBER, Records, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 
 Floats = NDArray[np.float64]

@@ -13,7 +13,7 @@ from highway_env.road.lane import AbstractLane, CircularLane, SineLane, Straight
 from highway_env.road.road import LaneIndex, RoadNetwork
 from numpy.typing import NDArray
 
-from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.state import Records, record_type
 from behavexplor.envs.source_gate import replaced
 from behavexplor.errors import InputError
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point, wrap_to_pi
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.state import OBSTACLE, SAME_NUMBER, Scene, Vehicle
-from behavexplor.envs.kinematics import FEATURES, RELATIVE, default_ranges
+from behavexplor.envs.engine.state import OBSTACLE, SAME_NUMBER, Records, Scene, Vehicle, record_type
+from behavexplor.envs.observation_types import FEATURES, RELATIVE, default_ranges
 from behavexplor.jit import kernel_inner
 
 Singles = NDArray[np.float32]

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.record_types import Records
 from behavexplor.envs.engine.state import (
     IDM,
     LINEAR,
     N_PREDICTIONS,
     PLAIN,
     SAME_NUMBER,
+    Records,
     Scene,
     Traits,
     Vehicle,

@@ -1,16 +1,30 @@
-"""The state of all episodes in lock-step: one row (slot) for each episode, one record for each vehicle."""
+"""The state of all episodes in lock-step: one row (slot) for each episode, one record for each vehicle.
 
-from typing import Final, NamedTuple, TypeAlias
+A record is structured numpy data whose fields are attributes, in kernels as in Python.
+"""
+
+from typing import Final, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
-
-from behavexplor.envs.engine.record_types import Records, record_type
 
 Ints = NDArray[np.int64]
 Vehicle: TypeAlias = np.record
 Traits: TypeAlias = np.record
 Episode: TypeAlias = np.record
+
+Records = NDArray[np.record]
+RecordType: TypeAlias = np.dtype[np.record]
+
+
+def record_type(**fields: type) -> RecordType:
+    """Create the type of a record.
+
+    Args:
+        fields: type of each field, in their order in memory.
+    """
+    return cast("RecordType", np.dtype((np.record, np.dtype(list(fields.items()), align=True))))
+
 
 PLAIN, MDP, IDM, LINEAR, OBSTACLE = range(5)  # `kind` of a vehicle: highway-env's class
 NO_LANE: Final = -1

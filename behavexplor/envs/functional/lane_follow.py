@@ -2,7 +2,7 @@
 
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.logical_scenarios import LANE_FOLLOW
-from behavexplor.envs.vector import vector_env
+from behavexplor.envs.vector_env import vector_env
 
 
 class LaneFollowEnv(DrivingEnv):

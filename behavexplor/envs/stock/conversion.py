@@ -13,7 +13,6 @@ from highway_env.vehicle.objects import Obstacle, RoadObject
 from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
-from behavexplor.envs.engine.record_types import Records
 from behavexplor.envs.engine.state import (
     IDM,
     LINEAR,
@@ -24,10 +23,11 @@ from behavexplor.envs.engine.state import (
     PLAIN,
     SAME_NUMBER,
     VEHICLE,
+    Records,
     Slots,
     Vehicle,
 )
-from behavexplor.envs.kinematics import default_ranges
+from behavexplor.envs.observation_types import default_ranges
 from behavexplor.envs.stock.stock_world import EGO, World
 from behavexplor.envs.stock.traits import give_traits, kind_of, traits_of
 from behavexplor.errors import InputError

@@ -10,8 +10,7 @@ from behavexplor.envs.engine.frame_log import FrameLog, log_frame
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.observing import View, observe
 from behavexplor.envs.engine.pcg64 import Words, shuffle_rows
-from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.state import Scene, Scratch, Slots
+from behavexplor.envs.engine.state import Records, Scene, Scratch, Slots
 from behavexplor.envs.stock.frames import clear_vehicles, give_command, run_frames
 from behavexplor.envs.stock.intersections import NOT_CHALLENGER, enter_intersection, spawn_vehicle
 from behavexplor.envs.stock.resets import start

@@ -6,15 +6,12 @@ from numpy.typing import NDArray
 from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.contact import collide
 from behavexplor.envs.engine.frame_log import FrameLog, log_frame
-from behavexplor.envs.engine.lane_cache import coordinates_on, note_places, update_lane
-from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.lane_geometry import coordinates_on, lane_coordinates, note_places, update_lane
 from behavexplor.envs.engine.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.neighbors import UNKNOWN
-from behavexplor.envs.engine.reactive_traffic import drive
-from behavexplor.envs.engine.record_types import Records
+from behavexplor.envs.engine.reactive_traffic import UNKNOWN, drive
 from behavexplor.envs.engine.regulation import enforce_rules
-from behavexplor.envs.engine.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Scene, Scratch, Slots
+from behavexplor.envs.engine.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Records, Scene, Scratch, Slots
 from behavexplor.envs.stock.stock_world import Rules, World
 from behavexplor.jit import kernel_inner
 

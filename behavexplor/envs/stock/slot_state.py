@@ -6,8 +6,7 @@ import numpy as np
 from highway_env.road.road import LaneIndex, RoadNetwork
 
 from behavexplor.envs.engine.lane_network import road_numbers
-from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.state import NO_ROUTE, Slots
+from behavexplor.envs.engine.state import NO_ROUTE, Records, Slots
 from behavexplor.envs.stock.conversion import make_route
 
 _NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_length"})

@@ -12,8 +12,7 @@ from gymnasium.vector.utils import batch_space
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
-from behavexplor.envs.actions import check_actions
-from behavexplor.envs.engine.action_decoding import command_table, make_commands
+from behavexplor.envs.engine.actions import check_actions, command_table, make_commands
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words

@@ -16,8 +16,7 @@ from highway_env.vehicle.objects import Obstacle
 from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import Network, make_network
-from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.state import OBSTACLE, TRAITS
+from behavexplor.envs.engine.state import OBSTACLE, TRAITS, Records, record_type
 from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.stock.traits import kind_of, traits_of
 from behavexplor.errors import InputError

@@ -20,8 +20,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
-from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.state import SAME_NUMBER, VEHICLE
+from behavexplor.envs.engine.state import SAME_NUMBER, VEHICLE, Records, record_type
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -4,21 +4,22 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 import numpy as np
+from highway_env.envs.common.action import ContinuousAction, DiscreteAction, DiscreteMetaAction
 from numpy.typing import NDArray
 
 from behavexplor.data.npc_motion import N_COLUMNS
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS, Trace
-from behavexplor.envs.engine.action_decoding import make_commands
+from behavexplor.envs.engine.actions import make_commands
 from behavexplor.envs.engine.observing import make_view
 from behavexplor.envs.engine.state import make_scratch
-from behavexplor.envs.episode import episode_trace
-from behavexplor.envs.scene_observation import SceneObservation
-from behavexplor.envs.support import odd_observation
+from behavexplor.envs.observation_types import Kinematics, SceneObservation
+from behavexplor.envs.source_gate import replaced
 from behavexplor.envs.tasks.scripted_observing import observe_kinematics, observe_scene
-from behavexplor.envs.tasks.scripted_rewards import TERMS, reward_terms
+from behavexplor.envs.tasks.scripted_reward import reward_terms
 from behavexplor.envs.tasks.scripted_slots import begin_episodes, fill_table, make_slots, npc_arrays
 from behavexplor.envs.tasks.scripted_step import step
+from behavexplor.envs.tasks.scripted_trace import episode_trace
 from behavexplor.envs.tasks.scripted_world import make_world
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for
@@ -54,7 +55,7 @@ class ScriptedEpisodes:
         self.slots = make_slots(n_slots, n_frames, (-(-n_frames // self._substeps), self._n_values), self.logical)
         self._n_waypoints = self.slots.phases.shape[2] - 1
         self._commands = make_commands(env.action_type)
-        self._weights = np.array([env.config["reward"][name] for name in TERMS], dtype=np.float64)
+        self._weights = env.config["reward"]
         self._seen = self._observed(env.observation_type)
         self.observes = bool(self._seen)
         shape, kind = (env.observation_space.shape or (), env.observation_space.dtype) if self._seen else ((), None)
@@ -114,8 +115,8 @@ class ScriptedEpisodes:
         self._observe_slots(*self._seen, chosen, self.observations)
 
     def terms(self, active: Bools) -> Floats:
-        """Return the terms of the rewards of the latest decision; see `behavexplor.envs.tasks.scripted_rewards`."""
-        return reward_terms(self._weights, self.slots, active)
+        """Return the terms of the rewards of the latest decision; see `behavexplor.envs.tasks.scripted_reward`."""
+        return reward_terms(self._weights, self.slots.runs, active)
 
     def trace(self, b: int) -> Trace:
         """Return the trace of the episode that has ended in slot b."""
@@ -160,3 +161,32 @@ class ScriptedEpisodes:
         self._begin_slots = compiled_for(begin_episodes, self.world, self.slots, np.flatnonzero(mask), *npcs)
         table = np.empty((1, 1, N_COLUMNS))
         self._fill_table: Any = compiled_for(fill_table, *self._motion_of(0), self._time[:1], table)
+
+
+def odd_method(env: Any, known: type) -> str | None:
+    """Return a method that an environment's class overrides; None if there is none.
+
+    Args:
+        env: the environment.
+        known: the class whose methods the engine stands for.
+    """
+    rule = replaced(type(env), known, {"logical"})
+    return rule and f"the method {rule}"
+
+
+def odd_observation(observation: Any) -> str | None:
+    """Return what the engine does not support of an observation; None if there is nothing."""
+    if type(observation) is SceneObservation:
+        return None
+    if type(observation) is not Kinematics:
+        return f"the observation {type(observation).__name__}"
+    return "the order 'shuffled' of the Kinematics observation" if observation.order == "shuffled" else None
+
+
+def odd_action(action: Any) -> str | None:
+    """Return what the engine does not support of an action; None if there is nothing."""
+    if type(action) is DiscreteMetaAction:
+        return None
+    if type(action) not in (ContinuousAction, DiscreteAction):
+        return f"the action {type(action).__name__}"
+    return f"dynamical vehicles in {type(action).__name__}" if action.dynamical else None

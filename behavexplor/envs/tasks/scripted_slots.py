@@ -26,9 +26,8 @@ from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.engine import state as engine_state
 from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane
-from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.state import Traits, Vehicle
-from behavexplor.envs.episode import POSE
+from behavexplor.envs.engine.state import Records, Traits, Vehicle, record_type
+from behavexplor.envs.tasks.scripted_trace import POSE
 from behavexplor.envs.tasks.scripted_world import ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
@@ -61,7 +60,7 @@ class ScriptedSlots(NamedTuple):
         scripts: route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`.
         phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
             `behavexplor.data.npc_motion.fill_phases`.
-        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.episode.POSE`.
+        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_trace.POSE`.
         actions: the actions of each decision, shape (B, D, A).
     """
 

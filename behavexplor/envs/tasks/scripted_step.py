@@ -14,10 +14,9 @@ from behavexplor.envs.engine.contact import boxes_touch, corners, touches_line
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
 from behavexplor.envs.engine.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.record_types import Records
-from behavexplor.envs.engine.state import Traits, Vehicle
-from behavexplor.envs.episode import Pose
+from behavexplor.envs.engine.state import Records, Traits, Vehicle
 from behavexplor.envs.tasks.scripted_slots import RUNNING, Run, ScriptedSlots, move_npcs
+from behavexplor.envs.tasks.scripted_trace import Pose
 from behavexplor.envs.tasks.scripted_world import ScriptedRules, ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 

@@ -13,8 +13,7 @@ from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.engine.lane_network import Network, make_network, road_numbers
-from behavexplor.envs.engine.record_types import Records, record_type
-from behavexplor.envs.engine.state import ROUTE_STEP
+from behavexplor.envs.engine.state import ROUTE_STEP, Records, record_type
 from behavexplor.envs.network import LANE_CLASSES, road_network
 
 Floats = NDArray[np.float64]

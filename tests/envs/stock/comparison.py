@@ -17,7 +17,7 @@ import highway_env  # noqa: F401 - registers the environments
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
-from behavexplor.envs.engine.action_decoding import make_commands
+from behavexplor.envs.engine.actions import make_commands
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load

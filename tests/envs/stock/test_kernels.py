@@ -9,10 +9,9 @@ from highway_env.road.road import RoadNetwork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from behavexplor.envs.engine.lane_cache import note_places
-from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane
+from behavexplor.envs.engine.lane_geometry import SLACK, closest_lane, is_farther, may_be_on_lane, note_places
 from behavexplor.envs.engine.lane_network import lane_indexes, make_network
-from behavexplor.envs.engine.neighbors import UNKNOWN, neighbors
+from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
 from behavexplor.envs.engine.state import Scene, make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.frames import clear_vehicles

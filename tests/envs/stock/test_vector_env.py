@@ -19,7 +19,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 
 from behavexplor.envs import source_gate
-from behavexplor.envs.kinematics import FEATURES
+from behavexplor.envs.observation_types import FEATURES
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.envs.stock import StockVectorEnv, registered
 from behavexplor.errors import InputError

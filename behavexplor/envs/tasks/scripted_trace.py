@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import RESOLUTION, Trace
-from behavexplor.envs.engine.record_types import Records, record_type
+from behavexplor.envs.engine.state import Records, record_type
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Floats = NDArray[np.float64]

@@ -6,10 +6,13 @@ from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import numpy as np
+from gymnasium import Space, spaces
 from highway_env.envs.common.action import ActionType, ContinuousAction, DiscreteAction, DiscreteMetaAction
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import MANEUVERS
+from behavexplor.envs.values import shown
+from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for, kernel_in_place
 
 Floats = NDArray[np.float64]
@@ -94,3 +97,26 @@ def _fill_commands(actions: Floats, scales: Floats, clip: bool, is_single: bool,
                 commands[b, first + i] = np.float32(low) + (np.float32(action) + one) * np.float32(span) / two
             else:
                 commands[b, first + i] = low + (action + 1.0) * span / 2.0
+
+
+def check_actions(space: Space[Any], actions: Any) -> None:
+    """Check that an action, or a batch of actions, has the shape of its space and can be carried out.
+
+    Args:
+        space: a Discrete, MultiDiscrete or Box space. Any finite number is accepted for a Box, even beyond its bounds.
+        actions: the action, or the batch of actions.
+
+    Raises:
+        InputError: if the actions do not fit the space; the message says what was expected.
+    """
+    values = np.asarray(actions)
+    fits = values.shape == space.shape
+    if isinstance(space, spaces.Box):
+        fits = fits and values.dtype.kind in "iuf" and bool(np.isfinite(values).all())
+    elif isinstance(space, spaces.MultiDiscrete):  # `contains` takes as long as the decision of a vector environment
+        fits = fits and values.dtype.kind in "iu"
+        fits = fits and bool(((values >= space.start) & (values < space.start + space.nvec)).all())
+    else:
+        fits = fits and values.dtype.kind in "iu" and space.contains(values.astype(space.dtype))
+    if not fits:
+        raise InputError(f"actions: expected finite numbers of {space}, got {shown(actions)}")

@@ -6,12 +6,15 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from highway_env.envs.common.observation import KinematicObservation
+from gymnasium import spaces
+from highway_env.envs.common.observation import KinematicObservation, ObservationType
 from highway_env.road.lane import AbstractLane
 from highway_env.utils import lmap
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
+
+from behavexplor.data import scene
 
 Floats = NDArray[np.float64]
 
@@ -171,3 +174,34 @@ _FEATURES: dict[str, Callable[[_Columns], Floats]] = {
     "lat_off": lambda columns: columns.lane_offset[:, 1],
     "ang_off": lambda columns: columns.lane_offset[:, 2],
 }
+
+
+class SceneObservation(ObservationType):  # type: ignore[misc]
+    """Float64 array of shape (1 + n_npcs, 8) with the columns of `behavexplor.data.scene`.
+
+    Args:
+        env: a `behavexplor.envs.driving.DrivingEnv`.
+    """
+
+    def __init__(self, env: Any, **_: Any) -> None:
+        super().__init__(env)
+        self._shape = (1 + env.logical.n_npcs, scene.N_COLUMNS)
+
+    def space(self) -> spaces.Box:
+        """Return the observation space."""
+        return spaces.Box(-np.inf, np.inf, shape=self._shape, dtype=np.float64)
+
+    def observe(self) -> NDArray[np.float64]:
+        """Return the current scene."""
+        rows = np.zeros(self._shape)
+        for row, vehicle in zip(rows, self.env.road.vehicles if self.env.road else [], strict=False):
+            row[:] = (
+                1.0,
+                *vehicle.position,
+                vehicle.heading,
+                vehicle.speed,
+                vehicle.action["acceleration"],
+                vehicle.LENGTH,
+                vehicle.WIDTH,
+            )
+        return rows

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
-from behavexplor.envs.actions import check_actions
 from behavexplor.envs.driving import DrivingEnv
+from behavexplor.envs.engine.actions import check_actions
 from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.source_gate import classes_of, guard_of
-from behavexplor.envs.support import odd_action, odd_method, odd_observation
-from behavexplor.envs.tasks.scripted_episodes import ScriptedEpisodes
-from behavexplor.envs.tasks.scripted_rewards import TERMS
+from behavexplor.envs.tasks.scripted_episodes import ScriptedEpisodes, odd_action, odd_method, odd_observation
+from behavexplor.envs.tasks.scripted_reward import TERMS
 from behavexplor.envs.tasks.scripted_slots import IDLE, RUNNING
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.errors import InputError
