@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import behavexplor  # noqa: F401 - registers the environments
-from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
+from behavexplor.ads.sb3.highway_fit import HIGHWAY_ENVIRONMENTS
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError
 from behavexplor.execution.preflight import preflight_warnings

@@ -10,7 +10,7 @@ from gymnasium.vector import VectorEnv
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
-from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DECLARED, DEFAULT
 from behavexplor.data.logical import LogicalScenario

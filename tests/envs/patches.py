@@ -21,8 +21,8 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import SyncVectorEnv
 from highway_env.vehicle.behavior import AggressiveVehicle, DefensiveVehicle
 
+from behavexplor.envs.engine.vehicle_parameters import classes_of_vehicles
 from behavexplor.envs.source_gate import MODULES, classes_of
-from behavexplor.envs.stock.traits import classes_of_vehicles
 from behavexplor.errors import InputError
 
 MOMENTS = ("before make", "before reset", "before step")

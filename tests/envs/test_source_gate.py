@@ -26,6 +26,7 @@ from highway_env.vehicle.kinematics import Vehicle
 import behavexplor
 from behavexplor.envs import source_gate
 from behavexplor.envs.driving import DrivingEnv
+from behavexplor.envs.engine.vehicle_parameters import TRAFFIC
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.envs.source_gate import (
@@ -38,7 +39,6 @@ from behavexplor.envs.source_gate import (
     replaced_in,
 )
 from behavexplor.envs.stock import StockVectorEnv
-from behavexplor.envs.stock.traits import TRAFFIC
 from behavexplor.errors import InputError
 from tests.envs.patches import MOMENTS, classes_of_engines, in_child, other, patches
 

@@ -11,7 +11,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
-from behavexplor.ads.sb3.highway import HIGHWAY_ENVIRONMENTS
+from behavexplor.ads.sb3.highway_fit import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.named_code import env_code
 from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.errors import InputError, brief, unknown_name

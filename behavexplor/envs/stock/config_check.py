@@ -10,21 +10,10 @@ from highway_env.utils import class_from_path
 from pydantic import StrictStr
 
 from behavexplor.envs.engine.state import IDM, LINEAR
+from behavexplor.envs.engine.vehicle_parameters import kind_of
 from behavexplor.envs.env_config import ACTIONS, check_type
-from behavexplor.envs.stock.task import (
-    EXIT,
-    HIGHWAY,
-    INTERSECTION,
-    KINDS,
-    MERGE,
-    ROUNDABOUT,
-    TERMS,
-    TWO_WAY,
-    U_TURN,
-    is_normalized,
-    reward_range,
-)
-from behavexplor.envs.stock.traits import kind_of
+from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
+from behavexplor.envs.tasks.task import TaskKind
 from behavexplor.envs.values import (
     COUNT,
     FLAG,
@@ -51,17 +40,6 @@ DRAWING = frozenset(  # keys that change pictures only
         "render_agent",
         "offscreen_rendering",
         "real_time_rendering",
-    }
-)
-UNREAD: Mapping[int, frozenset[str]] = MappingProxyType(  # default keys that highway-env itself does not read
-    {
-        HIGHWAY: frozenset({"lane_change_reward"}),
-        MERGE: frozenset(),
-        ROUNDABOUT: frozenset({"right_lane_reward"}),
-        U_TURN: frozenset({"offroad_terminal"}),
-        TWO_WAY: frozenset({"collision_reward", "left_lane_constraint"}),
-        EXIT: frozenset({"initial_lane_id", "lane_change_reward", "offroad_terminal"}),
-        INTERSECTION: frozenset(),
     }
 )
 ONLY = MappingProxyType({"manual_control": False, "controlled_vehicles": 1})  # keys with one supported value
@@ -109,9 +87,9 @@ def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], c
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise InputError(f"config: expected keys and values, got {shown(changes)}")
-    default, kind = env_class.default_config(), KINDS[known_class]
+    default, kind = env_class.default_config(), KINDS[NUMBERS[known_class]]
     config = default | dict(changes or {})
-    known = {*default, *TERMS[kind]}
+    known = {*default, *kind.terms}
     own = set(default) - set(known_class.default_config())
     for key in config:
         if key not in known:
@@ -120,30 +98,30 @@ def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], c
         if key not in own:
             _check_key(key, value, kind)
     _check_observation(config["observation"], kind, config["action"])
-    _check_action(config["action"], kind)
+    _check_action(config["action"])
     _check_together(config, kind)
 
 
-def _check_key(key: str, value: object, kind: int) -> None:
-    if key in DRAWING or key in UNREAD[kind] or key in ("observation", "action"):
+def _check_key(key: str, value: object, kind: TaskKind) -> None:
+    if key in DRAWING or key in kind.unread or key in ("observation", "action"):
         return
     if key in ONLY:
         if value != ONLY[key]:
             raise InputError(f"{key}: the compiled engine supports {ONLY[key]} only, not {shown(value)}; {OTHER_WAY}")
     elif key in READ:
         READ[key].check(key, value)
-    elif key in TERMS[kind]:
+    elif key in kind.terms:
         NUMBER.check(key, value)
     else:
         raise InputError(f"{key}: the compiled engine does not know this key; {OTHER_WAY}")
 
 
-def _check_observation(config: object, kind: int, action: object) -> None:
+def _check_observation(config: object, kind: TaskKind, action: object) -> None:
     name = config.get("type") if isinstance(config, Mapping) else None
     if isinstance(name, str) and name not in OBSERVATIONS:
         raise InputError(f"observation: the compiled engine knows {', '.join(OBSERVATIONS)}, not {name}; {OTHER_WAY}")
     settings = check_type("observation", config, OBSERVATIONS)
-    if name == "ExitObservation" and kind != EXIT:
+    if name == "ExitObservation" and not kind.has_exit:
         raise InputError("observation: an ExitObservation needs the lanes of the exit environment")
     if name == "TimeToCollision":
         if not isinstance(action, Mapping) or action.get("type") != "DiscreteMetaAction":
@@ -156,7 +134,7 @@ def _check_observation(config: object, kind: int, action: object) -> None:
         raise InputError("observation.features: highway-env does not support a feature twice")
 
 
-def _check_action(config: object, kind: int) -> None:
+def _check_action(config: object) -> None:
     name = config.get("type") if isinstance(config, Mapping) else None
     if isinstance(name, str) and name not in ACTIONS:
         raise InputError(f"action: the compiled engine knows {', '.join(ACTIONS)}, not {name}; {OTHER_WAY}")
@@ -165,24 +143,16 @@ def _check_action(config: object, kind: int) -> None:
         raise InputError(f"action.dynamical: the compiled engine has no tire friction; {OTHER_WAY}")
     if not (settings.get("longitudinal", True) or settings.get("lateral", True)):
         raise InputError("action: at least one of longitudinal and lateral must be True")
-    if kind == TWO_WAY and name != "DiscreteMetaAction":
-        raise InputError("action: highway-env's two-way environment itself needs the action type DiscreteMetaAction")
-    if kind in (MERGE, ROUNDABOUT) and name == "ContinuousAction":
-        raise InputError("action: highway-env's reward of this environment itself needs discrete actions")
 
 
-def _check_together(config: Mapping[str, Any], kind: int) -> None:
+def _check_together(config: Mapping[str, Any], kind: TaskKind) -> None:
     """Check what depends on several keys."""
     simulation, policy = config["simulation_frequency"], config["policy_frequency"]
     if simulation < policy:
         raise InputError(f"policy_frequency: {policy} must not exceed simulation_frequency {simulation}")
-    lanes = config.get("lanes_count", 2)
-    if kind == EXIT and lanes < 2:
-        raise InputError("lanes_count: highway-env's exit environment itself needs at least 2 lanes")
-    if kind == HIGHWAY and config["initial_lane_id"] is not None and config["initial_lane_id"] >= lanes:
-        raise InputError(f"initial_lane_id: {config['initial_lane_id']} must be below lanes_count {lanes}")
-    if is_normalized(config, kind):
-        worst, best = reward_range(config, kind)
+    kind.check(config)
+    if kind.normalizes(config):
+        worst, best = kind.reward_range(config)
         if worst == best:
             raise InputError(f"normalize_reward: the least and greatest reward of this config are both {worst:g}")
     _check_traffic(config["other_vehicles_type"])

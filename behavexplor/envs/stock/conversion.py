@@ -27,9 +27,9 @@ from behavexplor.envs.engine.state import (
     Slots,
     Vehicle,
 )
+from behavexplor.envs.engine.vehicle_parameters import give_traits, kind_of, traits_of
+from behavexplor.envs.engine.world import EGO, World
 from behavexplor.envs.observation_types import default_ranges
-from behavexplor.envs.stock.stock_world import EGO, World
-from behavexplor.envs.stock.traits import give_traits, kind_of, traits_of
 from behavexplor.errors import InputError
 
 

@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from highway_env.envs import HighwayEnvFast
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.observation import TimeToCollisionObservation
 from highway_env.utils import class_from_path
@@ -16,37 +15,40 @@ from behavexplor.envs.engine.frame_log import FrameLog
 from behavexplor.envs.engine.observing import grid_view, make_view
 from behavexplor.envs.engine.pcg64 import N_WORDS
 from behavexplor.envs.engine.state import make_slots
+from behavexplor.envs.engine.world import OTHER, make_world
 from behavexplor.envs.source_gate import OF_INTERSECTION
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import N_FLAGS, N_NUMBERS, Engine, Outcome
-from behavexplor.envs.stock.stock_world import OTHER, make_world
-from behavexplor.envs.stock.task import INTERSECTION, Task, make_starts, make_task, no_starts
+from behavexplor.envs.tasks.highway_tasks import KINDS, goal_lanes
+from behavexplor.envs.tasks.task import Task, make_starts, make_task, no_starts
 
 _ROOM = 16  # more vehicles than in the first episode, for environments that place their own
 
 
-def make_engine(env: AbstractEnv, kind: int, num_envs: int, *, places_own: bool, most_decisions: int | None) -> Engine:
+def make_engine(
+    env: AbstractEnv, number: int, num_envs: int, *, places_own: bool, most_decisions: int | None
+) -> Engine:
     """Return what the episodes of an environment have in common.
 
     Args:
         env: the environment, which has been reset.
-        kind: its kind.
+        number: number of its kind in `KINDS`.
         num_envs: number of episodes in lock-step.
         places_own: whether it makes its own road or vehicles.
         most_decisions: number of decisions after which an episode is truncated, if there is one.
     """
-    world = make_world(env)
-    if isinstance(env, HighwayEnvFast):
+    kind, world = KINDS[number], make_world(env, goal_lanes(env))
+    if isinstance(env, kind.unaware):
         world.templates[OTHER].checks_collisions = False
     n_vehicles = len(env.road.vehicles)
     example = make_slots(1, n_vehicles + len(env.road.objects), len(world.network.roads) + 1)
     load(env, world, example, 0)
-    makes_starts = not places_own or kind == INTERSECTION  # where vehicles appear later on, too
+    makes_starts = not places_own or kind.has_newcomers
     starts = make_starts(env, kind, example.vehicles[0, n_vehicles:].copy()) if makes_starts else no_starts()
     is_grid = isinstance(env.observation_type, TimeToCollisionObservation)
     return Engine(
         world=world,
-        task=make_task(env, kind, starts, most_decisions),
+        task=make_task(env, number, kind, starts, most_decisions),
         observed=grid_view() if is_grid else make_view(env.observation_type),
         words=np.zeros((num_envs, N_WORDS), dtype=np.uint64),
     )
@@ -59,11 +61,10 @@ def most_at_start(env: AbstractEnv, task: Task, *, places_own: bool) -> int:
     return int(task.rules[0].n_at_start) + len(task.starts.obstacles)
 
 
-def most_new(env: AbstractEnv, kind: int) -> int:
-    """Return the greatest number of vehicles that can appear in an episode: one after each decision."""
-    if kind != INTERSECTION:
-        return 0
-    return math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
+def most_new(env: AbstractEnv, task: Task) -> int:
+    """Return the greatest number of vehicles that can appear in an episode after its start."""
+    n_new = int(task.rules[0].n_new)
+    return n_new and n_new * math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
 
 
 def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> Outcome:

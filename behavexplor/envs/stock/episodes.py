@@ -7,16 +7,15 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.collision_grid import GridMemory, observe_times
 from behavexplor.envs.engine.frame_log import FrameLog, log_frame
+from behavexplor.envs.engine.frames import give_command, run_frames
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.observing import View, observe
 from behavexplor.envs.engine.pcg64 import Words, shuffle_rows
 from behavexplor.envs.engine.state import Records, Scene, Scratch, Slots
-from behavexplor.envs.stock.frames import clear_vehicles, give_command, run_frames
-from behavexplor.envs.stock.intersections import NOT_CHALLENGER, enter_intersection, spawn_vehicle
-from behavexplor.envs.stock.resets import start
-from behavexplor.envs.stock.reward_terms import is_terminated, put_terms, reward_of
-from behavexplor.envs.stock.stock_world import World
-from behavexplor.envs.stock.task import INTERSECTION, MOST_TERMS, Task
+from behavexplor.envs.engine.world import World
+from behavexplor.envs.tasks.highway_tasks import MOST_TERMS, enter, renew_traffic, start
+from behavexplor.envs.tasks.reward_terms import is_terminated, put_terms, reward_of
+from behavexplor.envs.tasks.task import Task
 from behavexplor.jit import kernel_in_place, kernel_inner
 
 Bools = NDArray[np.bool_]
@@ -74,8 +73,8 @@ class Actions(NamedTuple):
     """The actions of B egos, as a choice of commands.
 
     Attributes:
-        commands: the commands; see `behavexplor.envs.stock.frames.step`, shape (n, 2). They are the same at all times
-            if the actions are discrete. Otherwise, each ego has its own.
+        commands: the commands; see `behavexplor.envs.engine.frames.give_command`, shape (n, 2). They are the same
+            at all times if the actions are discrete. Otherwise, each ego has its own.
         choices: the number of each ego's command, shape (B,).
     """
 
@@ -117,7 +116,6 @@ def advance(
     if refusal < 0:
         return refusal
     world, task, is_decision, n_ended = engine.world, engine.task, stage == DECISION, 0
-    is_intersection = task.rules[0].kind == INTERSECTION
     for b in range(len(chosen)):
         if not chosen[b]:
             continue
@@ -140,14 +138,14 @@ def advance(
             start(world, task, scene, words)
             n_frames = task.rules[0].n_warm_up
         run_frames(world.network, world.rules[0], scene, n_frames, frames[:n_logged], things)  # compiled once
-        if stage == BEGINNING and is_intersection:
-            enter_intersection(world, task, scene, words)
+        if stage == BEGINNING:
+            enter(world, task, scene, words)
         if not is_decision:
             _note_start(world.network, scene, frames[:logs_start], things)
         _look(world, engine.observed, scene, words, outcome.memory, outcome.observations[b])
         _judge(world, task, scene, choice, numbers, flags)
-        if is_decision and is_intersection:
-            _renew_traffic(world, task, scene, words)
+        if is_decision:
+            renew_traffic(world, task, scene, words)
         n_ended += flags[TERMINATED] or flags[TRUNCATED]
     return n_ended
 
@@ -177,8 +175,8 @@ def _have_room(task: Task, slots: Slots, chosen: Bools, stage: int) -> bool:
         n_things = episode.n_vehicles + episode.n_obstacles
         if stage == BEGINNING:
             n_things = max(rules.n_at_start, 1 + rules.n_others) + len(task.starts.obstacles)
-        elif stage == DECISION and rules.kind == INTERSECTION:
-            n_things += 1  # a vehicle may appear
+        elif stage == DECISION:
+            n_things += rules.n_new
         is_odd = stage != BEGINNING and (min(episode.ego, episode.n_obstacles) < 0 or episode.ego >= episode.n_vehicles)
         if chosen[b] and (is_odd or n_things > n_places):
             return False
@@ -217,18 +215,11 @@ def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats,
     """Compute rewards and ends. An episode that has just begun has not ended."""
     episode, rules, ego = scene.episode, task.rules[0], scene.vehicles[scene.episode.ego]
     changes_lane = choice in (0, 2)  # highway-env looks at the number alone, also if it means another action
-    put_terms(world, task, scene, changes_lane, numbers[FIRST_TERM:])
-    numbers[REWARD], numbers[SPEED] = reward_of(task, numbers[FIRST_TERM:]), ego.speed
+    put_terms(world, rules, task.terms, scene, changes_lane, numbers[FIRST_TERM:])
+    numbers[REWARD], numbers[SPEED] = reward_of(rules, task.terms, numbers[FIRST_TERM:]), ego.speed
     for k in range(MOST_TERMS):
         flags[FIRST_FLAG + k] = numbers[FIRST_TERM + k] != 0.0
     is_late = episode.time >= rules.duration or episode.n_decisions >= rules.most_decisions
     flags[CRASHED] = ego.crashed
-    flags[TERMINATED] = flags[STEPPED] and is_terminated(world, task, scene)
+    flags[TERMINATED] = flags[STEPPED] and is_terminated(world, rules, scene)
     flags[TRUNCATED] = flags[STEPPED] and is_late
-
-
-@kernel_inner
-def _renew_traffic(world: World, task: Task, scene: Scene, words: Words) -> None:
-    """Remove the vehicles that leave the intersection, and let a new one appear."""
-    clear_vehicles(world.network, scene)
-    spawn_vehicle(world, task, scene, words, 0.0, task.rules[0].spawn_probability, NOT_CHALLENGER)

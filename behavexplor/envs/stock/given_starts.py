@@ -23,7 +23,7 @@ from behavexplor.envs.engine.state import Slots
 from behavexplor.envs.stock.config_check import DRAWING
 from behavexplor.envs.stock.conversion import load
 from behavexplor.envs.stock.episodes import Engine
-from behavexplor.envs.stock.stock_world import goal_lanes
+from behavexplor.envs.tasks.highway_tasks import goal_lanes
 from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 

@@ -1,28 +1,24 @@
 """The infos of vector environments in gymnasium's format: arrays, each with a mask that says for whom it is."""
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.envs.stock.episodes import CRASHED, FIRST_FLAG, FIRST_TERM, REWARD, SPEED, STEPPED
-from behavexplor.envs.stock.task import EXIT, INTERSECTION, TERMS
+from behavexplor.envs.tasks.task import TaskKind
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_GOAL: Final = FIRST_FLAG + list(TERMS[EXIT]).index("goal_reward")
-_ARRIVED: Final = FIRST_FLAG + list(TERMS[INTERSECTION]).index("arrived_reward")
-_KEYS: Final = {kind: [(name, f"_{name}", wanted) for name, wanted in terms.items()] for kind, terms in TERMS.items()}
 
-
-def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
+def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
     """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
 
     The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
 
     Args:
-        kind: the environment's kind.
+        kind: the kind of task.
         numbers: a copy of `Outcome.numbers`.
         flags: a copy of `Outcome.flags`.
         actions: a copy of the egos' actions, shape (B, ...).
@@ -32,14 +28,14 @@ def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], ch
     if beside is not None:
         numbers[SPEED:, beside] = flags[CRASHED:, beside] = actions[beside] = 0
     rewards: dict[str, Any] = {}
-    for k, (name, mask_name, wanted) in enumerate(_KEYS[kind]):
+    for k, (name, (_, wanted)) in enumerate(kind.terms.items()):
         if wanted is float:
             rewards[name] = numbers[FIRST_TERM + k]
         elif wanted is int:
             rewards[name] = numbers[FIRST_TERM + k].astype(int)
         else:
             rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, beside)
-        rewards[mask_name] = chosen
+        rewards[f"_{name}"] = chosen
     infos: dict[str, Any] = {
         "speed": numbers[SPEED],
         "_speed": chosen,
@@ -50,12 +46,12 @@ def infos_of(kind: int, numbers: Floats, flags: Bools, actions: NDArray[Any], ch
         "rewards": rewards,
         "_rewards": chosen,
     }
-    if kind == INTERSECTION:
-        ended = flags[CRASHED] | flags[_ARRIVED]
+    if kind.has_agents:
+        ended = flags[CRASHED] | flags[FIRST_FLAG + kind.position(kind.arrival)]
         infos |= {"agents_rewards": _tuples(numbers[REWARD], beside), "_agents_rewards": chosen}
         infos |= {"agents_terminated": _tuples(ended, beside), "_agents_terminated": chosen}
-    elif kind == EXIT:
-        infos |= _success(flags[_GOAL], flags[STEPPED] & chosen)
+    if kind.success is not None:
+        infos |= _success(flags[FIRST_FLAG + kind.position(kind.success)], flags[STEPPED] & chosen)
     return infos
 
 

@@ -3,7 +3,7 @@
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.envs.source_gate import REWARDS, replaced
-from behavexplor.envs.stock.task import KINDS
+from behavexplor.envs.tasks.highway_tasks import NUMBERS
 from behavexplor.errors import InputError
 
 STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
@@ -20,9 +20,9 @@ def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[A
     Raises:
         InputError: if there is none, or the environment changes the rules. The message names the changed method.
     """
-    known: type[AbstractEnv] | None = next((known for known in KINDS if issubclass(env_class, known)), None)
+    known: type[AbstractEnv] | None = next((known for known in NUMBERS if issubclass(env_class, known)), None)
     if known is None:
-        names = ", ".join(sorted(one.__name__ for one in KINDS))
+        names = ", ".join(sorted(one.__name__ for one in NUMBERS))
         raise InputError(
             f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
             f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"

@@ -17,6 +17,7 @@ from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.engine.state import make_scratch, make_slots
+from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.stock.config_check import check_config
 from behavexplor.envs.stock.engine_making import (
@@ -43,8 +44,7 @@ from behavexplor.envs.stock.given_starts import chosen_draws, chosen_starts, cop
 from behavexplor.envs.stock.infos import final_infos, infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
 from behavexplor.envs.stock.slot_state import SlotState, slot_state
-from behavexplor.envs.stock.task import KINDS
-from behavexplor.envs.stock.traits import TRAFFIC, classes_of_vehicles
+from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
 from behavexplor.envs.values import COUNT, FLAG, optional
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for
@@ -105,7 +105,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             raise InputError("The vector environment cannot render; use gymnasium.make for highway-env's own")
         self._mode = chosen_mode(autoreset_mode)
         known = known_class(env_class, rewards=rewards)
-        self._kind = KINDS[known]
+        number = NUMBERS[known]
+        self._kind = KINDS[number]
         check_config(env_class, known, config)
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
@@ -115,13 +116,13 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             classes = classes_of(self._single, classes_of_vehicles(self._single))
             self._guard = guard_of(classes, TRAFFIC, TRAFFIC if self.places_own else frozenset())
             self._engine = make_engine(
-                self._single, self._kind, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
+                self._single, number, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
         self._most_at_start = most_at_start(self._single, self._engine.task, places_own=self.places_own)
-        n_places = self._most_at_start + most_new(self._single, self._kind)
+        n_places = self._most_at_start + most_new(self._single, self._engine.task)
         self._slots = make_slots(num_envs, n_places, n_steps)
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0

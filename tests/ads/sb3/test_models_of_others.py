@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import (
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import describe
-from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.model import policy_of
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError

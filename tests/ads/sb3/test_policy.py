@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.blocks import BlockwiseNetwork
 from behavexplor.ads.sb3.description import STATISTICS, describe
-from behavexplor.ads.sb3.highway import how_to_fit
+from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError

@@ -19,14 +19,13 @@ from gymnasium.envs.registration import load_env_creator
 
 from behavexplor.envs.engine.actions import make_commands
 from behavexplor.envs.engine.frame_log import make_log
+from behavexplor.envs.engine.frames import give_command, run_frames
 from behavexplor.envs.engine.state import EPISODE, VEHICLE, Scene, make_scratch, make_slots
+from behavexplor.envs.engine.world import make_world
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.frames import clear_vehicles, step
-from behavexplor.envs.stock.stock_world import make_world
+from behavexplor.envs.tasks.highway_tasks import goal_lanes
+from behavexplor.envs.tasks.intersection import clear_vehicles
 from behavexplor.jit import kernel_in_place
-from tests.kernel_calls import called_alone
-
-step = called_alone(step)
 
 C_LIBRARY = {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR", "OPENBLAS_CORETYPE": "Haswell"}
 IDS = (
@@ -56,10 +55,24 @@ def make(env_id, config=None):
     return load_env_creator(gymnasium.spec(env_id).entry_point)(config=config)
 
 
+def world_of(env):
+    return make_world(env, goal_lanes(env))
+
+
+@kernel_in_place
+def step(world, slots, scratch, commands, active, log):
+    """Simulate one decision of the active slots; commands of shape (B, 2), a log with or without room for frames."""
+    for b in range(len(active)):
+        if active[b]:
+            scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+            give_command(world, scene, commands[b, 0], commands[b, 1])
+            run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames, log.frames[b], log.things[b])
+
+
 def compare(env_id, config=None, *, episodes, first_seed=0, decisions=60):
     """Drive highway-env and the engine with random actions from the same starts, to the end of every episode."""
     env = make(env_id, config)
-    world, slots = make_world(env), make_slots(2, N_PLACES, N_STEPS)
+    world, slots = world_of(env), make_slots(2, N_PLACES, N_STEPS)
     scratch = make_scratch(len(world.network.lanes), N_PLACES)
     result = Comparison()
     for seed in range(first_seed, first_seed + episodes):

@@ -8,9 +8,9 @@ from gymnasium.envs.registration import load_env_creator
 import behavexplor
 from behavexplor.envs.env_config import ACTIONS
 from behavexplor.envs.stock import StockVectorEnv
-from behavexplor.envs.stock.config_check import DRAWING, OBSERVATIONS, ONLY, UNREAD
+from behavexplor.envs.stock.config_check import DRAWING, OBSERVATIONS, ONLY
 from behavexplor.envs.stock.known_classes import known_class
-from behavexplor.envs.stock.task import KINDS
+from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
 from behavexplor.errors import InputError
 from tests.envs.stock.side_by_side import assert_equal, compare_in_child
 
@@ -81,7 +81,7 @@ def changed(env_id, key):
 
 
 def kind(env_id):
-    return KINDS[known_class(load_env_creator(behavexplor.HIGHWAY_ENV[env_id]))]
+    return KINDS[NUMBERS[known_class(load_env_creator(behavexplor.HIGHWAY_ENV[env_id]))]]
 
 
 QUICK = "merge-v0"  # its episodes are the shortest; the others take half a minute each
@@ -94,7 +94,7 @@ def test_every_key_of_the_default_configuration_is_accounted_for(env_id):
     base = BASE.get(env_id, {})
     calls = [{**call, "config": {**base, key: changed(env_id, key)}} for key in keys]
     plain, *results = compare_in_child({**call, "config": base}, *calls)
-    without_effect = DRAWING | UNREAD[kind(env_id)]
+    without_effect = DRAWING | kind(env_id).unread
     for key, result in zip(keys, results, strict=True):
         assert_equal(result)
         if (env_id, key) not in NO_EFFECT_HERE:

@@ -10,11 +10,11 @@ from highway_env.vehicle.objects import Landmark
 
 from behavexplor.envs.engine.lane_network import lane_indexes, make_network, road_numbers
 from behavexplor.envs.engine.state import IDM, LINEAR, MDP, OBSTACLE, PLAIN, make_slots
+from behavexplor.envs.engine.vehicle_parameters import kind_of
+from behavexplor.envs.engine.world import EGO, OTHER
 from behavexplor.envs.stock.conversion import load, restore
-from behavexplor.envs.stock.stock_world import EGO, OTHER, make_world
-from behavexplor.envs.stock.traits import kind_of
 from behavexplor.errors import InputError
-from tests.envs.stock.comparison import N_PLACES, N_STEPS, make
+from tests.envs.stock.comparison import N_PLACES, N_STEPS, make, world_of
 
 LINEAR_TRAFFIC = {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}
 STARTS = {
@@ -43,7 +43,7 @@ def test_a_restored_environment_goes_on_as_the_original(name):
     env, twin = make(*STARTS[name]), make(*STARTS[name])
     driven(env, 3)
     driven(twin, 1, seed=1)
-    world, slots = make_world(env), make_slots(2, N_PLACES, N_STEPS)
+    world, slots = world_of(env), make_slots(2, N_PLACES, N_STEPS)
     load(env, world, slots, 0)
     restore(twin, slots, 0)
     load(twin, world, slots, 1)
@@ -63,7 +63,7 @@ def test_a_restored_environment_goes_on_as_the_original(name):
 def test_a_restored_environment_can_be_drawn():
     env = make("merge-v1")
     slots = make_slots(1, N_PLACES, N_STEPS)
-    load(driven(env, 2), make_world(env), slots, 0)
+    load(driven(env, 2), world_of(env), slots, 0)
     twin = type(env)(render_mode="rgb_array")
     restore(twin, slots, 0)
     assert twin.render().std() > 0
@@ -77,7 +77,7 @@ def test_the_impact_of_a_collision_and_yielding_are_restored():
     hit.impact, hit.crashed = np.array([0.5, -0.25]), True
     yielding.is_yielding, yielding.yield_timer, yielding.color = True, 0, None
     slots = make_slots(1, N_PLACES, N_STEPS)
-    load(env, make_world(env), slots, 0)
+    load(env, world_of(env), slots, 0)
     restore(env, slots, 0)
     hit, yielding = env.road.vehicles[:2]
     assert (hit.impact.tolist(), hit.crashed) == ([0.5, -0.25], True)
@@ -112,18 +112,18 @@ def test_goals_are_those_of_the_environment():
         "highway-fast-v0": set(),
     }.items():
         env = make(env_id)
-        marked = make_world(env).network.lanes["is_goal"]
+        marked = world_of(env).network.lanes["is_goal"]
         indexes = lane_indexes(env.road.network)
         assert {indexes[i] for i in np.flatnonzero(marked)} == goals
 
 
 def test_the_traffic_s_parameters_are_those_of_its_class_at_the_time():
     env = make("intersection-v0")
-    other = make_world(env).templates[OTHER]
+    other = world_of(env).templates[OTHER]
     assert (other.distance_wanted, other.comfort_acceleration, other.comfort_braking) == (7, 6, -3)
     assert other.gap_divisor == 2 * np.sqrt(18)
     env = make("highway-fast-v0", STARTS["continuous"][1])
-    ego = make_world(env).templates[EGO]
+    ego = world_of(env).templates[EGO]
     assert (ego.kind, ego.min_speed, ego.max_speed) == (PLAIN, 0, 20)
 
 
@@ -153,7 +153,7 @@ def traffic(cls):
 def test_subclasses_with_other_parameters_are_known():
     env = make("highway-fast-v0", traffic(Hasty))
     assert kind_of(Hasty) == IDM
-    assert make_world(env).templates[OTHER].time_wanted == 0.5
+    assert world_of(env).templates[OTHER].time_wanted == 0.5
     kinds = [kind_of(type(vehicle)) for vehicle in make("merge-v0", LINEAR_TRAFFIC).road.vehicles]
     assert kinds == [MDP, *[LINEAR] * 4]
     assert kind_of(type(make("merge-v0").road.objects[0])) == OBSTACLE
@@ -166,7 +166,7 @@ def test_other_behavior_is_refused_by_name(cls, words):
     env = make("highway-fast-v0")
     env.config |= traffic(cls)
     with pytest.raises(InputError, match=words):
-        make_world(env)
+        world_of(env)
 
 
 def test_lanes_of_another_geometry_are_refused_by_name():
@@ -192,7 +192,7 @@ def test_a_lane_without_a_speed_limit_has_none():
 
 def test_what_does_not_fit_into_a_slot_is_refused():
     env = make("roundabout-v0")
-    world = make_world(env)
+    world = world_of(env)
     with pytest.raises(InputError, match="5 vehicles and obstacles, but a slot holds 4"):
         load(env, world, make_slots(1, 4, N_STEPS), 0)
     with pytest.raises(InputError, match="a slot holds 2; make longer"):
@@ -204,7 +204,7 @@ def test_what_does_not_fit_into_a_slot_is_refused():
 
 def test_landmarks_and_ghosts_are_refused():
     env = make("merge-v0")
-    world, slots = make_world(env), make_slots(1, N_PLACES, N_STEPS)
+    world, slots = world_of(env), make_slots(1, N_PLACES, N_STEPS)
     env.road.vehicles[1].collidable = False
     with pytest.raises(InputError, match="collidable"):
         load(env, world, slots, 0)
@@ -218,4 +218,4 @@ def test_actions_of_another_type_are_refused_by_name():
     env = make("highway-fast-v0")
     env.action_type = object()
     with pytest.raises(InputError, match="the action object"):
-        make_world(env)
+        world_of(env)

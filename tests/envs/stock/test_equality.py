@@ -8,12 +8,7 @@ from hypothesis import strategies as st
 from behavexplor.envs.engine.frame_log import make_log
 from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.frames import step
-from behavexplor.envs.stock.stock_world import make_world
-from tests.envs.stock.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make
-from tests.kernel_calls import called_alone
-
-step = called_alone(step)
+from tests.envs.stock.comparison import IDS, N_PLACES, N_STEPS, compare, compare_in_child, make, step, world_of
 
 SHORT = {"highway-v0": {"decisions": 2}}  # its decisions take ten times as long in highway-env
 VEHICLES = [f"highway_env.vehicle.behavior.{name}Vehicle" for name in ("IDM", "Linear", "Aggressive", "Defensive")]
@@ -117,7 +112,7 @@ def test_any_configuration_to_the_last_bit(calls):
 def test_a_slot_does_not_depend_on_the_others():
     """Two slots with the same start, of which one is stepped alone and the other in company."""
     env = make("highway-fast-v0")
-    world, scratch = make_world(env), make_scratch(3, N_PLACES)
+    world, scratch = world_of(env), make_scratch(3, N_PLACES)
     alone, many = make_slots(1, N_PLACES, N_STEPS), make_slots(4, N_PLACES, N_STEPS)
     for b in range(4):
         env.reset(seed=b)

@@ -14,10 +14,9 @@ from behavexplor.envs.engine.lane_network import lane_indexes, make_network
 from behavexplor.envs.engine.reactive_traffic import UNKNOWN, neighbors
 from behavexplor.envs.engine.state import Scene, make_scratch, make_slots
 from behavexplor.envs.stock.conversion import load
-from behavexplor.envs.stock.frames import clear_vehicles
-from behavexplor.envs.stock.stock_world import make_world
+from behavexplor.envs.tasks.intersection import clear_vehicles
 from behavexplor.jit import kernel_in_place
-from tests.envs.stock.comparison import N_PLACES, N_STEPS, make
+from tests.envs.stock.comparison import N_PLACES, N_STEPS, make, world_of
 
 
 @kernel_in_place
@@ -46,7 +45,7 @@ def clear(network, slots, scratch):
 @pytest.mark.parametrize("env_id", ["merge-v0", "roundabout-v0", "two-way-v0"])
 def test_the_closest_lane_is_highway_env_s_wherever_the_search_begins(env_id):
     env, rng = make(env_id), np.random.default_rng(0)
-    network, indexes = make_world(env).network, lane_indexes(env.road.network)
+    network, indexes = world_of(env).network, lane_indexes(env.road.network)
     found = set()
     for _ in range(300):
         lane = env.road.network.get_lane(indexes[rng.integers(len(indexes))])
@@ -92,7 +91,7 @@ def test_bounds_leave_out_no_lane_that_is_near(lane, station, offset):
 
 def test_of_equally_close_lanes_the_first_is_chosen():
     env = make("two-way-v0")
-    network = make_world(env).network
+    network = world_of(env).network
     assert lane_indexes(env.road.network)[2] == ("b", "a", 0)
     assert closest(network, 2, 100.0, 0.0, np.pi / 2) == 0  # as far from the direction of either lane
 
@@ -101,7 +100,7 @@ def test_of_equally_close_lanes_the_first_is_chosen():
 @pytest.mark.parametrize("env_id", ["merge-v0", "roundabout-v0"])
 def test_neighbors_are_highway_env_s(env_id, connected):
     env, rng = make(env_id, {"neighbour_vehicles_connected_lanes": connected}), np.random.default_rng(1)
-    world, slots = make_world(env), make_slots(1, N_PLACES, N_STEPS)
+    world, slots = world_of(env), make_slots(1, N_PLACES, N_STEPS)
     indexes = lane_indexes(env.road.network)
     scratch = make_scratch(len(indexes), N_PLACES)
     some = 0
@@ -126,7 +125,7 @@ def test_neighbors_are_highway_env_s(env_id, connected):
 def test_the_ego_and_the_rest_keep_their_order_when_vehicles_leave():
     env = make("intersection-v0")
     env.reset(seed=4)
-    world, slots = make_world(env), make_slots(1, N_PLACES, N_STEPS)
+    world, slots = world_of(env), make_slots(1, N_PLACES, N_STEPS)
     leaving = env.road.network.get_lane(("il2", "o2", 0))
     for vehicle in (env.road.vehicles[0], env.road.vehicles[2]):
         vehicle.position = leaving.position(leaving.length - 10, 0)

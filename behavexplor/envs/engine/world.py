@@ -7,9 +7,6 @@ import numpy as np
 from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
-from highway_env.envs.exit_env import ExitEnv
-from highway_env.envs.intersection_env import IntersectionEnv
-from highway_env.envs.merge_env import MergeEnv
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import LaneIndex, Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
@@ -17,8 +14,8 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import Network, make_network
 from behavexplor.envs.engine.state import OBSTACLE, TRAITS, Records, record_type
+from behavexplor.envs.engine.vehicle_parameters import kind_of, traits_of
 from behavexplor.envs.source_gate import replaced
-from behavexplor.envs.stock.traits import kind_of, traits_of
 from behavexplor.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -51,11 +48,15 @@ class World(NamedTuple):
     templates: Records
 
 
-def make_world(env: AbstractEnv) -> World:
+def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _: False) -> World:
     """Return the road and rules of a highway-env environment that has been reset.
 
     The parameters of the traffic are those that highway-env's classes have at this moment: `IntersectionEnv` changes
     them for the whole process.
+
+    Args:
+        env: the environment.
+        is_goal: which lanes are marked as goals.
 
     Raises:
         InputError: if the environment has lanes, vehicles or actions that the engine does not know.
@@ -66,7 +67,7 @@ def make_world(env: AbstractEnv) -> World:
         network=make_network(
             env.road.network,
             connected_lanes=config["neighbour_vehicles_connected_lanes"],
-            is_goal=goal_lanes(env),
+            is_goal=is_goal,
         ),
         rules=_make_rules(env),
         speeds=_target_speeds(env),
@@ -87,22 +88,6 @@ def _check_road(env: AbstractEnv) -> None:
             raise InputError(
                 f"The compiled engine does not know {changed}; use gymnasium.make_vec with vectorization_mode='sync'"
             )
-
-
-def goal_lanes(env: AbstractEnv) -> Callable[[LaneIndex], bool]:
-    """Return which lanes `is_goal` marks in an environment.
-
-    In the merge, it is the merging lane; in the exit environment, the lanes that are to be reached; in the
-    intersection, the lanes that lead out of it.
-    """
-    if isinstance(env, MergeEnv):
-        return lambda index: index == ("b", "c", 2)
-    if isinstance(env, ExitEnv):
-        goals = {("1", "2", env.config["lanes_count"]), ("2", "exit", 0)}
-        return lambda index: index in goals
-    if isinstance(env, IntersectionEnv):
-        return lambda index: "il" in index[0] and "o" in index[1]
-    return lambda _: False
 
 
 def _make_rules(env: AbstractEnv) -> Records:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_heading, lane_point
 from behavexplor.envs.engine.lane_keeping import nearest_speed
-from behavexplor.envs.engine.pcg64 import Words, uniform
+from behavexplor.envs.engine.pcg64 import Words, normal, uniform
 from behavexplor.envs.engine.state import IDM, LINEAR, MDP, NO_LANE, NO_ROUTE, PLAIN, SAME_NUMBER, Scene
-from behavexplor.envs.stock.stock_world import EGO, OTHER, World
+from behavexplor.envs.engine.world import EGO, OTHER, World
 from behavexplor.jit import kernel_inner
 
 Ints = NDArray[np.int64]
@@ -68,6 +68,13 @@ def place_on_lane(world: World, scene: Scene, template: int, lane: int, station:
     """Add a vehicle at a station [m] of a lane, in the lane's direction: `RoadObject.make_on_lane`."""
     x, y = lane_point(world.network.lanes[lane], station)
     return place_vehicle(world, scene, template, x, y, lane_heading(world.network.lanes[lane], station), speed)
+
+
+@kernel_inner
+def place_nearby(world: World, scene: Scene, words: Words, lane: int, station: float, speed: float) -> int:
+    """Add a vehicle around a station of a lane, with a standard deviation of 2 m and 2 m/s."""
+    station += normal(words) * 2.0
+    return place_on_lane(world, scene, AS_OTHER, lane, station, speed + normal(words) * 2.0)
 
 
 @kernel_inner

@@ -1,42 +1,16 @@
 """Simulate one decision of every episode: the ego's command, then frames of decisions, motion and collisions."""
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.contact import collide
-from behavexplor.envs.engine.frame_log import FrameLog, log_frame
-from behavexplor.envs.engine.lane_geometry import coordinates_on, lane_coordinates, note_places, update_lane
+from behavexplor.envs.engine.frame_log import log_frame
+from behavexplor.envs.engine.lane_geometry import coordinates_on, note_places, update_lane
 from behavexplor.envs.engine.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.reactive_traffic import UNKNOWN, drive
 from behavexplor.envs.engine.regulation import enforce_rules
-from behavexplor.envs.engine.state import IDM, LINEAR, MDP, NO_ROUTE, PLAIN, Records, Scene, Scratch, Slots
-from behavexplor.envs.stock.stock_world import Rules, World
+from behavexplor.envs.engine.state import IDM, LINEAR, MDP, PLAIN, Records, Scene
+from behavexplor.envs.engine.world import Rules, World
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
-
-@kernel_inner
-def step(world: World, slots: Slots, scratch: Scratch, commands: Floats, active: Bools, log: FrameLog) -> None:
-    """Simulate one decision of many episodes.
-
-    Args:
-        world: the environment's road and rules.
-        slots: the episodes, changed in place.
-        scratch: memory that is used within a frame.
-        commands: acceleration [m/s2] and steering [rad], shape (B, 2). For meta-actions, the first column is the index
-            of the maneuver in `behavexplor.data.conventions.MANEUVERS`.
-        active: whether each slot is stepped, shape (B,).
-        log: filled with the frames, as far as it has room for them.
-    """
-    for b in range(len(active)):
-        if active[b]:
-            scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
-            give_command(world, scene, commands[b, 0], commands[b, 1])
-            run_frames(world.network, world.rules[0], scene, world.rules[0].n_frames, log.frames[b], log.things[b])
 
 
 @kernel_inner
@@ -46,8 +20,9 @@ def give_command(world: World, scene: Scene, first: float, second: float) -> Non
     Args:
         world: the environment's road and rules.
         scene: the episode, changed in place.
-        first: first number of the ego's command; see `step`.
-        second: second number of the ego's command.
+        first: the ego's acceleration [m/s2]; for meta-actions, the index of the maneuver in
+            `behavexplor.data.conventions.MANEUVERS`.
+        second: its steering [rad].
     """
     rules, episode = world.rules[0], scene.episode
     episode.time += rules.policy_period
@@ -95,34 +70,3 @@ def run_frames(network: Network, rules: Rules, scene: Scene, n_frames: int, fram
         collide(scene.vehicles, scene.traits, episode.n_vehicles, episode.n_obstacles, rules.dt, scene.scratch.xs)
         if k < len(frames):
             log_frame(network, scene, frames[k], things[k])
-
-
-@kernel_inner
-def clear_vehicles(network: Network, scene: Scene) -> None:
-    """Remove the traffic that leaves an intersection, in its order: `IntersectionEnv._clear_vehicles`.
-
-    The scene has no obstacles.
-    """
-    kept = 0
-    for i in range(scene.episode.n_vehicles):
-        is_ego = scene.traits[i].kind in (PLAIN, MDP)
-        if not is_ego and _is_leaving(network, scene, i):
-            continue
-        if kept != i:
-            scene.vehicles[kept], scene.traits[kept] = scene.vehicles[i], scene.traits[i]
-            for k in range(scene.vehicles[i].route_length):
-                scene.routes[kept, k] = scene.routes[i, k]
-            if scene.episode.ego == i:
-                scene.episode.ego = kept
-        kept += 1
-    scene.episode.n_vehicles = kept
-
-
-@kernel_inner
-def _is_leaving(network: Network, scene: Scene, i: int) -> bool:
-    vehicle = scene.vehicles[i]
-    if vehicle.route_length == NO_ROUTE:
-        return True
-    lane = network.lanes[vehicle.lane]
-    station, _ = lane_coordinates(lane, vehicle.x, vehicle.y)
-    return bool(lane.is_goal and station >= lane.length - 4 * scene.traits[i].length)

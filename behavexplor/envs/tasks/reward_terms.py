@@ -1,0 +1,152 @@
+"""Rewards and ends: the terms of which highway-env's `_rewards` consist, `_reward`, and `_is_terminated`."""
+
+from typing import Any, Final
+
+import numpy as np
+from highway_env.vehicle.controller import MDPVehicle
+from numpy.typing import NDArray
+
+from behavexplor.envs.engine.lane_geometry import is_on_road, lane_coordinates
+from behavexplor.envs.engine.lane_keeping import clip, nearest_speed
+from behavexplor.envs.engine.state import MDP, NO_LANE, PLAIN, Records, Scene
+from behavexplor.envs.engine.world import World
+from behavexplor.envs.tasks.task import NO_TERM
+from behavexplor.jit import kernel_inner
+
+Floats = NDArray[np.float64]
+Vehicle = np.record
+
+SPEED: Final = 0  # the ego's speed as a share of `reward_speed_range`, clipped to [0, 1]
+SPEED_AHEAD: Final = 1  # the same of its speed along the x axis
+FREE_SPEED: Final = 2  # the same of its speed, not clipped
+SPEED_CHOICE: Final = 3  # the index of its target speed as a share of those of the actions
+DEFAULT_SPEED_CHOICE: Final = 4  # the same of highway-env's default target speeds
+LANE: Final = 5  # the number of its lane as a share of those of its road
+TARGET_LANE: Final = 6  # the same of the lane to which it changes
+LANE_NUMBER: Final = 7  # the number of its lane
+TARGET_LANE_NUMBER: Final = 8  # the number of the lane to which it changes
+LEFT_LANE: Final = 9  # how far to the left the lane is to which it changes, as a share
+GOAL_LANE: Final = 10  # whether the lane to which it changes is a goal
+SLOW_ON_GOAL: Final = 11  # how much slower than they want the vehicles on a goal lane are, as a sum of shares
+CRASHED: Final = 12  # whether the ego has crashed
+ON_ROAD: Final = 13  # whether it is on the road
+ARRIVED: Final = 14  # whether it has arrived
+LANE_CHANGE: Final = 15  # whether highway-env takes the action for a change of lane
+
+_DEFAULT_SPEEDS: Floats = MDPVehicle.DEFAULT_TARGET_SPEEDS.astype(np.float64)
+
+
+@kernel_inner
+def put_terms(world: World, rules: Any, terms: Records, scene: Scene, changes_lane: bool, values: Floats) -> None:
+    """Compute the terms of the reward.
+
+    Args:
+        world: the environment's road.
+        rules: the record of `Task.rules`.
+        terms: the terms, shape (n,) of `TERM`.
+        scene: the episode.
+        changes_lane: whether highway-env takes the action for a change of lane.
+        values: filled with their values, at least shape (n,).
+    """
+    for k in range(len(terms)):
+        values[k] = _value(world, rules, terms[k].code, scene, changes_lane)
+
+
+@kernel_inner
+def _value(world: World, rules: Any, code: int, scene: Scene, changes_lane: bool) -> float:
+    if code <= DEFAULT_SPEED_CHOICE:
+        return _speed_term(world, rules, code, scene)
+    if code <= GOAL_LANE:
+        return _lane_term(world, code, scene.vehicles[scene.episode.ego])
+    if code == SLOW_ON_GOAL:
+        return _slowness_on_goal(world, scene)
+    return 1.0 if _is_so(world, rules, code, scene, changes_lane) else 0.0
+
+
+@kernel_inner
+def _speed_term(world: World, rules: Any, code: int, scene: Scene) -> float:
+    ego = scene.vehicles[scene.episode.ego]
+    if code == SPEED_CHOICE:
+        return float(ego.speed_index / (len(world.speeds) - 1))
+    if code == DEFAULT_SPEED_CHOICE:
+        is_mdp = scene.traits[scene.episode.ego].kind == MDP
+        choice = int(ego.speed_index) if is_mdp else nearest_speed(_DEFAULT_SPEEDS, ego.speed)
+        return choice / (len(_DEFAULT_SPEEDS) - 1)
+    speed = ego.speed * ego.cos if code == SPEED_AHEAD else ego.speed
+    share = 0 + (speed - rules.low_speed) * 1 / (rules.high_speed - rules.low_speed)
+    return float(share if code == FREE_SPEED else clip(share, 0.0, 1.0))
+
+
+@kernel_inner
+def _lane_term(world: World, code: int, ego: Vehicle) -> float:
+    lane = world.network.lanes[ego.lane]
+    target = world.network.lanes[ego.lane if ego.target_lane == NO_LANE else ego.target_lane]
+    n_lanes = world.network.roads[lane.road].n_lanes
+    if code == GOAL_LANE:
+        return 1.0 if target.is_goal else 0.0
+    if code == LEFT_LANE:  # highway-env divides by 0 if there is one lane
+        return float((n_lanes - 1 - target.number) / (n_lanes - 1)) if n_lanes > 1 else 0.0
+    number = target.number if code in (TARGET_LANE, TARGET_LANE_NUMBER) else lane.number
+    return float(number / max(n_lanes - 1, 1)) if code in (LANE, TARGET_LANE) else float(number)
+
+
+@kernel_inner
+def _is_so(world: World, rules: Any, code: int, scene: Scene, changes_lane: bool) -> bool:
+    ego = scene.vehicles[scene.episode.ego]
+    if code == CRASHED:
+        return bool(ego.crashed)
+    if code == ON_ROAD:
+        return is_on_road(world.network, ego)
+    return changes_lane if code == LANE_CHANGE else has_arrived(world, rules, scene)
+
+
+@kernel_inner
+def _slowness_on_goal(world: World, scene: Scene) -> float:
+    total = 0.0
+    for i in range(scene.episode.n_vehicles):
+        vehicle = scene.vehicles[i]
+        if world.network.lanes[vehicle.lane].is_goal and scene.traits[i].kind != PLAIN:
+            total += (vehicle.target_speed - vehicle.speed) / vehicle.target_speed
+    return total
+
+
+@kernel_inner
+def reward_of(rules: Any, terms: Records, values: Floats) -> float:
+    """Compute the reward from the values of its terms.
+
+    Args:
+        rules: the record of `Task.rules`.
+        terms: the terms, shape (n,) of `TERM`.
+        values: their values, at least shape (n,).
+    """
+    reward = 0.0
+    for k in range(len(terms)):
+        reward += terms[k].weight * values[k]
+    if rules.arrival != NO_TERM and values[rules.arrival] != 0.0:
+        reward = rules.arrived_reward
+    if rules.first_gate != NO_TERM:
+        reward *= values[rules.first_gate]
+    if rules.is_normalized:
+        reward = 0 + (reward - rules.worst) * 1 / (rules.best - rules.worst)
+    if rules.is_clipped and rules.is_normalized:
+        reward = clip(reward, 0.0, 1.0)
+    if rules.gate != NO_TERM:
+        reward *= values[rules.gate]
+    return reward
+
+
+@kernel_inner
+def is_terminated(world: World, rules: Any, scene: Scene) -> bool:
+    """Return whether the episode has ended by what happened in it."""
+    ego = scene.vehicles[scene.episode.ego]
+    if ego.crashed or ego.x > rules.end_x or has_arrived(world, rules, scene):
+        return True
+    return bool(rules.ends_off_road) and not is_on_road(world.network, ego)
+
+
+@kernel_inner
+def has_arrived(world: World, rules: Any, scene: Scene) -> bool:
+    """Return whether the ego is at the station of a goal lane where it arrives: `IntersectionEnv.has_arrived`."""
+    ego = scene.vehicles[scene.episode.ego]
+    lane = world.network.lanes[ego.lane]
+    return bool(lane.is_goal and lane_coordinates(lane, ego.x, ego.y)[0] >= rules.arrival_station)
