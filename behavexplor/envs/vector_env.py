@@ -4,32 +4,29 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.engine.actions import check_actions
-from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
+from behavexplor.envs.engine.lock_step import LockStepVectorEnv
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.tasks.scripted_episodes import ScriptedEpisodes, odd_action, odd_method, odd_observation
 from behavexplor.envs.tasks.scripted_reward import TERMS
-from behavexplor.envs.tasks.scripted_slots import IDLE, RUNNING
-from behavexplor.envs.values import COUNT, shown
+from behavexplor.envs.tasks.scripted_slots import RUNNING
+from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
-_OPTIONS = ("scenario", "scenarios", "reset_mask")
 _MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 
 
-class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+class DrivingVectorEnv(LockStepVectorEnv):
     """`num_envs` environments in lock-step, equivalent to `env_class` but many times as fast.
 
     A subclass names its `env_class`. Sub-environment i behaves like the single environment, to 1e-9 in every state, and
@@ -39,6 +36,9 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
 
     All of gymnasium's autoreset modes are supported. With `AutoresetMode.DISABLED`, a sub-environment whose episode has
     ended rests until it is reset: its action has no effect, its reward is 0, and it still counts as ended.
+
+    The options of `reset` are a `scenario` for all sub-environments, or a list of `scenarios` with one for each, where
+    None asks for a sampled scenario. Infos contain the `trace` and `end` of episodes that have just ended.
 
     Args:
         num_envs: number of sub-environments.
@@ -56,6 +56,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     """
 
     env_class: ClassVar[type[DrivingEnv]]
+    _options = ("scenario", "scenarios", "reset_mask")
 
     def __init__(
         self,
@@ -64,110 +65,44 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        COUNT.check("num_envs", num_envs)
         if render_mode is not None:
             raise InputError("The vector environment cannot render: replay a trace, or use gymnasium.make")
-        self._mode = chosen_mode(autoreset_mode)
         single = self.env_class(config)
         _check_supported(single)
-        classes = classes_of(single, map(type, single.road.vehicles))
-        self._guard = guard_of(classes)
-        self.num_envs = num_envs
-        self.config = single.config
+        guard = guard_of(classes_of(single, map(type, single.road.vehicles)))
+        super().__init__(single, num_envs, autoreset_mode, guard)
         self.logical = single.logical
-        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
         self._episodes = ScriptedEpisodes(single, num_envs)
-        self._has_idle = True
+        self._observations = self._episodes.observations
         self.scenarios: list[ScriptedScenario] = [ScriptedScenario(self.logical.name, ())] * num_envs
         self._generators: list[np.random.Generator | None] = [None] * num_envs
+        self._terms: Floats | None = None
         self.gives_rewards = self.checks_actions = True
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin episodes.
+    def _seed(self, b: int, seed: int | None) -> None:
+        if seed is not None:
+            self._generators[b], _ = seeding.np_random(seed)
 
-        Args:
-            seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
-            options: a `scenario` for all sub-environments, or a list of `scenarios` with one for each, where None asks
-                for a sampled scenario. A `reset_mask` selects the sub-environments to reset, shape (num_envs,).
-
-        Raises:
-            InputError: if a scenario cannot be run in this environment, or an option is unknown or has a wrong shape.
-        """
-        options = chosen_options(options, _OPTIONS)
-        mask = chosen_slots(options.get("reset_mask"), self.num_envs)
-        scenarios = self._given_scenarios(options)
-        seeds = chosen_seeds(seed, self.num_envs)
-        if isinstance(seed, int | np.integer):
-            super().reset(seed=seeds[0])
-        for b, own_seed in enumerate(seeds):
-            if mask[b] and own_seed is not None:
-                self._generators[b], _ = seeding.np_random(own_seed)
-        infos = self._begin(mask, scenarios, is_whole=bool(mask.all()))
-        self._episodes.observe(mask)
-        return self._episodes.observations.copy(), infos
-
-    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
-        """Take an action in every sub-environment.
-
-        Args:
-            actions: one action for each sub-environment, shape (num_envs, ...).
-
-        Raises:
-            gymnasium.error.ResetNeeded: if a sub-environment has not begun an episode.
-            InputError: if the actions are not in the action space. Numbers beyond the bounds of a Box are clipped.
-
-        Returns:
-            Observations, shape (num_envs, ...); rewards, terminations and truncations, each of shape (num_envs,); and
-            infos, which contain the `trace` and `end` of episodes that have just ended.
-        """
-        if self._has_idle:
-            raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
+    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
         if self.checks_actions:
             check_actions(self.action_space, actions)
-        end = self._episodes.ends
-        active = end == RUNNING
-        n_ended, ends = self._episodes.decide(np.asarray(actions), active)
-        terminated, truncated = ends
-        self._episodes.observe(active)
-        terms, rewards = None, np.zeros(self.num_envs)
-        if self.gives_rewards:
-            terms = self._episodes.terms(active)
-            rewards = sum(terms, rewards)
-        infos: dict[str, Any] = {}
-        done = active & (end != RUNNING) if n_ended else None
-        if self._mode is AutoresetMode.SAME_STEP and done is not None:
-            infos = self._step_infos(active & ~done, terms) | self._final_infos(done, terms)
-            infos |= self._begin(done)
-            self._episodes.observe(done)
-            return self._episodes.observations.copy(), rewards, terminated, truncated, infos
-        infos = self._step_infos(active, terms)
-        if done is not None:
-            infos |= self._end_infos(done)
-        if self._mode is AutoresetMode.NEXT_STEP and not active.all():
-            infos |= self._begin(~active)
-            self._episodes.observe(~active)
-            ends[:, ~active] = False
-        return self._episodes.observations.copy(), rewards, terminated, truncated, infos
+        stepped = self._episodes.ends == RUNNING
+        terminated, truncated = self._episodes.decide(actions, stepped)
+        self._episodes.observe(stepped)
+        self._terms = self._episodes.terms(stepped) if self.gives_rewards else None
+        rewards = np.zeros(self.num_envs)
+        return rewards if self._terms is None else sum(self._terms, rewards), terminated, truncated, stepped
 
-    def _begin(
-        self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None, *, is_whole: bool = False
-    ) -> dict[str, Any]:
+    def _begin(self, mask: Bools, scenarios: Sequence[ScriptedScenario | None] | None = None) -> None:
         """Begin an episode in the chosen slots, with the given scenario or a sampled one.
 
         Args:
             mask: the chosen slots, shape (num_envs,).
             scenarios: a scenario or None for each slot; None if all are sampled.
-            is_whole: whether the user has reset all slots.
 
         Raises:
-            InputError: if a scenario has no room in a slot, or classes have changed since the environment was made.
+            InputError: if a scenario has no room in a slot.
         """
-        self._guard.check(always=is_whole)
         begun: dict[int, ScriptedScenario] = {}
         for b in np.flatnonzero(mask).tolist():
             scenario = scenarios[b] if scenarios else None
@@ -176,35 +111,31 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                 scenario = self.logical.sample(generator)
             begun[b] = scenario
         self._episodes.begin(np.flatnonzero(mask), begun.values())
-        infos = np.full(self.num_envs, None, dtype=object)
         for b, scenario in begun.items():
-            self.scenarios[b] = infos[b] = scenario
-        self._has_idle = bool((self._episodes.ends == IDLE).any())
-        return {"scenario": infos, "_scenario": mask.copy()}
+            self.scenarios[b] = scenario
+        self._episodes.observe(mask)
 
-    def _step_infos(self, mask: Bools, terms: Floats | None) -> dict[str, Any]:
-        """Return the single environment's `info` for the chosen slots, in gymnasium's vector format."""
-        if terms is None or not mask.any():
-            return {}
-        speeds, terms = np.where(mask, self._episodes.speeds, 0.0), np.where(mask, terms, 0.0)
-        rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, mask)
-        return {"speed": speeds, "_speed": mask, "rewards": rewards, "_rewards": mask}
+    def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
+        infos: dict[str, Any] = {}
+        if self._terms is not None and np.count_nonzero(stepped):
+            speeds, terms = np.where(stepped, self._episodes.speeds, 0.0), np.where(stepped, self._terms, 0.0)
+            rewards = dict(zip(TERMS, terms, strict=True)) | dict.fromkeys(_MASKS_OF_TERMS, stepped)
+            infos = {"speed": speeds, "_speed": stepped, "rewards": rewards, "_rewards": stepped}
+        done = stepped & (self._episodes.ends != RUNNING)
+        if np.count_nonzero(done):
+            ends, traces = np.full((2, self.num_envs), None, dtype=object)
+            for b in done.nonzero()[0].tolist():
+                ends[b], traces[b] = ENDS[self._episodes.ends[b]], self._episodes.trace(b)
+            infos |= {"end": ends, "_end": done, "trace": traces, "_trace": done}
+        if begun is not None:
+            scenarios = np.full(self.num_envs, None, dtype=object)
+            for b in begun.nonzero()[0].tolist():
+                scenarios[b] = self.scenarios[b]
+            infos |= {"scenario": scenarios, "_scenario": begun}
+        return infos
 
-    def _end_infos(self, done: Bools) -> dict[str, Any]:
-        """Return what that `info` has besides at the end of an episode, for the chosen slots."""
-        ends, traces = np.full((2, self.num_envs), None, dtype=object)
-        for b in done.nonzero()[0].tolist():
-            ends[b], traces[b] = ENDS[self._episodes.ends[b]], self._episodes.trace(b)
-        return {"end": ends, "_end": done, "trace": traces, "_trace": done}
-
-    def _final_infos(self, done: Bools, terms: Floats | None) -> dict[str, Any]:
-        observations = np.full(self.num_envs, None, dtype=object)
-        for b in np.flatnonzero(done).tolist():
-            observations[b] = self._episodes.observations[b].copy()
-        infos = {"final_obs": observations, "_final_obs": done}
-        return infos | {"final_info": self._step_infos(done, terms) | self._end_infos(done), "_final_info": done}
-
-    def _given_scenarios(self, options: Mapping[str, Any]) -> Sequence[ScriptedScenario | None]:
+    def _given(self, options: Mapping[str, Any], mask: Bools) -> tuple[Sequence[ScriptedScenario | None]]:
+        del mask
         given = options.get("scenarios")
         scenarios = [options.get("scenario")] * self.num_envs if given is None else given
         if not isinstance(scenarios, Sequence) or len(scenarios) != self.num_envs:
@@ -217,7 +148,7 @@ class DrivingVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
                     f"A scenario must be a behavexplor.data.scripted.ScriptedScenario, got {shown(scenario)}"
                 )
             self.logical.check(scenario)
-        return scenarios
+        return (scenarios,)
 
 
 def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:

@@ -1,16 +1,151 @@
-"""The arguments that all vector environments have: seeds, slots to reset, and the autoreset mode."""
+"""What compiled vector environments have in common: gymnasium's arguments, autoreset modes and infos of last steps."""
 
+from abc import abstractmethod
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from behavexplor.envs.values import shown
+from behavexplor.envs.source_gate import ChangeGuard
+from behavexplor.envs.values import COUNT, shown
 from behavexplor.errors import InputError, unknown_name
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+
+class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """Episodes in lock-step, one in each slot. A subclass begins, simulates and observes them.
+
+    Args:
+        single: a single environment with the same spaces and configuration.
+        num_envs: number of sub-environments.
+        autoreset_mode: gymnasium's autoreset mode, applied after the end of an episode.
+        guard: notices that classes have changed since the environment was made.
+
+    Raises:
+        InputError: if there is no such mode, or the number is not one.
+    """
+
+    _options: ClassVar[tuple[str, ...]]  # of `reset`
+    _observations: NDArray[Any]  # the latest ones, shape (num_envs, ...)
+
+    def __init__(self, single: Any, num_envs: int, autoreset_mode: AutoresetMode | str, guard: ChangeGuard) -> None:
+        COUNT.check("num_envs", num_envs)
+        self._mode, self._guard = chosen_mode(autoreset_mode), guard
+        self.num_envs = num_envs
+        self.config: dict[str, Any] = single.config
+        self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
+        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._idle = set(range(num_envs))  # those that have not begun an episode
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin episodes; see the class for `options`.
+
+        Args:
+            seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
+            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,).
+
+        Raises:
+            InputError: if an option or a seed cannot be used.
+        """
+        options = chosen_options(options, self._options)
+        mask = chosen_slots(options.get("reset_mask"), self.num_envs)
+        given, seeds = self._given(options, mask), chosen_seeds(seed, self.num_envs)
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=seeds[0])
+        for b in np.flatnonzero(mask).tolist():
+            self._seed(b, seeds[b])
+        self._guard.check(always=bool(mask.all()))
+        self._begin(mask, *given)
+        self._idle -= set(np.flatnonzero(mask).tolist())
+        return self._observations.copy(), self._infos(np.zeros(self.num_envs, dtype=bool), mask.copy())
+
+    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
+        """Take an action in every sub-environment.
+
+        Args:
+            actions: one action for each sub-environment, shape (num_envs, ...).
+
+        Raises:
+            gymnasium.error.ResetNeeded: if a sub-environment has not begun an episode.
+            InputError: if the actions are not in the action space. Numbers beyond the bounds of a Box are clipped.
+
+        Returns:
+            Observations, shape (num_envs, ...); rewards, terminations and truncations, each of shape (num_envs,); and
+            infos.
+        """
+        if self._idle:
+            raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
+        rewards, terminated, truncated, stepped = self._decide(np.asarray(actions))
+        infos: dict[str, Any] | None = None
+        if self._mode is AutoresetMode.SAME_STEP:
+            ended = terminated | truncated
+            if np.count_nonzero(ended):
+                infos = self._last_infos(ended) | self._begin_again(stepped & ~ended, ended)
+        elif self._mode is AutoresetMode.NEXT_STEP and np.count_nonzero(stepped) < self.num_envs:
+            rested = ~stepped
+            terminated[rested] = truncated[rested] = False
+            infos = self._begin_again(stepped, rested)
+        if infos is None:
+            infos = self._infos(stepped)
+        return self._observations.copy(), rewards, terminated, truncated, infos
+
+    def _begin_again(self, stepped: Bools, begun: Bools) -> dict[str, Any]:
+        """Begin the next episodes in the chosen slots, and return the infos; see `_infos`."""
+        self._guard.check(always=False)
+        self._begin(begun)
+        return self._infos(stepped, begun)
+
+    def _last_infos(self, ended: Bools) -> dict[str, Any]:
+        """Return the last observations and infos of episodes that have ended, for autoreset in the same step."""
+        observations = np.full(self.num_envs, None, dtype=object)
+        for b in ended.nonzero()[0].tolist():
+            observations[b] = self._observations[b].copy()
+        infos, mask = self._infos(ended.copy()), ended.copy()
+        return {"final_obs": observations, "_final_obs": mask, "final_info": infos, "_final_info": mask}
+
+    @abstractmethod
+    def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
+        """Return more arguments for `_begin` from the options of a reset.
+
+        Raises:
+            InputError: if an option cannot be used.
+        """
+
+    @abstractmethod
+    def _seed(self, b: int, seed: int | None) -> None:
+        """Seed the generator of slot b, which is reset; None leaves it as it is, if there is one."""
+
+    @abstractmethod
+    def _begin(self, mask: Bools, *given: Any) -> None:
+        """Begin episodes in the chosen slots, shape (num_envs,), and observe them."""
+
+    @abstractmethod
+    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
+        """Simulate a decision in each slot whose episode has not ended, and observe it.
+
+        Returns:
+            Arrays that the caller may change, each of shape (num_envs,): the rewards, whether the episodes have been
+            terminated and truncated, also earlier on, and whether they have taken a decision.
+        """
+
+    @abstractmethod
+    def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
+        """Return infos in gymnasium's format: arrays, each with a mask that says for whom it is.
+
+        Args:
+            stepped: slots that have taken a decision, shape (num_envs,). The array becomes part of the infos.
+            begun: slots that have begun an episode, shape (num_envs,). The array becomes part of the infos.
+        """
 
 
 def chosen_mode(name: AutoresetMode | str) -> AutoresetMode:

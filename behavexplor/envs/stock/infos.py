@@ -55,21 +55,6 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any
     return infos
 
 
-def final_infos(observations: NDArray[Any], infos: dict[str, Any], ended: Bools) -> dict[str, Any]:
-    """Return the last observations and infos of episodes that have ended, for autoreset in the same step.
-
-    Args:
-        observations: the observations, shape (B, ...).
-        infos: the infos.
-        ended: which episodes have ended, shape (B,).
-    """
-    last = np.empty(len(ended), dtype=object)
-    for b in ended.nonzero()[0].tolist():
-        last[b] = observations[b].copy()
-    mask = ended.copy()
-    return {"final_obs": last, "_final_obs": mask, "final_info": infos, "_final_info": mask}
-
-
 def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
     """Return the info that highway-env's exit environment gives after a decision, but not after a reset."""
     return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}

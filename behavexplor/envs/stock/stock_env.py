@@ -1,20 +1,19 @@
 """highway-env's own environments as compiled vector environments."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
 
 from behavexplor.envs.engine.actions import check_actions, command_table, make_commands
 from behavexplor.envs.engine.frame_log import make_log
-from behavexplor.envs.engine.lock_step import chosen_mode, chosen_options, chosen_seeds, chosen_slots
+from behavexplor.envs.engine.lock_step import LockStepVectorEnv
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles
@@ -41,7 +40,7 @@ from behavexplor.envs.stock.episodes import (
     advance,
 )
 from behavexplor.envs.stock.given_starts import chosen_draws, chosen_starts, copy_start, with_draws
-from behavexplor.envs.stock.infos import final_infos, infos_of
+from behavexplor.envs.stock.infos import infos_of
 from behavexplor.envs.stock.known_classes import has_own_starts, known_class
 from behavexplor.envs.stock.slot_state import SlotState, slot_state
 from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
@@ -53,7 +52,7 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 
 
-class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+class StockVectorEnv(LockStepVectorEnv):
     """`num_envs` environments of highway-env in lock-step, equal to highway-env's own but hundreds of times as fast.
 
     The observations, rewards, ends and infos are those of gymnasium's `SyncVectorEnv` of the original environment with
@@ -61,7 +60,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
     docs/highway-env.md. There is one difference: `infos["action"]` after a reset, which highway-env draws from an
     unseeded generator, is another draw.
 
-    The starts of a subclass that makes its own road or vehicles are made by highway-env itself, and copied.
+    The starts of a subclass that makes its own road or vehicles are made by highway-env itself, and copied. The options
+    `starts` and `draws` of `reset` give starts and draws from outside; see `behavexplor.envs.stock.given_starts`.
 
     Args:
         env_class: highway-env's environment, or a subclass with another road or other starts.
@@ -86,6 +86,8 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         InputError: if the config is wrong, or asks for something that only highway-env itself can do.
     """
 
+    _options = ("reset_mask", "starts", "draws")
+
     def __init__(
         self,
         env_class: type[AbstractEnv],
@@ -98,26 +100,24 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         log_frames: bool = False,
         rewards: bool = True,
     ) -> None:
-        COUNT.check("num_envs", num_envs)
         optional(COUNT).check("max_episode_steps", max_episode_steps)
         FLAG.check("log_frames", log_frames)
         if render_mode is not None:
             raise InputError("The vector environment cannot render; use gymnasium.make for highway-env's own")
-        self._mode = chosen_mode(autoreset_mode)
+        COUNT.check("num_envs", num_envs)
         known = known_class(env_class, rewards=rewards)
         number = NUMBERS[known]
         self._kind = KINDS[number]
         check_config(env_class, known, config)
-        self.num_envs = num_envs
-        self.metadata = {"render_modes": [], "autoreset_mode": self._mode}
         self.places_own = has_own_starts(env_class)
         with kept_class(env_class, config):
             self._single = env_class(dict(config or {}))
             classes = classes_of(self._single, classes_of_vehicles(self._single))
-            self._guard = guard_of(classes, TRAFFIC, TRAFFIC if self.places_own else frozenset())
+            guard = guard_of(classes, TRAFFIC, TRAFFIC if self.places_own else frozenset())
             self._engine = make_engine(
                 self._single, number, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
+        super().__init__(self._single, num_envs, autoreset_mode, guard)
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
@@ -128,108 +128,47 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
         self._outcome = make_outcome(self._single, self._engine, num_envs, self.frame_log)
-        self.config: dict[str, Any] = self._single.config
-        self.single_observation_space = self._single.observation_space
-        self.single_action_space = self._single.action_space
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
         self._observations = self._outcome.observations.reshape(self.observation_space.shape)
         self._everywhere = np.ones(num_envs, dtype=bool)
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
         self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
+        self._shown: NDArray[Any] = self._sampled_space.sample()  # the actions that infos show
         self._is_seeded = np.zeros(num_envs, dtype=bool)
-        self._idle = set(range(num_envs))  # those that have not begun an episode
         self._advance_slots = self._compile()
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin episodes.
-
-        Args:
-            seed: one seed for each sub-environment, or a single seed s that gives sub-environment i the seed s + i.
-            options: `reset_mask` selects the sub-environments to reset, shape (num_envs,). `starts` and `draws` give
-                starts and draws from outside; see `behavexplor.envs.stock.given_starts`.
-
-        Raises:
-            InputError: if an option or a seed cannot be used.
-        """
-        options = chosen_options(options, ("reset_mask", "starts", "draws"))
-        mask = np.ascontiguousarray(chosen_slots(options.get("reset_mask"), self.num_envs))
+    def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
         starts = chosen_starts(options.get("starts"), type(self._single), self.config, mask)
-        draws = chosen_draws(options.get("draws"), mask)
-        for b, own_seed in enumerate(chosen_seeds(seed, self.num_envs)):
-            if mask[b] and (own_seed is not None or not self._is_seeded[b]):
-                self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(own_seed)[0])
-        self._is_seeded |= mask
-        self._guard.check(always=bool(mask.all()))
-        actions = self._begin(mask, starts, draws, logs_start=self.frame_log.frames.size > 0)
-        self._idle -= set(np.flatnonzero(mask).tolist())
-        return self._observations.copy(), self._infos(actions, mask.copy())
+        return starts, chosen_draws(options.get("draws"), mask), self.frame_log.frames.size > 0
 
-    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
-        """Take an action in every sub-environment.
+    def _seed(self, b: int, seed: int | None) -> None:
+        if seed is not None or not self._is_seeded[b]:
+            self._engine.words[b, :N_WORDS] = generator_words(seeding.np_random(seed)[0])
+        self._is_seeded[b] = True
 
-        Args:
-            actions: one action for each sub-environment, shape (num_envs, ...).
+    def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
+        self._advance(DECISION, self._everywhere, actions)
+        self._shown = actions.copy()
+        flags = self._outcome.flags.copy()
+        return self._outcome.numbers[REWARD].copy(), flags[TERMINATED], flags[TRUNCATED], flags[STEPPED]
 
-        Raises:
-            gymnasium.error.ResetNeeded: if a sub-environment has not begun an episode.
-            InputError: if the actions are not in the action space. Numbers beyond the bounds of a Box are clipped.
-
-        Returns:
-            Observations, shape (num_envs, ...); rewards, terminations and truncations, each of shape (num_envs,); and
-            the infos of highway-env.
-        """
-        if self._idle:
-            raise ResetNeeded("A sub-environment has not begun an episode: call reset before step")
-        actions = np.array(actions)
-        n_ended = self._advance(DECISION, self._everywhere, actions)
+    def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
         numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
-        rewards, terminated, truncated, stepped = numbers[REWARD], flags[TERMINATED], flags[TRUNCATED], flags[STEPPED]
-        if self._mode is AutoresetMode.SAME_STEP and n_ended:
-            ended = terminated | truncated
-            infos = final_infos(self._observations, self._infos(actions.copy(), ended), ended)
-            infos |= self._begin_again(ended, actions)
-        elif self._mode is AutoresetMode.NEXT_STEP and np.count_nonzero(stepped) < self.num_envs:
-            rested = ~stepped
-            terminated[rested] = truncated[rested] = False
-            infos = self._begin_again(rested, actions)
-        else:
-            chosen = stepped if self._mode is AutoresetMode.DISABLED else self._everywhere.copy()
-            infos = infos_of(self._kind, numbers, flags, actions, chosen)
-        return self._observations.copy(), rewards, terminated, truncated, infos
+        return infos_of(self._kind, numbers, flags, self._shown.copy(), stepped if begun is None else stepped | begun)
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
         return slot_state(self._slots, b)
-
-    def _begin_again(self, mask: Bools, actions: NDArray[Any]) -> dict[str, Any]:
-        """Begin the next episodes in the chosen slots, and return the infos of all slots.
-
-        Args:
-            mask: the chosen slots, shape (num_envs,).
-            actions: the actions of the step, shape (num_envs, ...); those of the chosen slots are overwritten.
-        """
-        self._guard.check(always=False)
-        actions[mask] = self._begin(mask)[mask]
-        return self._infos(actions, self._everywhere.copy())
-
-    def _infos(self, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
-        """Return the infos of the chosen slots, with the actions that they show. Both arrays become part of them."""
-        return infos_of(self._kind, self._outcome.numbers.copy(), self._outcome.flags.copy(), actions, chosen)
 
     def _begin(
         self,
         mask: Bools,
         starts: Mapping[int, AbstractEnv] = MappingProxyType({}),
         draws: Mapping[int, Floats] = MappingProxyType({}),
-        *,
         logs_start: bool = False,
-    ) -> NDArray[Any]:
-        """Begin episodes in the chosen slots, and return the actions that their infos show, shape (num_envs, ...).
+    ) -> None:
+        """Begin episodes in the chosen slots, shape (num_envs,).
 
         Args:
             mask: the chosen slots, shape (num_envs,).
@@ -256,7 +195,7 @@ class StockVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
             self._engine.words[copied] = words  # highway-env has drawn the order of this observation already
         for b, observation in seen.items():
             self._observations[b] = observation
-        return actions
+        self._shown[mask] = actions[mask]
 
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel for the types of this environment's arrays, or read it from the cache."""

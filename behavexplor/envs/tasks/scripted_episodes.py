@@ -88,7 +88,7 @@ class ScriptedEpisodes:
         if not self._begin_slots(self.world, self.slots, chosen, *npcs):
             raise InputError(f"A scenario has more than {self.slots.scripts.shape[1]} NPCs, for which there is room")
 
-    def decide(self, actions: NDArray[Any], active: Bools, n_frames: int = WHOLE) -> tuple[int, Bools]:
+    def decide(self, actions: NDArray[Any], active: Bools, n_frames: int = WHOLE) -> Bools:
         """Simulate one decision in each active slot.
 
         Args:
@@ -97,8 +97,7 @@ class ScriptedEpisodes:
             n_frames: greatest number of frames; see `behavexplor.envs.tasks.scripted_step.step`.
 
         Returns:
-            The number of episodes that have ended in it; and whether each episode is terminated, and whether it is
-            truncated, shape (2, n_slots).
+            Whether each episode is terminated, and whether it is truncated, shape (2, n_slots).
 
         Raises:
             InputError: if the record of an episode has no room for it.
@@ -108,7 +107,7 @@ class ScriptedEpisodes:
         ended = self._step_slots(self.world, self.slots, values, self._commands(actions), active, ends, n_frames)
         if ended < 0:
             raise InputError("An episode is longer than its record has room for: make the environment again")
-        return ended, ends
+        return ends
 
     def observe(self, chosen: Bools) -> None:
         """Renew the observations of the chosen slots, shape (n_slots,)."""
