@@ -7,9 +7,7 @@ highway-env's own, which have a compiled vector form, as `behavexplor/highway-v0
 when an environment is made, and the Python interface when one of its names is used.
 """
 
-import pkgutil
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -39,17 +37,10 @@ _INTERFACE = {  # module of each name of the Python interface
 NAMESPACE = "behavexplor"
 
 
-def _functional_scenarios() -> dict[str, str]:
-    """Return the entry points of the functional scenarios' environments by name, one for each file in its folder."""
-    folder = Path(__file__).parent / "envs" / "functional"
-    modules = sorted(module.name for module in pkgutil.iter_modules([str(folder)]))
-    return {
-        module.replace("_", "-"): f"behavexplor.envs.functional.{module}:{module.title().replace('_', '')}Env"
-        for module in modules
-    }
-
-
-FUNCTIONAL_SCENARIOS = _functional_scenarios()
+FUNCTIONAL_SCENARIOS = {  # entry points of their environments by name
+    name: f"behavexplor.envs.functional:{name.title().replace('-', '')}Env"
+    for name in ("intersection-left", "intersection-straight", "lane-change", "lane-follow")
+}
 
 HIGHWAY_ENV = {  # highway-env's own environments that have a compiled vector form: entry point by name and version
     "highway-v0": "highway_env.envs.highway_env:HighwayEnv",
@@ -78,7 +69,7 @@ for _name, _entry_point in FUNCTIONAL_SCENARIOS.items():
 for _name, _entry_point in HIGHWAY_ENV.items():
     _id = f"{NAMESPACE}/{_name}"
     if _id not in gymnasium.registry:
-        _vector_entry_point = f"behavexplor.envs.stock.registered:{_name.replace('-', '_')}"
+        _vector_entry_point = f"behavexplor.envs.highway.highway_vector_env:{_name.replace('-', '_')}"
         gymnasium.register(
             _id,
             entry_point=_entry_point,

@@ -16,7 +16,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.network import road_network
+from behavexplor.envs.road_objects import road_network
 
 FREQUENCY, DECISIONS = 20, 10  # [Hz]
 

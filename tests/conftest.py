@@ -5,9 +5,9 @@ from multiprocessing import set_forkserver_preload
 import pytest
 from hypothesis import settings
 
-from behavexplor.envs.drawn.vehicle_classes import parameters, set_parameters
+from behavexplor.envs.engine.vehicle_parameters import parameters, set_parameters
 
-SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.drawn.drawn_vector_env"]
+SLOW_IMPORTS = ["behavexplor.ads.sb3.policy", "behavexplor.envs.highway.drawn_vector_env"]
 
 settings.register_profile("untimed", deadline=None)  # machines are shared: the first call of a kernel compiles it
 settings.load_profile("untimed")

@@ -2,4 +2,4 @@
 
 import gymnasium
 
-gymnasium.register("declared/lane-change-v0", entry_point="behavexplor.envs.functional.lane_change:LaneChangeEnv")
+gymnasium.register("declared/lane-change-v0", entry_point="behavexplor.envs.functional:LaneChangeEnv")

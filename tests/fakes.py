@@ -4,7 +4,7 @@ import numpy as np
 
 from behavexplor.data.trace import Trace
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.testing import synthetic_trace
 
 LOGICAL = IntersectionStraightEnv.logical

@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import LaneFollowEnv
 from behavexplor.envs.vector_env import DrivingVectorEnv
 
 NAME = "tests.goals:tests/goals-v0"

@@ -17,7 +17,7 @@ from behavexplor.behavior.miner import MinerOptions
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.bench.experiment_archive import ARCHIVE
 from behavexplor.commands import OK, main
-from behavexplor.envs.tasks.scripted_reward import WEIGHTS
+from behavexplor.envs.tasks.scripted_outcome import WEIGHTS
 from behavexplor.execution.simulation import Simulation
 
 NAMES = ("intersection-straight", "intersection-left", "lane-follow", "lane-change")
@@ -91,7 +91,7 @@ def test_no_two_modules_have_one_name_but_for_their_role():
     folders = {path.parent.name for path in paths}
     assert {name for name, count in names.items() if count > 1} == {"__init__", "__main__"}
     same_role = {path.stem for path in paths if path.stem in folders and path.parent.name == "commands"}
-    assert {name for name in names if name in folders} == {*same_role, "campaign", "behavexplor"}
+    assert {name for name in names if name in folders} == {*same_role, "campaign", "behavexplor", "highway"}
 
 
 @pytest.mark.parametrize("page", sorted(ROOT.glob("docs/*.md")), ids=lambda page: page.name)

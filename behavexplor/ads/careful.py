@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from behavexplor.ads.constant import with_meta_actions
 from behavexplor.ads.idm import ACCELERATION, BRAKING, EXPONENT, JAM_GAP, TIME_GAP
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
 
 FEATURES: Final = ("presence", "x", "y", "vx", "vy", "cos_h", "sin_h")
 DESIRED_SPEED: Final = 30.0  # v0 [m/s]; the target speeds of the environment are a limit of their own

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, STEERING_RANGE, as_actions
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
 
 DEFAULT: Final = "2,0"
 

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path, ego_path, limit_at, pose_on_path, project_on_path
 from behavexplor.ads.road.steering import steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, ACTION, OBSERVATION, as_actions, as_scenes
+from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
 
 ACCELERATION: Final = 3.0  # a, acceleration on a free road [m/s2]
 BRAKING: Final = 5.0  # b, comfortable deceleration [m/s2]

@@ -7,11 +7,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import N_COLUMNS
 from behavexplor.errors import InputError
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
 
 ACCELERATION_RANGE: Final = (-8.0, 4.0)  # [m/s2]
 STEERING_RANGE: Final = (-0.6, 0.6)  # [rad], positive to the right

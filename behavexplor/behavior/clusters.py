@@ -6,12 +6,10 @@ from typing import NamedTuple
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.first_use import functions_loaded_late, hidden
-
-Floats = NDArray[np.float64]
 
 
 class Clusters(NamedTuple):

@@ -5,8 +5,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
+
 Labels = NDArray[np.uint8]  # an abstract trace: one abstract state (cluster) per window
-Floats = NDArray[np.float64]
 
 MAX_CLUSTERS: Final = 256
 

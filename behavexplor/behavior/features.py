@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from behavexplor.behavior.clusters import Clusters
 from behavexplor.behavior.distance import Labels
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.trace import Trace
 
-Floats = NDArray[np.float64]
 Tail = Literal["padded", "cut"]
 HeadingFrame = Literal["route", "world"]
 

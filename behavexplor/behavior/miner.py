@@ -23,11 +23,11 @@ from behavexplor.behavior.features import (
     state_matrix,
 )
 from behavexplor.behavior.state_file import StateFile
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
 
-Floats = NDArray[np.float64]
 Scaling = Literal["zscore", "none"]
 
 

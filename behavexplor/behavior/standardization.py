@@ -5,9 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_in_place
-
-Floats = NDArray[np.float64]
 
 
 @kernel_in_place

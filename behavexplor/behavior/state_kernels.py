@@ -1,11 +1,7 @@
 """Compiled interpolation of the ego's states, see `behavexplor.behavior.features.state_matrix`, which calls it."""
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
 
 
 @kernel_in_place

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.behavior.clusters import Clusters
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel, kernel_inner
-
-Floats = NDArray[np.float64]
 
 MEAN, VARIANCE, LEAST, GREATEST, CHANGE, ABS_CHANGE, NON_LINEARITY, COMPLEXITY = range(8)
 N_STATISTICS = 8  # of an attribute

@@ -3,13 +3,8 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 BLOCK: Final = 8  # points that share one bound in the search for the nearest segment
 

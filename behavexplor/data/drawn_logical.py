@@ -10,13 +10,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
 from behavexplor.data.logical import Mutations, Noise
 from behavexplor.data.parts import Part, Parts
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
 
 UNIFORM, NORMAL = "uniform", "normal"  # kinds of draws: a number in [0, 1), or a standard normal number
 SEEDS: Final = 2**32  # number of seeds of sampled scenarios
@@ -33,7 +32,7 @@ class Draw:
     """A random draw of an environment.
 
     Attributes:
-        name: name of the call that makes it; see `behavexplor.envs.drawn.call_path`.
+        name: name of the call that makes it; see `behavexplor.envs.highway.generator`.
         position: its position among the draws of that call.
         kind: UNIFORM or NORMAL.
         block: index of the vehicle, or other part of the scene, to which it belongs.

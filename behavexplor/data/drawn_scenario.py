@@ -49,7 +49,7 @@ class Setup:
     Attributes:
         env: gymnasium id of the environment, such as "highway-fast-v0", or "module:id".
         config: highway-env's whole configuration of the environment as JSON, with sorted keys.
-        traffic: kind of traffic: "default" is the environment's own; "wide" is `behavexplor.envs.drawn.wide_traffic`.
+        traffic: kind of traffic: "default" is the environment's own; "wide" is `behavexplor.envs.highway.wide_traffic`.
         highway_env: version of highway-env.
     """
 
@@ -88,7 +88,7 @@ class DrawnScenario:
         setup: the environment and its configuration.
         seed: seed of the draws that are not given.
         draws: standard forms of the given draws, by the name of the call that makes them; see
-            `behavexplor.envs.drawn.generator`. They are sorted by name.
+            `behavexplor.envs.highway.generator`. They are sorted by name.
 
     Raises:
         InputError: if the seed or a draw is out of range.

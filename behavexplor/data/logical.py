@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.parts import Parts
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-
-Floats = NDArray[np.float64]
 
 MAX_KEEP_PROBABILITY: Final = 0.95  # with greater values, almost every draw would leave a scenario unchanged
 MIN_SIGMA: Final = 1e-6  # smaller noise would leave a scenario unchanged

@@ -3,14 +3,11 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Bytes, Floats
 from behavexplor.errors import InputError
 
 MOST_VALUES: Final = 20_000_000  # of one quantity of all vehicles in all frames
-
-Floats = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 
 
 def pack_motion(motion: Floats, resolution: float) -> Bytes:

@@ -1,13 +1,9 @@
 """Compiled conversion of motion to differences and back, see `behavexplor.data.motion_bytes`, which calls these."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Bytes, Floats, Ints
 from behavexplor.jit import kernel_in_place
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
 
 
 @kernel_in_place

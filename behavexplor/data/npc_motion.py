@@ -15,13 +15,11 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.jit import kernel, kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
 
 MIN_ACCELERATION: Final = -8.0  # [m/s2]
 MAX_ACCELERATION: Final = 4.0  # [m/s2]

@@ -3,12 +3,8 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
 
 _SLACK: Final = 1e-6  # more than rounding changes a distance [m]
 

@@ -1,7 +1,7 @@
 """Road plans: all lanes of a road with their markings, as other tools need them.
 
 Both kinds of roads become a plan: the map of a functional scenario by `plan_of_map`, and the road of a stock
-environment by `behavexplor.envs.drawn.course`.
+environment by `behavexplor.envs.highway.course`.
 """
 
 import math
@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import point_segment_distances
 from behavexplor.data.roadmap import Lane, RoadMap
-
-Floats = NDArray[np.float64]
 
 NO_LINE, BROKEN, SOLID = "none", "broken", "solid"  # markings, besides the kinds of illegal lines
 _ON_LINE: Final = 0.01  # greatest distance of a lane's border from the line that marks it [m]

@@ -5,12 +5,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.untrusted import object_fields, parse_json
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
 
 ROAD_FILE: Final = "road.json"  # file in the run folder of a stock environment
 DASH, PERIOD = 3.0, 6.0  # length of a dash between lanes, and distance of the starts of two of them [m]

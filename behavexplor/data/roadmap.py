@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from behavexplor.data.array_types import Floats
 
 DOUBLE_YELLOW, CURB = "double-yellow", "curb"
 

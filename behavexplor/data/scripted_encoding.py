@@ -6,12 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
 
 TYPE, ROUTE, START = 0, 1, 2  # genes of an NPC: type, route and start; the other positions and the speeds follow
 _UNUSED = 0.5  # gene of a waypoint that the route does not have

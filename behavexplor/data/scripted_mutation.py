@@ -4,13 +4,11 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _ATTEMPTS = 1000
 

@@ -10,15 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import MOST_VALUES, pack_motion, unpack_motion
 from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
 from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_arrays, read_file
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
 FORMAT = 3

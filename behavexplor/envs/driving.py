@@ -19,11 +19,9 @@ from behavexplor.data.trace import Trace
 from behavexplor.envs.engine.actions import check_actions
 from behavexplor.envs.env_config import changed_config, changed_logical, default_config, default_observation
 from behavexplor.envs.observation_types import Kinematics, SceneObservation
-from behavexplor.envs.one_slot import OneSlot
-from behavexplor.envs.plain_simulation import PlainSimulation
+from behavexplor.envs.plain_simulation import MapViewer, PlainSimulation
 from behavexplor.envs.source_gate import ChangedError, ChangeGuard, classes_of, guard_of, replaced_in
-from behavexplor.envs.tasks.scripted_episodes import odd_action, odd_method, odd_observation
-from behavexplor.envs.viewer import MapViewer
+from behavexplor.envs.tasks.scripted_episodes import OneSlot, odd_action, odd_method, odd_observation
 from behavexplor.errors import InputError, unknown_name
 
 RENDER_MODES = ("human", "rgb_array")

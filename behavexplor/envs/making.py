@@ -76,7 +76,7 @@ def check_keys(name: str, config: Mapping[str, Any]) -> None:
     Raises:
         InputError: if it does not have one of them, or one of those of its observation and action.
     """
-    from behavexplor.envs.space_keys import check_space_keys  # noqa: PLC0415 - slow to import
+    from behavexplor.envs.env_config import check_space_keys  # noqa: PLC0415 - slow to import
 
     made: Any = make_registered(name, {}).unwrapped
     for key in config:
@@ -124,7 +124,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gy
         return made
     _check_ego(name, made)
     _check_times(made)
-    from behavexplor.envs.drawn.drawn_env import DrawnEnv  # noqa: PLC0415 - slow to import
+    from behavexplor.envs.highway.drawn_env import DrawnEnv  # noqa: PLC0415 - slow to import
 
     return DrawnEnv(name, made, traffic)
 
@@ -196,7 +196,7 @@ def make_vector_env(
         InputError: if the vector form does not support the configuration.
     """
     if _is_stock(env):
-        from behavexplor.envs.drawn.drawn_vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
+        from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
 
         stock: Any = env
         return None if changes else DrawnVectorEnv(stock, num_envs, rewards=rewards)
@@ -231,7 +231,7 @@ def _kept_classes(spec: EnvSpec) -> AbstractContextManager[None]:
     """Return a context in which an environment of highway-env may be made without an effect on others."""
     if str(spec.entry_point).startswith("behavexplor."):
         return nullcontext()
-    from behavexplor.envs.drawn.vehicle_classes import VehicleClasses  # noqa: PLC0415 - slow to import
+    from behavexplor.envs.engine.vehicle_parameters import VehicleClasses  # noqa: PLC0415 - slow to import
 
     return VehicleClasses().applied()
 

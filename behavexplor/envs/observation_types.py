@@ -15,8 +15,7 @@ from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
 
 from behavexplor.data import scene
-
-Floats = NDArray[np.float64]
+from behavexplor.data.array_types import Floats
 
 FEATURES = (
     *("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h"),

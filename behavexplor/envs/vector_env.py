@@ -8,6 +8,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.driving import DrivingEnv
@@ -15,13 +16,10 @@ from behavexplor.envs.engine.actions import check_actions
 from behavexplor.envs.engine.lock_step import LockStepVectorEnv
 from behavexplor.envs.source_gate import classes_of, guard_of
 from behavexplor.envs.tasks.scripted_episodes import ScriptedEpisodes, odd_action, odd_method, odd_observation
-from behavexplor.envs.tasks.scripted_reward import TERMS
+from behavexplor.envs.tasks.scripted_outcome import TERMS
 from behavexplor.envs.tasks.scripted_slots import RUNNING
 from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 _MASKS_OF_TERMS = tuple(f"_{name}" for name in TERMS)
 

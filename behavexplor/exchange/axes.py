@@ -10,12 +10,10 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.road_plan import SineLane
 from behavexplor.data.roadmap import Lane
-
-Floats = NDArray[np.float64]
 
 REAR_AXLE: Final = 0.3  # distance of the rear axle behind the center of a written vehicle, as a share of its length
 DIGITS: Final = 9  # decimals of written positions and headings, the resolution of a trace

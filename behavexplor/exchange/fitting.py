@@ -6,14 +6,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.npc_motion import HEADING, motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.errors import InputError
 from behavexplor.exchange.scenes import Mover
-
-Floats = NDArray[np.float64]
 
 MAX_DEVIATION: Final = 0.5  # greatest distance of a fitted motion from the trajectory [m]
 _POINTS: Final = 200  # points of a trajectory that are fitted

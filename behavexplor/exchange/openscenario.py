@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scenariogeneration import xosc
 from scenariogeneration.helpers import prettify
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
 from behavexplor.exchange.axes import DIGITS, REAR_AXLE, mirrored, mirrored_points, shifted
@@ -21,8 +21,6 @@ from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE,
 from behavexplor.exchange.routes import speed_profile
 from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
 from behavexplor.exchange.waypoint_text import waypoint_text
-
-Floats = NDArray[np.float64]
 
 REVISION: Final = 2  # minor revision of OpenSCENARIO XML 1
 AUTHOR: Final = "behavexplor"

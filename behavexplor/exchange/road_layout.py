@@ -11,14 +11,12 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.road_plan import PlannedLane, RoadPlan, part_of
 
-Ints = NDArray[np.int64]
 Links = dict[tuple[int, int], tuple[tuple[int, int], ...]]
 
 NOWHERE: Final = -1  # junction of a road outside junctions

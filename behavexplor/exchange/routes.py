@@ -1,14 +1,12 @@
 """Scripted vehicles as routes with speed profiles, as OpenSCENARIO has them."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.npc_motion import BEGIN, N_PHASE_COLUMNS, PHASE_SPEED, fill_phases, waypoint_array
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import NPC
 from behavexplor.exchange.axes import DIGITS, mirrored_points
-
-Floats = NDArray[np.float64]
 
 
 def route_points(npc: NPC, roadmap: RoadMap) -> Floats:

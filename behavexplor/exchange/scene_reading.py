@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
@@ -20,8 +20,6 @@ from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE,
 from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
 from behavexplor.exchange.waypoint_text import read_script
 from behavexplor.exchange.xml_files import Element, read_xml
-
-Floats = NDArray[np.float64]
 
 _FROM_THEN_ON: Final = ("greaterThan", "greaterOrEqual", "equalTo")
 _SAME_TIME: Final = 1e-6  # [s]

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
 from behavexplor.data.roadmap import RoadMap
@@ -18,8 +19,6 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.exchange.routes import route_points
-
-Floats = NDArray[np.float64]
 
 EGO: Final = "Ego"  # name of the ego; the other vehicles are NPC1, NPC2, ...
 VEHICLE: Final = "vehicle"  # type of a vehicle that is not scripted

@@ -5,11 +5,9 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.road_plan import SineLane
-
-Floats = NDArray[np.float64]
 
 MAX_ERROR: Final = 0.001  # greatest distance of a piece from the sine [m]
 

@@ -6,11 +6,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.errors import place_of
 from behavexplor.execution.ads_error import ADSError
-
-Floats = NDArray[np.float64]
 
 _LEAST_ROOM: Final = 64  # rows
 

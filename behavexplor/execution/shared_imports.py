@@ -59,6 +59,6 @@ def slow_modules(env: str, ads: str) -> tuple[str, ...]:
         env: name of the environment.
         ads: name of the driving system.
     """
-    entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.drawn.drawn_vector_env")
+    entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.highway.drawn_vector_env")
     policy = ("behavexplor.ads.sb3.policy",) if ads.endswith(".zip") else ()
     return *policy, entry_point.partition(":")[0]  # PyTorch first: it looks into all modules, which loads late ones

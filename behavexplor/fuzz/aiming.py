@@ -14,6 +14,7 @@ from typing import Annotated, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, Waypoint
@@ -22,8 +23,6 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.judge.situation import DRIFT, HALF_LANE
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 Predict = Callable[[RoadMap, Route, Floats, Floats], Floats]  # see `behavexplor.data.npc_motion.motion_on_route`
 
 INTERVAL: Final = 0.25  # time between two frames of a drive [s]

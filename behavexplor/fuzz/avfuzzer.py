@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import distances_from_first
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
@@ -24,8 +25,6 @@ from behavexplor.errors import InputError
 from behavexplor.fuzz.search import INITIAL, Candidate
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
-
-Floats = NDArray[np.float64]
 
 GLOBAL, LOCAL, RESTART = "global", "local", "restart"  # origins of candidates
 _COLLISION = 100.0  # fitness of a collision, to which its relative speed is added

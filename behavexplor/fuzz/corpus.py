@@ -4,12 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario
 from behavexplor.fuzz.energy import selection_probabilities
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)

@@ -5,14 +5,13 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.behavior.features import state_matrix
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import STANDING_SPEED
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 
-Floats = NDArray[np.float64]
 Measure = Literal["mean-speed", "braking", "cornering", "standing", "duration"]
 
 SCALES: Mapping[Measure, float] = MappingProxyType(  # values that are scaled to 1; greater values are clipped to 1

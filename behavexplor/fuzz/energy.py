@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from behavexplor.data.array_types import Floats
 
 SELECTION_CHANGE = -0.05  # dE_S, the decay with each selection
 _BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds

@@ -5,10 +5,8 @@ Source: Panichella et al., "Reformulating branch coverage as a many-objective op
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
+from behavexplor.data.array_types import Floats, Ints
 
 
 def survivors(values: Floats, count: int) -> Ints:

@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EPISODE_TIME, STANDING_SPEED, STANDSTILL_TIME
 from behavexplor.data.geometry import distances_from_first, distances_from_segments, point_segment_distances
 from behavexplor.data.trace import Trace
@@ -15,8 +16,6 @@ from behavexplor.judge.events import R1, R2, R3, REQUIREMENTS, ViolationEvent, v
 from behavexplor.judge.fault import NPC_CAUSED, contact_fault
 from behavexplor.judge.situation import DRIFT, HALF_LANE, motion_of, route_offsets
 from behavexplor.judge.specs import Verdict
-
-Floats = NDArray[np.float64]
 
 SHORT_STAND: Final = 2.0  # a shorter stand is not a near miss [s]
 LINE_WEIGHT: Final = 10.0  # a meter to a line counts as this many meters to a vehicle: an ego is always near lines

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
@@ -19,8 +19,6 @@ from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
-
-Floats = NDArray[np.float64]
 
 OFFSPRING = "offspring"  # origin of candidates
 

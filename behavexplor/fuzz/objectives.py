@@ -1,11 +1,9 @@
 """Convert verdicts to the objectives of a many-objective search."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.judge.specs import Verdict
-
-Floats = NDArray[np.float64]
 
 _APART = 1e-3  # [m]
 

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
@@ -22,9 +22,6 @@ from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate
 from behavexplor.fuzz.surrogates import Ensemble, fit_ensemble, fit_rbf
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
 _MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn

@@ -14,9 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from behavexplor.data.array_types import Floats
 
 _HELD_OUT = 0.2  # share of the rows that are held out to weight the models
 _FEWEST = 10  # least number of rows at which some are held out

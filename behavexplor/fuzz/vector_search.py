@@ -1,15 +1,13 @@
 """Shared part of all methods that search vectors: candidate numbers, random draws, and no scenario twice."""
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
 from behavexplor.fuzz.search import Candidate, draws
-
-Floats = NDArray[np.float64]
 
 _ATTEMPTS = 1000
 

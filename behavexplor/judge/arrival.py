@@ -11,12 +11,10 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.trace import Trace
-
-Floats = NDArray[np.float64]
 
 ARRIVED: Final = "arrived"  # end of an episode, one of `behavexplor.data.trace.ENDS`
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, R3, ViolationEvent, violation_event
 from behavexplor.judge.situation import (
@@ -26,8 +26,6 @@ from behavexplor.judge.situation import (
     speed_of,
     touched_side,
 )
-
-Floats = NDArray[np.float64]
 
 LARGE: Final = 7.0  # vehicles longer than this are large [m]
 SLOW: Final = 6.0  # an ego that touches a line at less than this speed was slow [m/s]

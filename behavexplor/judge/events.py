@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Ints
 from behavexplor.data.geometry import distances_from_segments, gaps_from_lines, point_segment_distances
 from behavexplor.data.trace import OFF_ROAD, RESOLUTION, Trace
 from behavexplor.judge.fault import touched_npc
 from behavexplor.judge.specs import ERROR, Collision, Destination, Lines
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 R1, R2, R3 = "R1", "R2", "R3"
 _BLOCK: Final = 8  # frames that share one bound in the search for a touched line

@@ -10,14 +10,11 @@ from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED, is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import Collision, Destination
-
-Floats = NDArray[np.float64]
 
 Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "other"]
 NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})

@@ -1,13 +1,11 @@
 """Signals for requirements on the ego's driving, computed from a trace, each of shape (T,)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.trace import Trace
 from behavexplor.judge.specs import NOTHING_NEAR
-
-Floats = NDArray[np.float64]
 
 
 def speed(trace: Trace) -> Floats:

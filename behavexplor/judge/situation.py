@@ -4,15 +4,13 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED, wrapped
 from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import recent
 from behavexplor.judge.fault import CUT_IN_TIME
-
-Floats = NDArray[np.float64]
 
 CREEPING: Final = 2.0  # vehicles slower than this creep [m/s]
 BRAKING: Final = 2.0  # least mean deceleration of a braking ego over the last `BRAKING_TIME` [m/s2]

@@ -16,8 +16,8 @@ from types import MappingProxyType
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.geometry import (
     changed_frames,
@@ -30,9 +30,6 @@ from behavexplor.data.geometry import (
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, RESOLUTION, Trace
 from behavexplor.errors import InputError
 from behavexplor.judge.arrival import final_distance, poses_until_arrival
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 ERROR: Final = "error"  # recorded in place of a violated spec if the ADS failed instead of returning an action
 DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's: highway-env did not confirm a failure

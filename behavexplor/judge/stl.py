@@ -48,12 +48,9 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.errors import InputError, brief
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 TOLERANCE = 1e-9  # tolerance of times [s], so that 0.1 + 0.2 is within [0, 0.3]
 

@@ -26,7 +26,7 @@ from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import make_vector_env
-from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
+from behavexplor.envs.sb3_vec_env import ScenarioVecEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.repair.retraining_rounds import DivergedError

@@ -6,15 +6,13 @@ from itertools import groupby
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from behavexplor.behavior.distance import Labels
 from behavexplor.behavior.features import ATTRIBUTES, STATISTICS, TIME_STEP
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
-
-Floats = NDArray[np.float64]
 
 LETTERS: Final = "ABCDEFGHIJ"  # names of the abstract states, the slowest first
 _SHOWN: Final = ("speed", "speed-change", "yaw-rate")  # attributes whose means describe a state

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from behavexplor.data.array_types import Floats
 
 WIDTH, HEIGHT = 360.0, 190.0  # size of a chart, in units of its view box
 LEFT, RIGHT, TOP, BOTTOM = 38.0, 8.0, 8.0, 22.0  # margins

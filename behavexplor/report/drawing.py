@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from behavexplor.campaign.store import Execution
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
@@ -22,7 +23,6 @@ from behavexplor.report.colors import Color, page_colors, type_color
 from behavexplor.report.marks import violation_place
 from behavexplor.report.road_shapes import line_kinds
 
-Floats = NDArray[np.float64]
 _Number = TypeVar("_Number", bound=np.generic)
 
 SIDE = 600  # width and height of a picture [px]

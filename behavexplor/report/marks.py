@@ -1,13 +1,11 @@
 """The place at which a trace violates a requirement, which replays and pictures mark with a circle."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, ViolationEvent
-
-Floats = NDArray[np.float64]
 
 
 def violation_place(trace: Trace, event: ViolationEvent) -> tuple[float, float]:

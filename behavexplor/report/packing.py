@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 
-Floats = NDArray[np.float64]
 Steps = NDArray[np.int64]
 
 FRAME_TIME: Final = 0.1  # time between two frames of a replay [s]

@@ -5,15 +5,13 @@ from typing import Any, Final
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor import FUNCTIONAL_SCENARIOS, NAMESPACE
+from behavexplor.data.array_types import Floats
 from behavexplor.data.road_shape import ROAD_FILE, RoadShape
 from behavexplor.data.roadmap import CURB, Lane, RoadMap, Route
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
-
-Floats = NDArray[np.float64]
 
 _CURVE_POINTS: Final = 13  # points along a curved lane
 _MARGIN: Final = 60.0  # distance from the vehicles within which the lines between lanes are shown [m]

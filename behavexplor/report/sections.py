@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Store
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
@@ -25,8 +25,6 @@ from behavexplor.report.reading import Run
 from behavexplor.report.road_shapes import known_road, road_values
 from behavexplor.report.stage_bar import StagePart, stage_parts
 from behavexplor.triage.minimized import trace_path
-
-Floats = NDArray[np.float64]
 
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
 MOST_PLACES: Final = 50_000_000  # of vehicles in frames, in all traces of a page

@@ -4,14 +4,11 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-
-Floats = NDArray[np.float64]
 
 RATE = 20  # frames per second
 

@@ -8,13 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.data.trace import Trace
 from behavexplor.triage.playback import as_actions, recorded_commands
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SPACING: Final = 0.25  # distance between points of a path [m]
 BEYOND: Final = 60.0  # straight extension of a path at its end [m]

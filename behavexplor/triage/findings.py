@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.campaign.record import ERROR, Record
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.data.durable import write_durably
 from behavexplor.data.trace import Trace
@@ -21,8 +21,6 @@ from behavexplor.errors import InputError
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.specs import DIFFERS
-
-Floats = NDArray[np.float64]
 
 FORMAT: Final = 1
 TRIAGE, WITNESSES = "triage.json", "witnesses"

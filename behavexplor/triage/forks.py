@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.rule import Parameters, RulePlanner
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout, rollout_all
 from behavexplor.execution.simulation import Simulation
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
-
-Floats = NDArray[np.float64]
 
 MAX_ACCELERATION: Final = 10.0  # greatest commanded acceleration and deceleration [m/s2]
 MAX_STEERING: Final = math.pi / 3  # greatest commanded steering angle to either side [rad]

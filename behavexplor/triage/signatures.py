@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED, wrapped
 from behavexplor.data.decision_log import ENVIRONMENT, weakness_names
@@ -20,8 +19,6 @@ from behavexplor.judge.classes import LARGE
 from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
 from behavexplor.judge.fault import contact_fault
 from behavexplor.judge.situation import CREEPING, TURNED, heading_before, maneuver_of, speed_of
-
-Floats = NDArray[np.float64]
 
 OUTLOOK: Final = 6.0  # time before a violation in which weaknesses are searched for [s]
 SUDDEN: Final = 2.0  # greater acceleration or deceleration of the other vehicle is sudden [m/s2]

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import scripted
@@ -22,8 +22,6 @@ from behavexplor.judge.events import ViolationEvent, first_line_touch
 from behavexplor.triage.evasion import Evasion, EvasionDriver, path_beside_route, path_straight_on
 from behavexplor.triage.findings import Witness
 from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency, recorded_commands
-
-Floats = NDArray[np.float64]
 
 SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
 SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable

@@ -1,6 +1,6 @@
 from behavexplor.ads.interface import ADS, DecisionLog
 from behavexplor.ads.rule import RulePlanner
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 
 LOGICAL = IntersectionStraightEnv.logical
 

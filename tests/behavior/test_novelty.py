@@ -3,7 +3,7 @@ import pytest
 
 from behavexplor.behavior.miner import MinerOptions
 from behavexplor.behavior.novelty import NoveltyArchive, NoveltyOptions
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.fakes import make_trace, simulate
 

@@ -14,7 +14,7 @@ from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.store import Store
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.fuzz.methods import METHODS

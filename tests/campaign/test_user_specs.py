@@ -16,7 +16,7 @@ from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.judge.robustness import RobustnessSpec, as_spec, load_specs
 from behavexplor.judge.specs import NOTHING_NEAR, judge

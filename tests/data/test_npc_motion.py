@@ -6,7 +6,7 @@ from hypothesis import given
 
 from behavexplor.data.npc_motion import ACCELERATION, HEADING, MAX_ACCELERATION, MIN_ACCELERATION, SPEED, motion_table
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from tests.strategies import scenarios
 
 LOGICAL = IntersectionStraightEnv.logical

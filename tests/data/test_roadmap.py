@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane, Route
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.roads import crossing
+from behavexplor.envs.functional import IntersectionStraightEnv
+from behavexplor.envs.logical_scenarios import crossing
 
 LOGICAL = IntersectionStraightEnv.logical
 

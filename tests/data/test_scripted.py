@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.strategies import scenarios
 

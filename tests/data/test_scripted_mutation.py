@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_mutation import mutate_routes, mutate_waypoints, shift_waypoints
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 
 LOGICAL = IntersectionStraightEnv.logical

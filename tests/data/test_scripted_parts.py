@@ -5,7 +5,7 @@ from hypothesis import given
 
 from behavexplor.data.parts import Part
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.strategies import scenarios
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from behavexplor.envs.engine.actions import make_commands
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import LaneFollowEnv
 
 RANGES = {"acceleration_range": [-3.3, 4.7], "steering_range": [-0.1, 0.77]}
 

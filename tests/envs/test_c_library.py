@@ -15,11 +15,9 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.envs import c_library
-from behavexplor.envs.c_library import with_c_library
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.network import road_network
-from behavexplor.envs.vehicles import EgoVehicle, MetaEgoVehicle
+from behavexplor.envs import road_objects as c_library
+from behavexplor.envs.functional import IntersectionLeftEnv
+from behavexplor.envs.road_objects import EgoVehicle, MetaEgoVehicle, road_network, with_c_library
 
 TRIGONOMETRY = ("sin", "cos", "tan", "arcsin", "arctan", "arctan2")
 angles = st.floats(-1.5, 1.5)

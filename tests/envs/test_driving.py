@@ -14,9 +14,9 @@ import behavexplor
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.npc_motion import SPEED, motion_table
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.envs import viewer
+from behavexplor.envs import plain_simulation as viewer
 from behavexplor.envs.driving import DrivingEnv
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.strategies import seeds
 

@@ -9,8 +9,8 @@ import pytest
 
 import behavexplor
 from behavexplor.envs.env_config import ACTIONS, OBSERVATIONS
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
-from behavexplor.envs.tasks.scripted_reward import WEIGHTS
+from behavexplor.envs.functional import LaneFollowEnv
+from behavexplor.envs.tasks.scripted_outcome import WEIGHTS
 from behavexplor.errors import InputError
 
 IDS = [f"behavexplor/{name}-v0" for name in behavexplor.FUNCTIONAL_SCENARIOS]

@@ -5,8 +5,7 @@ import pytest
 from highway_env.envs.common.observation import KinematicObservation
 from highway_env.vehicle.objects import Landmark, Obstacle
 
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
 from behavexplor.envs.observation_types import FEATURES, Kinematics
 
 CONFIGS = {

@@ -8,9 +8,8 @@ from highway_env.road.lane import LineType
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.roadmap import Route
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.network import road_network
+from behavexplor.envs.functional import IntersectionStraightEnv, LaneChangeEnv
+from behavexplor.envs.road_objects import road_network
 
 LOGICAL = IntersectionStraightEnv.logical
 

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import RecordVideo
 
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import IntersectionLeftEnv, IntersectionStraightEnv, LaneChangeEnv, LaneFollowEnv
 from tests.envs.plain import plain
 
 ENVS = (IntersectionStraightEnv, IntersectionLeftEnv, LaneFollowEnv, LaneChangeEnv)

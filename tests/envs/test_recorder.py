@@ -13,10 +13,9 @@ from behavexplor.data.geometry import box_corners
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.recorder import Recorder
-from behavexplor.envs.tasks.scripted_reward import WEIGHTS
+from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
+from behavexplor.envs.plain_simulation import Recorder
+from behavexplor.envs.tasks.scripted_outcome import WEIGHTS
 
 LEFT = IntersectionLeftEnv.logical
 TIME = np.arange(41) / 20

@@ -48,7 +48,7 @@ def test_highway_env_s_own_are_registered_as_it_registers_them(name):
 
 
 @pytest.mark.parametrize("name", behavexplor.FUNCTIONAL_SCENARIOS)
-def test_each_file_is_named_after_its_scenario(name):
+def test_each_is_named_after_its_scenario(name):
     env = gymnasium.make(f"behavexplor/{name}-v0").unwrapped
     assert env.logical.name == name
     assert env.__doc__
@@ -104,11 +104,21 @@ print(many.logical.name, len(behavexplor.FUNCTIONAL_SCENARIOS))
 """
 
 
-def test_a_fifth_scenario_is_one_new_file(tmp_path):
+def test_a_fifth_scenario_is_one_class_and_its_name(tmp_path):
     package = shutil.copytree(Path(behavexplor.__file__).parent, tmp_path / "behavexplor")
-    folder = package / "envs" / "functional"
-    text = (folder / "lane_follow.py").read_text()
-    text = text.replace("logical = LANE_FOLLOW", 'logical = dataclasses.replace(LANE_FOLLOW, name="lane-keep")')
-    (folder / "lane_keep.py").write_text("import dataclasses\n" + text.replace("LaneFollow", "LaneKeep"))
+    scenarios = package / "envs" / "functional.py"
+    added = """
+import dataclasses
+
+
+class LaneKeepEnv(DrivingEnv):
+    logical = dataclasses.replace(LANE_FOLLOW, name="lane-keep")
+
+
+LaneKeepVectorEnv = vector_env(LaneKeepEnv)
+"""
+    scenarios.write_text(scenarios.read_text() + added)
+    names = (package / "__init__.py").read_text()
+    (package / "__init__.py").write_text(names.replace('"lane-follow")', '"lane-follow", "lane-keep")'))
     result = run(FIFTH.format(folder=str(tmp_path)), tmp_path)
     assert result.stdout == f"lane-keep {len(behavexplor.FUNCTIONAL_SCENARIOS) + 1}\n", result.stderr

@@ -8,8 +8,8 @@ import pytest
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.trace import ENDS
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.tasks.scripted_reward import TERMS, WEIGHTS, reward_terms
+from behavexplor.envs.functional import IntersectionStraightEnv
+from behavexplor.envs.tasks.scripted_outcome import TERMS, WEIGHTS, reward_terms
 from behavexplor.envs.tasks.scripted_slots import RUN, RUNNING
 from behavexplor.judge.specs import judge
 

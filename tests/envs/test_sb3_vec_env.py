@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import LaneFollowEnv
 from behavexplor.envs.vector_env import vector_env
 from behavexplor.errors import InputError
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.envs.making import make_env, make_vector_env
-from behavexplor.envs.scenario_vec_env import ScenarioVecEnv
+from behavexplor.envs.sb3_vec_env import ScenarioVecEnv
 
 
 @pytest.fixture(params=[("lane-change", {"duration": 4}), ("highway-fast-v0", {})], ids=lambda given: given[0])

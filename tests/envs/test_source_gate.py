@@ -27,6 +27,7 @@ import behavexplor
 from behavexplor.envs import source_gate
 from behavexplor.envs.driving import DrivingEnv
 from behavexplor.envs.engine.vehicle_parameters import TRAFFIC
+from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.envs.source_gate import (
@@ -38,7 +39,6 @@ from behavexplor.envs.source_gate import (
     replaced,
     replaced_in,
 )
-from behavexplor.envs.stock import StockVectorEnv
 from behavexplor.errors import InputError
 from tests.envs.patches import MOMENTS, classes_of_engines, in_child, other, patches
 
@@ -143,7 +143,7 @@ def test_a_patched_environment_runs_in_highway_env_itself_with_one_warning(monke
     assert isinstance(env, SyncVectorEnv)
     assert len(env.envs[0].unwrapped.road.vehicles) == 3
     with pytest.raises(InputError, match=r"HighwayEnv._create_vehicles.*vectorization_mode='sync'"):
-        StockVectorEnv(HighwayEnvFast)
+        HighwayVectorEnv(HighwayEnvFast)
     with pytest.warns(UserWarning, match="highway-env itself runs"):
         trained = HighwayVecEnv([lambda: gymnasium.make("highway-fast-v0", config={"duration": 2})] * 2)
     trained.reset()
@@ -154,7 +154,7 @@ def test_a_patched_environment_runs_in_highway_env_itself_with_one_warning(monke
 def test_patches_of_other_environments_do_not_matter(monkeypatch):
     monkeypatch.setattr(RoundaboutEnv, "_reward", lambda *_: 0.0)
     assert isinstance(
-        gymnasium.make_vec("behavexplor/highway-fast-v0", vectorization_mode="vector_entry_point"), StockVectorEnv
+        gymnasium.make_vec("behavexplor/highway-fast-v0", vectorization_mode="vector_entry_point"), HighwayVectorEnv
     )
 
 
@@ -171,7 +171,7 @@ def test_scripted_environments_refuse_by_name(monkeypatch):
 
 
 def test_automatic_resets_look_too(monkeypatch):
-    env = StockVectorEnv(HighwayEnvFast, 1, {"duration": 1}, autoreset_mode="SameStep")
+    env = HighwayVectorEnv(HighwayEnvFast, 1, {"duration": 1}, autoreset_mode="SameStep")
     env.reset(seed=0)
     monkeypatch.setattr(IDMVehicle, "mobil", lambda *_: True)
     with pytest.raises(InputError, match=r"IDMVehicle.mobil changed"):  # noqa: PT012 - at every eighth reset
@@ -181,7 +181,7 @@ def test_automatic_resets_look_too(monkeypatch):
 
 def test_an_environment_of_an_intersection_elsewhere_changes_nothing():
     expected = IDMVehicle.DISTANCE_WANTED
-    env = StockVectorEnv(HighwayEnvFast, 1, {"duration": 3})
+    env = HighwayVectorEnv(HighwayEnvFast, 1, {"duration": 3})
     first, _ = env.reset(seed=0)
     IntersectionEnv()
     assert expected != IDMVehicle.DISTANCE_WANTED
@@ -204,7 +204,7 @@ class CountingEnv(HighwayEnvFast):
 
 
 def test_what_own_starts_do_to_their_classes_is_supported():
-    env = StockVectorEnv(CountingEnv, 1, {"duration": 1})
+    env = HighwayVectorEnv(CountingEnv, 1, {"duration": 1})
     for _ in range(3):
         env.reset()
     assert CountingEnv.episodes == 4  # the first one when it was made
@@ -227,15 +227,15 @@ def test_guards_can_be_copied_and_pickled(monkeypatch):
 
 
 def test_what_changes_in_place_or_in_an_import_is_noticed_when_an_environment_is_made_again(monkeypatch):
-    StockVectorEnv(HighwayEnvFast)
+    HighwayVectorEnv(HighwayEnvFast)
     monkeypatch.setitem(DiscreteMetaAction.ACTIONS_ALL, 0, "IDLE")
     with pytest.raises(InputError, match=r"DiscreteMetaAction.ACTIONS_ALL"):
-        StockVectorEnv(HighwayEnvFast)
+        HighwayVectorEnv(HighwayEnvFast)
     monkeypatch.undo()
-    StockVectorEnv(HighwayEnvFast)
+    HighwayVectorEnv(HighwayEnvFast)
     monkeypatch.setattr(abstract, "observation_factory", partial(observation_factory))
     with pytest.raises(InputError, match=r"abstract.observation_factory"):
-        StockVectorEnv(HighwayEnvFast)
+        HighwayVectorEnv(HighwayEnvFast)
 
 
 def test_an_array_in_place_of_another_is_a_change(monkeypatch):

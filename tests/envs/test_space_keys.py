@@ -7,8 +7,8 @@ from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import ObservationType, observation_factory
 
 from behavexplor import evaluate, find_failures
+from behavexplor.envs.env_config import STOCK_ACTIONS, STOCK_OBSERVATIONS
 from behavexplor.envs.making import check_keys, make_registered
-from behavexplor.envs.space_keys import STOCK_ACTIONS, STOCK_OBSERVATIONS
 from behavexplor.errors import InputError
 
 KINEMATICS = {"type": "Kinematics", "vehicles_count": 7, "features": ["presence", "x"]}

@@ -19,12 +19,15 @@ import behavexplor
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.trace import RESOLUTION
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv, LaneFollowVectorEnv
+from behavexplor.envs.functional import (
+    IntersectionLeftEnv,
+    IntersectionStraightEnv,
+    LaneChangeEnv,
+    LaneFollowEnv,
+    LaneFollowVectorEnv,
+)
 from behavexplor.envs.observation_types import FEATURES
-from behavexplor.envs.recorder import Recorder
+from behavexplor.envs.plain_simulation import Recorder
 from behavexplor.envs.vector_env import DrivingVectorEnv, vector_env
 from behavexplor.errors import InputError
 from tests.envs.plain import plain

@@ -12,9 +12,8 @@ from behavexplor.envs.engine import contact, lane_keeping
 from behavexplor.envs.engine.contact import boxes_touch, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.state import VEHICLE
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.network import road_network
+from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
+from behavexplor.envs.road_objects import road_network
 from behavexplor.envs.tasks.scripted_world import make_world
 from tests.kernel_calls import called_alone
 

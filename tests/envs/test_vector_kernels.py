@@ -21,12 +21,11 @@ from behavexplor.envs.engine.bicycle import _limit_commands
 from behavexplor.envs.engine.contact import boxes_touch, line_distance, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
 from behavexplor.envs.engine.state import TRAITS, VEHICLE
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.network import road_network
+from behavexplor.envs.functional import IntersectionLeftEnv, IntersectionStraightEnv, LaneChangeEnv
+from behavexplor.envs.road_objects import MetaEgoVehicle, place_ego, road_network
 from behavexplor.envs.tasks import scripted_slots as slots
 from behavexplor.envs.tasks import scripted_step as step
+from behavexplor.envs.tasks.scripted_outcome import POSE
 from behavexplor.envs.tasks.scripted_slots import (
     RUN,
     RUNNING,
@@ -35,9 +34,7 @@ from behavexplor.envs.tasks.scripted_slots import (
     move_npcs,
     npc_arrays,
 )
-from behavexplor.envs.tasks.scripted_trace import POSE
 from behavexplor.envs.tasks.scripted_world import make_world
-from behavexplor.envs.vehicles import MetaEgoVehicle, place_ego
 from tests.kernel_calls import called_alone
 
 boxes_touch = called_alone(boxes_touch)

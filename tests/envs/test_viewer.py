@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs import viewer
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs import plain_simulation as viewer
+from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
 from behavexplor.errors import InputError
 
 VIEW = {"screen_width": 600, "screen_height": 300, "scaling": 10.0, "centering_position": [0.5, 0.5]}

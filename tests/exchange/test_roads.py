@@ -10,7 +10,7 @@ from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.road_plan import SineLane, part_of, plan_of_map
 from behavexplor.data.roadmap import Lane
-from behavexplor.envs.drawn.course import road_plan
+from behavexplor.envs.highway.course import road_plan
 from behavexplor.envs.making import make_registered
 from behavexplor.errors import InputError
 from behavexplor.exchange.axes import mirrored_lane, mirrored_points

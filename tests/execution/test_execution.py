@@ -9,7 +9,7 @@ import pytest
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
@@ -141,9 +141,7 @@ def test_environment_names(name):
 
 def test_an_environment_of_another_package():
     """It is registered elsewhere, says what it can run, and takes highway-env's config."""
-    gymnasium.register(
-        "elsewhere/crossing-v3", "behavexplor.envs.functional.intersection_straight:IntersectionStraightEnv"
-    )
+    gymnasium.register("elsewhere/crossing-v3", "behavexplor.envs.functional:IntersectionStraightEnv")
     try:
         trace = Simulation("elsewhere/crossing-v3", "tests.drivers:cruiser").run(
             ScriptedScenario("intersection-straight", ())

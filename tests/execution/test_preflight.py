@@ -6,7 +6,7 @@ import pytest
 from behavexplor.execution.preflight import SCENARIOS, preflight_warnings
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser, Lost
-from tests.envs.drawn import strange
+from tests.envs.highway import strange
 
 
 class Parked(Cruiser):

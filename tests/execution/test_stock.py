@@ -18,7 +18,7 @@ from behavexplor.execution.evaluator import EXECUTE, PREFLIGHT
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.specs import DIFFERS
-from tests.envs.drawn import strange
+from tests.envs.highway import strange
 
 FAILING = "constant:IDLE"  # in merge-v0, it drives into the vehicle ahead
 

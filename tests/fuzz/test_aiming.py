@@ -7,8 +7,7 @@ import pytest
 
 from behavexplor.data.npc_motion import HEADING, X, Y, motion_table
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
 from behavexplor.fuzz.aiming import INTERVAL, Aiming, AimingOptions, Drive
 from tests.fakes import LOGICAL, make_trace
 

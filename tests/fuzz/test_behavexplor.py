@@ -8,7 +8,7 @@ import pytest
 
 from behavexplor.campaign.config import read_config
 from behavexplor.data.validation import checked
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.assessment import AssessmentOptions
 from behavexplor.fuzz.behavexplor import BehAVExplor, BehAVExplorOptions

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional import LaneChangeEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.given import Given, GivenOptions
 from behavexplor.fuzz.search import SearchExhausted

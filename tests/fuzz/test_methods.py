@@ -16,10 +16,7 @@ from pydantic import TypeAdapter
 
 from behavexplor.campaign.config import campaign_config, checked, read_config
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.functional.intersection_left import IntersectionLeftEnv
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import IntersectionLeftEnv, IntersectionStraightEnv, LaneChangeEnv, LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.encounters import EMPTY_ROAD
 from behavexplor.fuzz.methods import METHODS, describe_method, load_method

@@ -9,7 +9,7 @@ import numpy as np
 
 from behavexplor.data.trace import Trace
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 
 LOGICAL = IntersectionStraightEnv.logical
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional import LaneChangeEnv
 from behavexplor.repair.scenario_pool import FULL, MOST, Pool, read_pool
 
 LOGICAL = LaneChangeEnv.logical

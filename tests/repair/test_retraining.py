@@ -24,7 +24,7 @@ from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.commands.retrain import comparison
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.target import Target
-from behavexplor.envs.functional.lane_change import LaneChangeEnv
+from behavexplor.envs.functional import LaneChangeEnv
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
 from behavexplor.repair import finding, retraining, trainees

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from behavexplor.data.road_shape import RoadShape
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.report import drawing
 from behavexplor.report.colors import page_colors
 from behavexplor.report.drawing import SIDE, Footage, decisive_frame, draw, save_animation

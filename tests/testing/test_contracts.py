@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import behavexplor
-from behavexplor.envs.functional.lane_follow import LaneFollowEnv
+from behavexplor.envs.functional import LaneFollowEnv
 from behavexplor.errors import InputError
 from behavexplor.fuzz.methods import METHODS
 from behavexplor.fuzz.search import Candidate

@@ -11,7 +11,7 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.triage.blame import blame
 from behavexplor.triage.closed_loop import BY_CHANCE, CONSTANT, ScriptedDriver, drive_again, find_driver
 from behavexplor.triage.findings import witness_from, witness_values
-from tests.envs.drawn import strange
+from tests.envs.highway import strange
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,10 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.learned.tracker import ACCELERATIONS, N_LANE_CHOICES
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MEAN, MOST_PROBABLE, DRAWN = 0, 1, 2  # ways to choose
 ACCELERATION_TABLE: Final = np.array(ACCELERATIONS)

@@ -22,13 +22,11 @@ from behavexplor.ads.learned.tracker import (
     track,
 )
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for, kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 POLICY_FREQUENCY: Final = round(1 / PERIOD)
 

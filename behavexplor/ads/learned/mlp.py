@@ -5,12 +5,9 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _CACHE_LINE: Final = 64  # bytes
 

@@ -3,9 +3,6 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.learned.route_table import (
     END,
     IN,
@@ -18,10 +15,9 @@ from behavexplor.ads.road.lane_arrays import HEADING as LANE_HEADING
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.lane_arrays import is_near_center_line, project_on_lane
 from behavexplor.ads.road.path import SPACING, pose_on_path, project_on_path, row_at
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import ACCELERATION, EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 HORIZON: Final = 8.0  # longest time to a conflict [s]
 RANGE: Final = 50.0  # distance that is scaled to 1 [m]

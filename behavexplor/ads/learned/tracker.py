@@ -3,18 +3,14 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.learned.observation import lanes_beside
 from behavexplor.ads.learned.route_table import Course
 from behavexplor.ads.road.path import limit_at, project_on_path, row_at
 from behavexplor.ads.road.steering import steer
 from behavexplor.ads.scene_io import ACCELERATION_RANGE
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import EGO, SPEED, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 PERIOD: Final = 0.2  # time between decisions [s]
 ACCELERATIONS: Final = (-6.0, -3.0, -1.0, 0.0, 2.0)  # [m/s2]

@@ -5,12 +5,10 @@ from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import Lane
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 X: Final = 0  # start of the center line, x and y [m]
 Y: Final = 1

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import (
     CURVATURE,
@@ -16,11 +15,10 @@ from behavexplor.ads.road.lane_arrays import (
     pose_on_lane,
     project_on_lane,
 )
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import Lane, RoadMap
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 SPACING: Final = 1.0  # distance between the stations of the tables of limits and neighboring lanes [m]
 LATERAL_ACCELERATION: Final = 2.5  # greatest lateral acceleration in curves [m/s2]

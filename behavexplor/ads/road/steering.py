@@ -3,15 +3,11 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path, pose_on_path
 from behavexplor.ads.scene_io import STEERING_RANGE
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 LOOK_AHEAD: Final = 4.0  # distance of the pursued point at standstill [m]
 LOOK_AHEAD_TIME: Final = 0.3  # growth of that distance with speed [s]

@@ -4,16 +4,13 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import COS, CURVATURE, LENGTH, SIN, pose_on_lane
 from behavexplor.ads.road.path import Path, is_straight, locate_on_path
 from behavexplor.ads.rule.boxes import SLACK
 from behavexplor.ads.rule.lateral import LateralProfile
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 LEAST, GREATEST = 0, 1  # offsets from the route within a meter of a lane [m]
 SKEW = 2  # greatest sine of the angle to the route there; 1 on curves and beside them

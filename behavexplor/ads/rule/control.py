@@ -3,20 +3,15 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path, point_beside, pose_on_path
 from behavexplor.ads.rule.lateral import LateralProfile, offset_at
 from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PERIOD: Final = 0.1  # time between two decisions [s]
 

@@ -3,9 +3,6 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
 from behavexplor.ads.rule.control import PERIOD, accelerate, steer
 from behavexplor.ads.rule.decision import (
@@ -39,8 +36,6 @@ from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.data.scene import EGO, HEADING, SPEED, WIDTH, X, Y
 from behavexplor.data.scene import LENGTH as EGO_LENGTH
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 HARD_LIMIT: Final = 8.0  # full braking [m/s2]
 SUDDEN_TIME: Final = 3.0  # time of weak braking after another vehicle's sudden change of speed (R1-4) [s]

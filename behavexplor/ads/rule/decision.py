@@ -3,7 +3,6 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.memory import Memory
@@ -21,10 +20,8 @@ from behavexplor.ads.rule.station_time import (
     StationTime,
 )
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
+from behavexplor.data.array_types import Ints
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CRUISE: Final = 0  # drive as on a free road
 FOLLOW: Final = 1  # adapt the speed to other vehicles

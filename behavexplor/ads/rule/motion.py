@@ -3,17 +3,13 @@
 import math
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.occlusion import hidden_share
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.weaknesses import R1_1, R1_2, R1_4, R1_7
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import ACCELERATION, EGO, LENGTH, SPEED, WIDTH, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 MOVES: Final = 0.05  # speed above which a vehicle moves [m/s]
 SUDDEN: Final = 2.0  # acceleration or braking beyond which a change of speed is sudden [m/s2]

@@ -3,13 +3,9 @@
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 TWO_PI = 2 * math.pi
 MARGIN: Final = 1e-6  # much more than the share by which roundings change a product

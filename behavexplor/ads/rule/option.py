@@ -3,9 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.decision import (
@@ -33,9 +30,8 @@ from behavexplor.ads.rule.speed_motions import Situation
 from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
 from behavexplor.ads.rule.weaknesses import R1_5, note
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 
 class Surroundings(NamedTuple):

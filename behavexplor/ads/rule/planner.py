@@ -18,11 +18,10 @@ from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import empty_station_time
 from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
+from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
 from behavexplor.jit import compiled_for, kernel
-
-Floats = NDArray[np.float64]
 
 _LOGGED: Final = ("decision", "maneuver", "lane", "survived", "reached", "triggered")
 _STORED_NAMES: Final = MappingProxyType({"maneuver": "manoeuvre"})  # the key in stored traces

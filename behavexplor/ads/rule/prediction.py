@@ -4,7 +4,6 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import (
     COS,
@@ -22,11 +21,9 @@ from behavexplor.ads.road.lane_arrays import (
 from behavexplor.ads.road.path import Path
 from behavexplor.ads.rule.beside import beside_route
 from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 TWO_PI = 2 * math.pi
 SAGITTA: Final = 0.5  # more than the distance between an arc and a chord of 1 m [m]

@@ -5,9 +5,6 @@ Their arithmetic then has no branches, so the processor works on several motions
 
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed_grid import ACCELERATIONS, N_BINS
@@ -21,9 +18,8 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 MOST_HURRY: Final = 1.5  # weight of the delay in the first interval
 

@@ -4,7 +4,6 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed_grid import (
@@ -34,10 +33,8 @@ from behavexplor.ads.rule.speed_motions import (
     drive,
 )
 from behavexplor.ads.rule.station_time import HARD_LOW, INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel, kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CLOSE, WIDE = 1.1, 1.5  # the first two bounds of the search, in multiples of the expected cost
 ROUNDING: Final = 1e-9  # much more than the share by which roundings change a cost

@@ -4,7 +4,6 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
@@ -16,11 +15,9 @@ from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weakn
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach
 from behavexplor.ads.rule.weaknesses import R1_8, note
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, WIDTH, X, Y
 from behavexplor.jit import kernel, kernel_inner
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 INTERVAL: Final = 0.25  # duration of one interval [s]
 N_INTERVALS: Final = 32  # number of intervals, up to 8 s

@@ -3,14 +3,10 @@
 import math
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
+from behavexplor.data.array_types import Floats
 from behavexplor.data.scene import EGO, HEADING, LENGTH, PRESENT, SPEED, WIDTH, X, Y
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 STATION, OFFSET, TURNED, HALF_ALONG, HALF_ACROSS, ALONG_SPEED = range(6)  # columns of the table of other vehicles
 N_OTHER_COLUMNS: Final = 6

@@ -9,13 +9,9 @@ it changed the output of its module. Source of all: paper section 4.1.2, the par
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data.array_types import Ints
 from behavexplor.data.decision_log import bit_of
 from behavexplor.jit import kernel_inner
-
-Ints = NDArray[np.int64]
 
 REACHED, TRIGGERED = 0, 1
 

@@ -19,10 +19,9 @@ from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_tru
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.drawing_actions import noise_of
 from behavexplor.ads.sb3.normalization import Moments, Statistics
+from behavexplor.data.array_types import Floats
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, brief, sentence
-
-Floats = NDArray[np.float64]
 
 _LOG = logging.getLogger(__name__)
 _MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions

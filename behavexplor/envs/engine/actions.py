@@ -10,12 +10,12 @@ from gymnasium import Space, spaces
 from highway_env.envs.common.action import ActionType, ContinuousAction, DiscreteAction, DiscreteMetaAction
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.envs.values import shown
 from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for, kernel_in_place
 
-Floats = NDArray[np.float64]
 Commands: TypeAlias = Callable[[NDArray[Any]], Floats]  # converts actions, shape (B, ...), to commands, shape (B, 2)
 
 

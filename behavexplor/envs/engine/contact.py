@@ -7,14 +7,10 @@ There are two tests of boxes. They decide differently where boxes touch without 
 import math
 from typing import Final, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data.array_types import Floats
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.engine.state import OBSTACLE, Records, Traits, Vehicle
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 Corners: TypeAlias = tuple[tuple[float, float, float, float], tuple[float, float, float, float]]  # all x, all y [m]
 

@@ -5,8 +5,8 @@ from typing import Any, Final
 
 import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import MANEUVERS
 from behavexplor.envs.engine.lane_geometry import (
     is_after_end,
@@ -20,8 +20,6 @@ from behavexplor.envs.engine.lane_geometry import (
 from behavexplor.envs.engine.lane_network import Lane, Network
 from behavexplor.envs.engine.state import SAME_NUMBER, Records, Traits, Vehicle
 from behavexplor.jit import kernel_inner
-
-Floats = NDArray[np.float64]
 
 LANE_LEFT, IDLE, LANE_RIGHT, FASTER, SLOWER = range(len(MANEUVERS))
 

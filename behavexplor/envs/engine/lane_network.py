@@ -11,13 +11,12 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from highway_env.road.lane import AbstractLane, CircularLane, SineLane, StraightLane
 from highway_env.road.road import LaneIndex, RoadNetwork
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Ints
 from behavexplor.envs.engine.state import Records, record_type
 from behavexplor.envs.source_gate import replaced
 from behavexplor.errors import InputError
 
-Ints = NDArray[np.int64]
 Lane: TypeAlias = np.record
 
 STRAIGHT, SINE, CIRCULAR = range(3)  # `kind` of a lane

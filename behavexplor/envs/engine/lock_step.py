@@ -10,12 +10,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Bools, Floats
 from behavexplor.envs.source_gate import ChangeGuard
 from behavexplor.envs.values import COUNT, shown
 from behavexplor.errors import InputError, unknown_name
-
-Bools = NDArray[np.bool_]
-Floats = NDArray[np.float64]
 
 
 class LockStepVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):

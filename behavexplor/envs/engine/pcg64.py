@@ -20,10 +20,10 @@ import numpy as np
 from numba.np.random import _constants as numpy_tables
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner
 
 Words = NDArray[np.uint64]
-Floats = NDArray[np.float64]
 
 N_WORDS = 8
 HIGH, LOW, INCREMENT_HIGH, INCREMENT_LOW, HAS_HALF, HALF, NEXT_FORM, N_FORMS = range(N_WORDS)

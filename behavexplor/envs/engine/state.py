@@ -8,7 +8,8 @@ from typing import Final, NamedTuple, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
+from behavexplor.data.array_types import Ints
+
 Vehicle: TypeAlias = np.record
 Traits: TypeAlias = np.record
 Episode: TypeAlias = np.record

@@ -1,7 +1,8 @@
 """Traits of highway-env's vehicles and obstacles: how they drive, as far as it does not change in an episode."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, Final
 
 import numpy as np
@@ -41,6 +42,7 @@ TRAFFIC: Final = frozenset(  # parameters that are read from the classes of the 
 _CHANGEABLE: Final = TRAFFIC | {"LENGTH", "WIDTH", "MIN_SPEED", "MAX_SPEED"}  # by subclasses
 _ACCELERATION_GAINS: Final = ("speed_gain", "front_speed_gain", "front_gap_gain")
 _STEERING_GAINS: Final = ("heading_gain", "offset_gain")
+Parameters = dict[type, dict[str, Any]]
 
 
 def kind_of(cls: type[RoadObject]) -> int:
@@ -120,3 +122,58 @@ def _read_driver(traits: Traits, source: Any) -> None:
 def _put(traits: Traits, fields: tuple[str, ...], values: Iterable[float]) -> None:
     for field, value in zip(fields, values, strict=True):
         traits[field] = value
+
+
+class VehicleClasses:
+    """The parameters of highway-env's vehicle classes as one environment has left them.
+
+    `IntersectionEnv` sets attributes of the class of its vehicles in each reset, and relies on them while it runs, so it
+    would change all others in the process. An environment begins with those that it finds, as without this class.
+    """
+
+    def __init__(self) -> None:
+        self._own: Parameters | None = None
+
+    @contextmanager
+    def applied(self) -> Iterator[None]:
+        """Let the environment run with the parameters that it left, and give all others theirs back afterwards."""
+        others = parameters()
+        if self._own is not None:
+            set_parameters(self._own)
+        try:
+            yield
+        finally:
+            self._own = parameters()
+            set_parameters(others)
+
+
+@contextmanager
+def kept_parameters() -> Iterator[None]:
+    """Undo afterwards what `IntersectionEnv` does to the class of its vehicles."""
+    before = parameters()
+    try:
+        yield
+    finally:
+        set_parameters(before)
+
+
+def parameters() -> Parameters:
+    """Return the parameters, which are named in capitals, by class."""
+    found: Parameters = {}
+    classes: list[type] = [IDMVehicle]
+    while classes:
+        kind = classes.pop()
+        found[kind] = {name: value for name, value in vars(kind).items() if name.isupper()}
+        classes += kind.__subclasses__()
+    return found
+
+
+def set_parameters(parameters: Parameters) -> None:
+    """Give the classes the parameters, and take from them those that are not named."""
+    for kind, wanted in parameters.items():
+        present = {name: value for name, value in vars(kind).items() if name.isupper()}
+        for name in present.keys() - wanted.keys():
+            delattr(kind, name)
+        for name, value in wanted.items():
+            if present.get(name, ...) is not value:
+                setattr(kind, name, value)

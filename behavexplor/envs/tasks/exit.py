@@ -8,9 +8,8 @@ from highway_env.road.road import LaneIndex
 from numpy.typing import NDArray
 
 from behavexplor.envs.engine.pcg64 import Words, weighted
-from behavexplor.envs.engine.placing import AS_EGO, AS_OTHER, plan_route
 from behavexplor.envs.engine.state import Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, plan_route
 from behavexplor.envs.tasks.highway import place_in_front, put_spacing
 from behavexplor.envs.tasks.reward_terms import CRASHED, GOAL_LANE, SPEED, TARGET_LANE_NUMBER
 from behavexplor.envs.tasks.task import Config, Task, TaskKind

@@ -9,9 +9,8 @@ from highway_env.envs.highway_env import HighwayEnv, HighwayEnvFast
 
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
 from behavexplor.envs.engine.pcg64 import Words, integer, uniform
-from behavexplor.envs.engine.placing import AS_EGO, AS_OTHER, draw_behavior, place_on_lane
 from behavexplor.envs.engine.state import Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, draw_behavior, place_on_lane
 from behavexplor.envs.tasks.reward_terms import CRASHED, ON_ROAD, SPEED_AHEAD, TARGET_LANE
 from behavexplor.envs.tasks.task import DRAWN, Config, Task, TaskKind
 from behavexplor.errors import InputError

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from behavexplor.envs.engine.lane_geometry import lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.lane_network import Network
 from behavexplor.envs.engine.pcg64 import FOUR, NEXT_FORM, THREE, Words, integer, is_given, normal, two_of, uniform
-from behavexplor.envs.engine.placing import AS_EGO, AS_OTHER, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.engine.state import MDP, NO_ROUTE, PLAIN, Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.tasks.reward_terms import ARRIVED, CRASHED, ON_ROAD, SPEED
 from behavexplor.envs.tasks.task import DRAWN, Config, Task, TaskKind
 from behavexplor.jit import kernel_inner

@@ -6,9 +6,8 @@ from highway_env.envs.merge_env import MergeEnv
 
 from behavexplor.envs.engine.lane_geometry import lane_point
 from behavexplor.envs.engine.pcg64 import TWO, Words, integer, uniform
-from behavexplor.envs.engine.placing import AS_EGO, AS_OTHER, place_vehicle
 from behavexplor.envs.engine.state import Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, place_vehicle
 from behavexplor.envs.tasks.reward_terms import CRASHED, FREE_SPEED, LANE_CHANGE, LANE_NUMBER, SLOW_ON_GOAL
 from behavexplor.envs.tasks.task import Task, TaskKind, check_discrete
 from behavexplor.jit import kernel_inner

@@ -4,8 +4,8 @@ from typing import Any, Final
 
 import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.envs.engine.lane_geometry import is_on_road, lane_coordinates
 from behavexplor.envs.engine.lane_keeping import clip, nearest_speed
 from behavexplor.envs.engine.state import MDP, NO_LANE, PLAIN, Records, Scene
@@ -13,7 +13,6 @@ from behavexplor.envs.engine.world import World
 from behavexplor.envs.tasks.task import NO_TERM
 from behavexplor.jit import kernel_inner
 
-Floats = NDArray[np.float64]
 Vehicle = np.record
 
 SPEED: Final = 0  # the ego's speed as a share of `reward_speed_range`, clipped to [0, 1]

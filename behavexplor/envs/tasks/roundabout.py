@@ -8,9 +8,8 @@ from highway_env.envs.roundabout_env import RoundaboutEnv
 
 from behavexplor.envs.engine.lane_geometry import lane_heading, lane_point
 from behavexplor.envs.engine.pcg64 import THREE, Words, integer
-from behavexplor.envs.engine.placing import AS_EGO, draw_behavior, place_nearby, place_vehicle, plan_route
 from behavexplor.envs.engine.state import Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, World, draw_behavior, place_nearby, place_vehicle, plan_route
 from behavexplor.envs.tasks.reward_terms import CRASHED, DEFAULT_SPEED_CHOICE, LANE_CHANGE, ON_ROAD
 from behavexplor.envs.tasks.task import DRAWN, Config, Task, TaskKind, check_discrete
 from behavexplor.jit import kernel_inner

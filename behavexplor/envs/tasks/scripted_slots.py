@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.npc_motion import (
     BEGIN,
     N_PHASE_COLUMNS,
@@ -27,12 +27,10 @@ from behavexplor.envs.engine import state as engine_state
 from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane
 from behavexplor.envs.engine.state import Records, Traits, Vehicle, record_type
-from behavexplor.envs.tasks.scripted_trace import POSE
+from behavexplor.envs.tasks.scripted_outcome import POSE
 from behavexplor.envs.tasks.scripted_world import ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Run: TypeAlias = np.record
 
 RUNNING, IDLE = -1, -2  # `end` if no episode has ended; otherwise it is an index of `behavexplor.data.trace.ENDS`
@@ -60,7 +58,7 @@ class ScriptedSlots(NamedTuple):
         scripts: route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`.
         phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
             `behavexplor.data.npc_motion.fill_phases`.
-        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_trace.POSE`.
+        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_outcome.POSE`.
         actions: the actions of each decision, shape (B, D, A).
     """
 

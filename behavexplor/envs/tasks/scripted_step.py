@@ -1,27 +1,24 @@
-"""Simulate one decision of every ego, from its command to the outcome."""
+"""Simulate one decision of every ego, from its command to the outcome, and observe it."""
 
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from behavexplor.data import scene
+from behavexplor.data.array_types import Bools, Floats, Singles
 from behavexplor.data.conventions import is_rear_end
 from behavexplor.data.trace import ENDS
 from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.contact import boxes_touch, corners, touches_line
-from behavexplor.envs.engine.lane_geometry import lane_coordinates
+from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates
 from behavexplor.envs.engine.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.state import Records, Traits, Vehicle
+from behavexplor.envs.engine.observing import LONG_OFF, View, observe
+from behavexplor.envs.engine.state import Records, Scene, Scratch, Traits, Vehicle
+from behavexplor.envs.tasks.scripted_outcome import Pose
 from behavexplor.envs.tasks.scripted_slots import RUNNING, Run, ScriptedSlots, move_npcs
-from behavexplor.envs.tasks.scripted_trace import Pose
 from behavexplor.envs.tasks.scripted_world import ScriptedRules, ScriptedWorld
 from behavexplor.jit import kernel_in_place, kernel_inner
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 COLLISION, ARRIVED, PASSED, STANDSTILL, TIMEOUT = (
     ENDS.index(end) for end in ("collision", "arrived", "passed", "standstill", "timeout")
@@ -200,3 +197,46 @@ def _station(ego_route: Records, x: float, y: float) -> float:
         if gap < nearest:
             best, nearest = piece.begin + station, gap
     return best
+
+
+@kernel_in_place
+def observe_scene(slots: ScriptedSlots, chosen: Bools, observations: Floats) -> None:
+    """Fill the `Scene` observations of the chosen slots, shape (B, 1 + N, 8); see `behavexplor.data.scene`."""
+    for b in range(len(chosen)):
+        if not chosen[b]:
+            continue
+        observations[b] = 0.0
+        vehicles, traits = slots.state.vehicles[b], slots.state.traits[b]
+        for i in range(slots.state.episodes[b].n_vehicles):
+            row, vehicle, size = observations[b, i], vehicles[i], traits[i]
+            row[scene.PRESENT] = 1.0
+            row[scene.X], row[scene.Y], row[scene.HEADING] = vehicle.x, vehicle.y, vehicle.heading
+            row[scene.SPEED], row[scene.ACCELERATION] = vehicle.speed, vehicle.acceleration
+            row[scene.LENGTH], row[scene.WIDTH] = size.length, size.width
+
+
+@kernel_in_place
+def observe_kinematics(
+    world: ScriptedWorld, slots: ScriptedSlots, view: View, scratch: Scratch, chosen: Bools, observations: Singles
+) -> None:
+    """Fill the Kinematics observations of the chosen slots, shape (B, vehicles_count, features)."""
+    shows_lanes = False
+    for k in range(len(view.columns)):
+        shows_lanes |= view.columns[k].feature >= LONG_OFF
+    state = slots.state
+    for b in range(len(chosen)):
+        if not chosen[b]:
+            continue
+        watched = Scene(state.episodes[b], state.vehicles[b], state.traits[b], state.routes[b], scratch)
+        _update_lane(world.network, watched.vehicles[0])
+        for i in range(1, watched.episode.n_vehicles):
+            npc = watched.vehicles[i]
+            npc.cos, npc.sin = math.cos(npc.heading), math.sin(npc.heading)
+            if shows_lanes:
+                _update_lane(world.network, npc)
+        observe(world.network, view, watched, observations[b])
+
+
+@kernel_inner
+def _update_lane(network: Network, vehicle: Vehicle) -> None:
+    vehicle.lane = closest_lane(network, vehicle.lane, vehicle.x, vehicle.y, vehicle.heading)[0]

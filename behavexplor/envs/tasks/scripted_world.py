@@ -8,16 +8,15 @@ from highway_env.envs.common.action import ContinuousAction, DiscreteMetaAction
 from highway_env.vehicle.kinematics import Vehicle
 from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.conventions import ARRIVAL_DISTANCE, PASSED_DISTANCE, STANDING_SPEED, STANDSTILL_TIME, TERMINAL
 from behavexplor.data.npc_motion import Routes, route_arrays
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.engine.lane_network import Network, make_network, road_numbers
 from behavexplor.envs.engine.state import ROUTE_STEP, Records, record_type
-from behavexplor.envs.network import LANE_CLASSES, road_network
+from behavexplor.envs.road_objects import LANE_CLASSES, road_network
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 ScriptedRules: TypeAlias = np.record
 
 RULES: Final = record_type(

@@ -8,14 +8,11 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.road import LaneIndex
-from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.state import SAME_NUMBER, VEHICLE, Records, record_type
 from behavexplor.errors import InputError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 Config: TypeAlias = Mapping[str, Any]
 

@@ -6,9 +6,8 @@ from highway_env.envs.two_way_env import TwoWayEnv
 
 from behavexplor.envs.engine.lane_geometry import lane_heading, lane_point
 from behavexplor.envs.engine.pcg64 import Words, normal
-from behavexplor.envs.engine.placing import AS_EGO, AS_OTHER, place_vehicle
 from behavexplor.envs.engine.state import Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, place_vehicle
 from behavexplor.envs.tasks.reward_terms import LEFT_LANE, SPEED_CHOICE
 from behavexplor.envs.tasks.task import Config, Task, TaskKind
 from behavexplor.errors import InputError

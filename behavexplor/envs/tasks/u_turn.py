@@ -7,9 +7,8 @@ from highway_env.envs.u_turn_env import UTurnEnv
 
 from behavexplor.envs.engine.lane_geometry import lane_point
 from behavexplor.envs.engine.pcg64 import Words
-from behavexplor.envs.engine.placing import AS_EGO, draw_behavior, place_nearby, place_vehicle, plan_route
 from behavexplor.envs.engine.state import Scene
-from behavexplor.envs.engine.world import World
+from behavexplor.envs.engine.world import AS_EGO, World, draw_behavior, place_nearby, place_vehicle, plan_route
 from behavexplor.envs.tasks.reward_terms import CRASHED, LANE, ON_ROAD, SPEED
 from behavexplor.envs.tasks.task import Task, TaskKind
 from behavexplor.jit import kernel_inner

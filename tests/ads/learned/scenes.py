@@ -2,16 +2,10 @@
 
 import numpy as np
 
-import behavexplor.envs.functional.intersection_left as s2
-import behavexplor.envs.functional.intersection_straight as s1
-import behavexplor.envs.functional.lane_change as s4
-import behavexplor.envs.functional.lane_follow as s3
 from behavexplor.ads.learned.route_table import make_course
+from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 
-LOGICALS = {
-    env.logical.name: env.logical
-    for env in (s1.IntersectionStraightEnv, s2.IntersectionLeftEnv, s3.LaneFollowEnv, s4.LaneChangeEnv)
-}
+LOGICALS = LOGICAL_SCENARIOS
 COURSES = {name: make_course(logical.roadmap) for name, logical in LOGICALS.items()}
 
 

@@ -10,7 +10,7 @@ from behavexplor.ads.road.lane_arrays import (
     pose_on_lane,
     project_on_lane,
 )
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from tests.kernel_calls import called_alone
 
 is_far_from_arc = called_alone(is_far_from_arc)

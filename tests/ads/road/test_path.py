@@ -12,7 +12,7 @@ from behavexplor.ads.road.path import (
     pose_on_path,
     project_on_path,
 )
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone
 
 has_lane = called_alone(has_lane)

@@ -12,7 +12,7 @@ from behavexplor.ads.rule.boxes import Box, box_on_path
 from behavexplor.ads.rule.lateral import LateralProfile, keep_profile
 from behavexplor.ads.rule.prediction import lane_graph
 from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone
 
 box_on_path = called_alone(box_on_path)

@@ -11,7 +11,7 @@ from behavexplor.ads.rule.lateral import change_profile, keep_profile, offset_at
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 from tests.kernel_calls import called_alone
 

@@ -24,7 +24,7 @@ from behavexplor.ads.rule.parameters import numbers
 from behavexplor.ads.rule.speed_search import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
 from behavexplor.data.vehicle_sizes import EGO_SIZE
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 from tests.kernel_calls import called_alone
 

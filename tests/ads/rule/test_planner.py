@@ -4,7 +4,7 @@ import pytest
 
 import behavexplor  # noqa: F401 - registers the environments
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.rollout import rollout
 from behavexplor.judge.specs import judge

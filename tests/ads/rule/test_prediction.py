@@ -5,7 +5,7 @@ from behavexplor.ads.road.lane_arrays import pose_on_lane
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.prediction import find_tails, lane_graph, reach, traveled
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from tests.kernel_calls import called_alone
 
 find_tails = called_alone(find_tails)

@@ -14,7 +14,7 @@ from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, rule_planner
 from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES
 from behavexplor.data.decision_log import weakness_names
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.envs.functional.intersection_straight import IntersectionStraightEnv
+from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge

@@ -12,7 +12,7 @@ from behavexplor.ads.rule.speed_grid import ACCELERATIONS
 from behavexplor.ads.rule.speed_motions import Situation
 from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone
 
 free_acceleration = called_alone(free_acceleration)

@@ -19,7 +19,7 @@ from behavexplor.ads.rule.speed_grid import (
 from behavexplor.ads.rule.speed_motions import Situation
 from behavexplor.ads.rule.speed_search import CLOSE, empty_nodes, search
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.kernel_calls import called_alone
 
 limit_at = called_alone(limit_at)

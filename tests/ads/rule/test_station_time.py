@@ -20,7 +20,7 @@ from behavexplor.ads.rule.station_time import (
 )
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
 from tests.kernel_calls import called_alone
 

@@ -27,7 +27,7 @@ from behavexplor.ads.rule.weaknesses import (
     TRIGGERED,
 )
 from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.envs.roads import crossing, straight_road
+from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 from tests.kernel_calls import called_alone
 

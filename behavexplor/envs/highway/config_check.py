@@ -1,0 +1,205 @@
+"""Which environments and configurations the compiled engine replaces: highway-env's own, with other roads and starts.
+
+Each key of a configuration is reproduced, without effect on results, or refused by name.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Literal
+
+import highway_env.envs.common.observation as observations
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.utils import class_from_path
+from pydantic import StrictStr
+
+from behavexplor.envs.engine.state import IDM, LINEAR
+from behavexplor.envs.engine.vehicle_parameters import kind_of
+from behavexplor.envs.env_config import ACTIONS, check_type
+from behavexplor.envs.source_gate import REWARDS, replaced
+from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
+from behavexplor.envs.tasks.task import TaskKind
+from behavexplor.envs.values import (
+    COUNT,
+    FLAG,
+    NOT_NEGATIVE,
+    NUMBER,
+    POSITIVE,
+    RANGE,
+    WHOLE,
+    Kind,
+    one_of,
+    optional,
+    shown,
+)
+from behavexplor.errors import InputError, unknown_name
+
+OTHER_WAY = "use gymnasium.make_vec with vectorization_mode='sync' for highway-env's own"
+DRAWING = frozenset(  # keys that change pictures only
+    {
+        "screen_width",
+        "screen_height",
+        "centering_position",
+        "scaling",
+        "show_trajectories",
+        "render_agent",
+        "offscreen_rendering",
+        "real_time_rendering",
+    }
+)
+ONLY = MappingProxyType({"manual_control": False, "controlled_vehicles": 1})  # keys with one supported value
+READ: Mapping[str, Kind] = MappingProxyType(  # keys that are reproduced, besides observation, action and rewards
+    {
+        "simulation_frequency": COUNT,
+        "policy_frequency": POSITIVE,
+        "neighbour_vehicles_connected_lanes": FLAG,
+        "other_vehicles_type": Kind("the path of a class of vehicles", StrictStr),
+        "lanes_count": COUNT,
+        "vehicles_count": WHOLE,
+        "initial_lane_id": optional(WHOLE),
+        "duration": POSITIVE,
+        "ego_spacing": NOT_NEGATIVE,
+        "vehicles_density": POSITIVE,
+        "reward_speed_range": RANGE,
+        "normalize_reward": FLAG,
+        "offroad_terminal": FLAG,
+        "incoming_vehicle_destination": optional(Kind("0, 1 or 2", Literal[0, 1, 2])),
+        "destination": optional(one_of(("o0", "o1", "o2", "o3"))),
+        "initial_vehicle_count": COUNT,
+        "spawn_probability": NUMBER,
+    }
+)
+OBSERVATIONS = MappingProxyType(
+    {
+        "ExitObservation": observations.ExitObservation,
+        "Kinematics": observations.KinematicObservation,
+        "TimeToCollision": observations.TimeToCollisionObservation,
+    }
+)
+STARTS = frozenset({"_reset", "_make_road", "_create_road", "_make_vehicles", "_create_vehicles"})
+_OWN = STARTS | {"__init__"}
+
+
+def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], changes: object) -> None:
+    """Check that the compiled engine reproduces a configuration of a highway-env environment.
+
+    Args:
+        env_class: the environment.
+        known_class: the class of highway-env whose rules it follows. Only the environment's own roads and starts read
+            the keys that this class does not have.
+        changes: the configuration that is given to it, which changes its default configuration in part.
+
+    Raises:
+        InputError: if a key is unknown or not supported, or a value is out of range. The message names the key.
+    """
+    if changes is not None and not isinstance(changes, Mapping):
+        raise InputError(f"config: expected keys and values, got {shown(changes)}")
+    default, kind = env_class.default_config(), KINDS[NUMBERS[known_class]]
+    config = default | dict(changes or {})
+    known = {*default, *kind.terms}
+    own = set(default) - set(known_class.default_config())
+    for key in config:
+        if key not in known:
+            raise unknown_name(f"key of the config of {env_class.__name__}", str(key), known)
+    for key, value in config.items():
+        if key not in own:
+            _check_key(key, value, kind)
+    _check_observation(config["observation"], kind, config["action"])
+    _check_action(config["action"])
+    _check_together(config, kind)
+
+
+def _check_key(key: str, value: object, kind: TaskKind) -> None:
+    if key in DRAWING or key in kind.unread or key in ("observation", "action"):
+        return
+    if key in ONLY:
+        if value != ONLY[key]:
+            raise InputError(f"{key}: the compiled engine supports {ONLY[key]} only, not {shown(value)}; {OTHER_WAY}")
+    elif key in READ:
+        READ[key].check(key, value)
+    elif key in kind.terms:
+        NUMBER.check(key, value)
+    else:
+        raise InputError(f"{key}: the compiled engine does not know this key; {OTHER_WAY}")
+
+
+def _check_observation(config: object, kind: TaskKind, action: object) -> None:
+    name = config.get("type") if isinstance(config, Mapping) else None
+    if isinstance(name, str) and name not in OBSERVATIONS:
+        raise InputError(f"observation: the compiled engine knows {', '.join(OBSERVATIONS)}, not {name}; {OTHER_WAY}")
+    settings = check_type("observation", config, OBSERVATIONS)
+    if name == "ExitObservation" and not kind.has_exit:
+        raise InputError("observation: an ExitObservation needs the lanes of the exit environment")
+    if name == "TimeToCollision":
+        if not isinstance(action, Mapping) or action.get("type") != "DiscreteMetaAction":
+            raise InputError("The observation type TimeToCollision needs the action type DiscreteMetaAction")
+        return
+    if settings.get("vehicles_count", 5) < 2:
+        raise InputError("observation.vehicles_count: must be at least 2; highway-env's observation of 1 has no shape")
+    features = settings.get("features") or ()
+    if len(set(features)) < len(features):
+        raise InputError("observation.features: highway-env does not support a feature twice")
+
+
+def _check_action(config: object) -> None:
+    name = config.get("type") if isinstance(config, Mapping) else None
+    if isinstance(name, str) and name not in ACTIONS:
+        raise InputError(f"action: the compiled engine knows {', '.join(ACTIONS)}, not {name}; {OTHER_WAY}")
+    settings = check_type("action", config, ACTIONS)
+    if settings.get("dynamical"):
+        raise InputError(f"action.dynamical: the compiled engine has no tire friction; {OTHER_WAY}")
+    if not (settings.get("longitudinal", True) or settings.get("lateral", True)):
+        raise InputError("action: at least one of longitudinal and lateral must be True")
+
+
+def _check_together(config: Mapping[str, Any], kind: TaskKind) -> None:
+    """Check what depends on several keys."""
+    simulation, policy = config["simulation_frequency"], config["policy_frequency"]
+    if simulation < policy:
+        raise InputError(f"policy_frequency: {policy} must not exceed simulation_frequency {simulation}")
+    kind.check(config)
+    if kind.normalizes(config):
+        worst, best = kind.reward_range(config)
+        if worst == best:
+            raise InputError(f"normalize_reward: the least and greatest reward of this config are both {worst:g}")
+    _check_traffic(config["other_vehicles_type"])
+
+
+def _check_traffic(path: str) -> None:
+    try:
+        found = class_from_path(path)
+    except (ValueError, ImportError, AttributeError) as error:
+        raise InputError(f"other_vehicles_type: there is no class {shown(path)}") from error
+    if kind_of(found) not in (IDM, LINEAR):
+        raise InputError(f"other_vehicles_type: the compiled engine knows vehicles that drive, not {path}; {OTHER_WAY}")
+
+
+def known_class(env_class: type[AbstractEnv], *, rewards: bool = True) -> type[AbstractEnv]:
+    """Return the class of highway-env whose rules an environment follows: itself, or one of its parents.
+
+    Args:
+        env_class: the environment.
+        rewards: whether its rewards must be those of that class, too.
+
+    Raises:
+        InputError: if there is none, or the environment changes the rules. The message names the changed method.
+    """
+    known: type[AbstractEnv] | None = next((known for known in NUMBERS if issubclass(env_class, known)), None)
+    if known is None:
+        names = ", ".join(sorted(one.__name__ for one in NUMBERS))
+        raise InputError(
+            f"The compiled engine does not know {env_class.__name__}; it knows {names} and subclasses with other roads "
+            f"and starts; use gymnasium.make_vec with vectorization_mode='sync'"
+        )
+    method = replaced(env_class, known, _OWN if rewards else _OWN | REWARDS)
+    if method is not None:
+        raise InputError(
+            f"The compiled engine does not know the method {method}; use gymnasium.make_vec with "
+            f"vectorization_mode='sync'"
+        )
+    return known
+
+
+def has_own_starts(env_class: type[AbstractEnv]) -> bool:
+    """Return whether an environment changes the road or the first vehicles of the class whose rules it follows."""
+    known = known_class(env_class, rewards=False)
+    return any(getattr(env_class, name, None) is not getattr(known, name, None) for name in STARTS)

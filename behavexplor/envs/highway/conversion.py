@@ -1,0 +1,254 @@
+"""Copy the state of a highway-env environment into a slot, and back; compare slots."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from highway_env import utils
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.lane import AbstractLane
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.road.road import LaneIndex, RoadNetwork
+from highway_env.vehicle.objects import Obstacle, RoadObject
+from numpy.typing import NDArray
+
+from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
+from behavexplor.envs.engine.state import (
+    IDM,
+    LINEAR,
+    MDP,
+    NO_LANE,
+    NO_ROUTE,
+    OBSTACLE,
+    PLAIN,
+    SAME_NUMBER,
+    VEHICLE,
+    Records,
+    Slots,
+    Vehicle,
+)
+from behavexplor.envs.engine.vehicle_parameters import give_traits, kind_of, traits_of
+from behavexplor.envs.engine.world import EGO, World
+from behavexplor.envs.observation_types import default_ranges
+from behavexplor.errors import InputError
+
+_NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_length"})
+_PRECISION = 1e-9  # numpy and the C library may differ in the last bit
+
+
+def load(env: AbstractEnv, world: World, slots: Slots, b: int) -> None:
+    """Copy the present state of an environment into slot b.
+
+    Args:
+        env: a highway-env environment, without wrappers, with the road and the rules of `world`.
+        world: the road and rules.
+        slots: the slots, changed in place.
+        b: the slot.
+
+    Raises:
+        InputError: if the environment has vehicles that the engine does not know, or too many for the slot.
+    """
+    road, episode = env.road, slots.episodes[b]
+    things = [*road.vehicles, *road.objects]
+    if len(things) > slots.vehicles.shape[1]:
+        raise InputError(
+            f"The environment has {len(things)} vehicles and obstacles, but a slot holds {slots.vehicles.shape[1]}; "
+            f"make slots with more places"
+        )
+    episode.n_vehicles, episode.n_obstacles = len(road.vehicles), len(road.objects)
+    episode.n_numbered = len(things)
+    episode.ego = road.vehicles.index(env.vehicle)
+    episode.frames, episode.time, episode.road_frames = env.steps, env.time, getattr(road, "steps", 0)
+    episode.n_side_lanes = _n_side_lanes(env)
+    lanes = {index: lane for lane, index in enumerate(lane_indexes(road.network))}
+    roads = road_numbers(road.network)
+    kinds = {cls: kind_of(cls) for cls in {type(thing) for thing in things}}
+    for i, thing in enumerate(things):
+        kind = kinds[type(thing)]
+        slots.traits[b, i] = traits_of(thing, kind)
+        slots.vehicles[b, i] = np.zeros((), VEHICLE)
+        slots.vehicles[b, i].number = i
+        _load_pose(slots.vehicles[b, i], thing, lanes)
+        if kind != OBSTACLE:
+            _load_commands(slots.vehicles[b, i], thing)
+        if kind in (MDP, IDM, LINEAR):
+            _load_targets(slots.vehicles[b, i], thing, lanes, world.speeds)
+            _load_route(slots.vehicles[b, i], slots.routes[b, i], thing.route, roads)
+    ego = world.templates[EGO]
+    slots.traits[b, episode.ego].min_speed, slots.traits[b, episode.ego].max_speed = ego.min_speed, ego.max_speed
+
+
+def _load_pose(vehicle: Vehicle, thing: RoadObject, lanes: dict[LaneIndex, int]) -> None:
+    (vehicle.x, vehicle.y), vehicle.heading, vehicle.speed = thing.position, thing.heading, thing.speed
+    vehicle.cos, vehicle.sin = math.cos(thing.heading), math.sin(thing.heading)
+    vehicle.lane, vehicle.target_lane = lanes[tuple(thing.lane_index)], NO_LANE
+    vehicle.crashed = thing.crashed
+
+
+def _load_commands(vehicle: Vehicle, thing: Any) -> None:
+    vehicle.steering, vehicle.acceleration = thing.action["steering"], thing.action["acceleration"]
+    if thing.impact is not None:
+        (vehicle.impact_x, vehicle.impact_y), vehicle.has_impact = thing.impact, True
+
+
+def _load_targets(vehicle: Vehicle, thing: Any, lanes: dict[LaneIndex, int], speeds: NDArray[np.float64]) -> None:
+    if not np.array_equal(getattr(thing, "target_speeds", speeds), speeds):
+        raise InputError(
+            f"A vehicle has the target speeds {thing.target_speeds}, but those of the actions are {speeds}"
+        )
+    vehicle.target_lane, vehicle.target_speed = lanes[tuple(thing.target_lane_index)], thing.target_speed
+    vehicle.speed_index, vehicle.timer = getattr(thing, "speed_index", 0), getattr(thing, "timer", 0.0)
+    vehicle.is_yielding = getattr(thing, "is_yielding", False)
+
+
+def _load_route(
+    vehicle: Vehicle, steps: Records, route: list[LaneIndex] | None, roads: dict[tuple[str, str], int]
+) -> None:
+    vehicle.route_position, vehicle.route_length = 0, NO_ROUTE if route is None else len(route)
+    if len(route or []) > len(steps):
+        raise InputError(f"A route has {len(route or [])} steps, but a slot holds {len(steps)}; make longer ones")
+    for step, (origin, target, number) in zip(steps, route or [], strict=False):
+        if (origin, target) not in roads:
+            raise InputError(f"A route has the road {(origin, target)}, which the road network does not have")
+        step.road, step.number = roads[origin, target], SAME_NUMBER if number is None else number
+
+
+def _n_side_lanes(env: AbstractEnv) -> int:
+    """Return on how many lanes the default ranges of the observation are based: those of the ego's first road."""
+    ranges = getattr(env.observation_type, "features_range", None)
+    if ranges and "y" in ranges:
+        n_lanes: int = round(ranges["y"][1] / AbstractLane.DEFAULT_WIDTH)
+        return n_lanes
+    return len(env.road.network.all_side_lanes(env.vehicle.lane_index))
+
+
+def restore(env: AbstractEnv, slots: Slots, b: int) -> None:
+    """Give an environment the state of slot b: the inverse of `load`.
+
+    The environment can then be drawn or stepped. Its vehicles and obstacles are new objects. Its generator of random
+    numbers is left as it is.
+
+    Args:
+        env: a highway-env environment, without wrappers, of the same configuration. It has been reset.
+        slots: the slots.
+        b: the slot.
+    """
+    road, episode = env.road, slots.episodes[b]
+    n_vehicles, n_obstacles = int(episode.n_vehicles), int(episode.n_obstacles)
+    things = [_make_thing(env, slots, b, i) for i in range(n_vehicles + n_obstacles)]
+    road.vehicles, road.objects = things[:n_vehicles], things[n_vehicles:]
+    ego = things[episode.ego]
+    others = [things[i] for i in range(n_vehicles) if slots.traits[b, i].kind in (PLAIN, MDP) and i != episode.ego]
+    env.controlled_vehicles = [ego, *others]
+    env.steps, env.time = int(episode.frames), float(episode.time)
+    if isinstance(road, RegulatedRoad):
+        road.steps = int(episode.road_frames)
+    env.define_spaces()
+    observation: Any = env.observation_type
+    if hasattr(observation, "features_range") and not observation.features_range:
+        observation.features_range = default_ranges(int(episode.n_side_lanes))
+
+
+def _make_thing(env: AbstractEnv, slots: Slots, b: int, i: int) -> Any:
+    """Make the highway-env object of a vehicle or an obstacle."""
+    vehicle, traits, network = slots.vehicles[b, i], slots.traits[b, i], env.road.network
+    make: Any = utils.class_from_path(env.config["other_vehicles_type"])
+    if traits.kind in (PLAIN, MDP):
+        make = env.action_type.vehicle_class
+    elif traits.kind == OBSTACLE:
+        make = Obstacle
+    thing = make(env.road, (vehicle.x, vehicle.y), float(vehicle.heading), float(vehicle.speed))
+    indexes = lane_indexes(network)
+    thing.lane_index = indexes[vehicle.lane]
+    thing.lane = network.get_lane(thing.lane_index)
+    thing.crashed = bool(vehicle.crashed)
+    give_traits(thing, traits)
+    if traits.kind != OBSTACLE:
+        _give_commands(thing, vehicle)
+    if traits.kind in (MDP, IDM, LINEAR):
+        thing.target_lane_index, thing.target_speed = indexes[vehicle.target_lane], float(vehicle.target_speed)
+        thing.route = make_route(vehicle, slots.routes[b, i], list(road_numbers(network)))
+    if traits.kind == MDP:
+        thing.speed_index = int(vehicle.speed_index)
+    if traits.kind in (IDM, LINEAR):
+        _give_timers(thing, vehicle)
+    return thing
+
+
+def _give_commands(thing: Any, vehicle: Vehicle) -> None:
+    thing.action = {"steering": float(vehicle.steering), "acceleration": float(vehicle.acceleration)}
+    thing.impact = np.array([vehicle.impact_x, vehicle.impact_y]) if vehicle.has_impact else None
+
+
+def make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) -> list[LaneIndex] | None:
+    """Return what is left of a route."""
+    if vehicle.route_length == NO_ROUTE:
+        return None
+    rest = steps[vehicle.route_position : vehicle.route_length]
+    return [(*ends[step.road], None if step.number == SAME_NUMBER else int(step.number)) for step in rest]
+
+
+def _give_timers(thing: Any, vehicle: Vehicle) -> None:
+    thing.timer = float(vehicle.timer)
+    if vehicle.is_yielding:
+        thing.is_yielding, thing.yield_timer, thing.color = True, 0, RegulatedRoad.YIELDING_COLOR
+
+
+class SlotState(NamedTuple):
+    """A copy of a slot with n vehicles and obstacles.
+
+    Attributes:
+        episode: shape () of `behavexplor.envs.engine.state.EPISODE`.
+        vehicles: shape (n,) of `VEHICLE`.
+        traits: shape (n,) of `TRAITS`.
+        routes: shape (n, steps) of `ROUTE_STEP`.
+    """
+
+    episode: Records
+    vehicles: Records
+    traits: Records
+    routes: Records
+
+    def ego_route(self, network: RoadNetwork) -> list[LaneIndex]:
+        """Return the lanes of what is left of the ego's route; none if it has no route."""
+        ego = int(self.episode["ego"])
+        return make_route(self.vehicles[ego], self.routes[ego], list(road_numbers(network))) or []
+
+    def sizes(self) -> dict[int, tuple[float, float]]:
+        """Return length and width of each vehicle and obstacle by its number [m], in the order of the slot."""
+        sizes = zip(self.traits["length"].tolist(), self.traits["width"].tolist(), strict=True)
+        return dict(zip(self.vehicles["number"].tolist(), sizes, strict=True))
+
+
+def slot_state(slots: Slots, b: int) -> SlotState:
+    """Return a copy of slot b."""
+    n = int(slots.episodes[b]["n_vehicles"] + slots.episodes[b]["n_obstacles"])
+    return SlotState(
+        slots.episodes[b].copy(), slots.vehicles[b, :n].copy(), slots.traits[b, :n].copy(), slots.routes[b, :n].copy()
+    )
+
+
+def are_alike(one: SlotState, other: SlotState) -> bool:
+    """Return whether two episodes stand alike. The numbers of their vehicles may differ."""
+    if one.vehicles.shape != other.vehicles.shape:
+        return False
+    pairs = ((one.episode, other.episode), (one.vehicles, other.vehicles), (one.traits, other.traits))
+    return all(_are_close(*pair) for pair in pairs) and _have_same_routes(one, other)
+
+
+def _are_close(one: Records, other: Records) -> bool:
+    names = [name for name in one.dtype.names or () if name not in _NOT_COMPARED]
+    return all(np.allclose(one[name], other[name], rtol=0.0, atol=_PRECISION) for name in names)
+
+
+def _have_same_routes(one: SlotState, other: SlotState) -> bool:
+    return all(_rest(one, i) == _rest(other, i) for i in range(len(one.vehicles)))
+
+
+def _rest(state: SlotState, i: int) -> list[tuple[int, int]] | None:
+    """Return what is left of the route of vehicle i; None if it has no route."""
+    vehicle = state.vehicles[i]
+    if vehicle["route_length"] == NO_ROUTE:
+        return None
+    rest: list[tuple[int, int]] = state.routes[i, vehicle["route_position"] : vehicle["route_length"]].tolist()
+    return rest

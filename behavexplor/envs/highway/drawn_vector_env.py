@@ -1,0 +1,272 @@
+"""The compiled form of highway-env's environments whose episodes are given by their random draws."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from gymnasium import RewardWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit
+from highway_env.envs import IntersectionEnv
+from highway_env.road.road import RoadNetwork
+from numpy.typing import NDArray
+
+from behavexplor.data.array_types import Bools, Floats
+from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
+from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.envs.engine.lane_network import lane_indexes
+from behavexplor.envs.highway.config_check import STARTS
+from behavexplor.envs.highway.conversion import are_alike
+from behavexplor.envs.highway.course import LaneIndex
+from behavexplor.envs.highway.drawn_env import DrawnEnv
+from behavexplor.envs.highway.episode_record import EpisodeRecord, Frame
+from behavexplor.envs.highway.generator import DrawnGenerator
+from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
+from behavexplor.envs.source_gate import REWARDS, replaced_in
+from behavexplor.errors import InputError
+
+_HARMLESS: Final = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, TimeLimit)  # wrappers
+_COMPARED: Final = 3  # starts of the engine that are compared with highway-env's
+_SIZE: Final = (5.0, 2.0)  # length and width of highway-env's vehicles that appear in an episode [m]
+SPAWN = "_spawn_vehicle"
+_SPAWN_KINDS = (UNIFORM, UNIFORM, UNIFORM, NORMAL, NORMAL)  # of its draws, before that of `DELTA`
+
+
+class Place(NamedTuple):
+    """Where a draw is found: its call, its position among the call's draws, and its kind."""
+
+    name: str
+    position: int
+    kind: str
+
+
+class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
+    """`num_envs` environments of highway-env in lock-step, whose episodes are given by their random draws.
+
+    The compiled engine begins each episode with the draws of its scenario, and drives it. If the first episodes that
+    highway-env itself begins are others, or draw in a varying order, highway-env begins all of them.
+    `reset(options={"scenarios": [...], "reset_mask": ...})` begins episodes, and at the end of an episode
+    `infos["trace"]` has its trace. Autoreset is disabled.
+
+    Args:
+        env: the environment; its episodes are used up.
+        num_envs: number of sub-environments.
+        rewards: whether rewards are needed; see `behavexplor.envs.highway.highway_vector_env.HighwayVectorEnv`.
+
+    Raises:
+        InputError: if the compiled engine does not support the environment or its configuration.
+    """
+
+    def __init__(self, env: DrawnEnv, num_envs: int, *, rewards: bool = False) -> None:
+        check_compiled(env, rewards=rewards)
+        self._env = env
+        self._engine = _engine(env, num_envs, rewards=rewards)
+        self.num_envs = num_envs
+        self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.DISABLED}
+        self.single_observation_space = self._engine.single_observation_space
+        self.single_action_space = self._engine.single_action_space
+        self.observation_space = self._engine.observation_space
+        self.action_space = self._engine.action_space
+        self.logical: DrawnLogicalScenario = env.logical
+        self._records: list[Any] = [None] * num_envs
+        self._networks: list[RoadNetwork] = [env.inner.road.network] * num_envs
+        self._ended = np.ones(num_envs, dtype=bool)
+        self._later = decision_order(env)
+        self._order = self._start_order()
+        self._networks = [env.inner.road.network] * num_envs  # that of the engine, now that it has copied an episode
+        self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
+
+    def _start_order(self) -> tuple[Place, ...] | None:
+        """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
+        rng = np.random.default_rng(0)
+        scenarios = [self.logical.sample(rng) for _ in range(_COMPARED)]
+        order = None if self._engine.places_own else start_order(self._env, scenarios)
+        mask = np.arange(self.num_envs) == 0
+        for scenario in scenarios:
+            self._begin_by_highway_env(0, scenario)  # refuses what the engine cannot copy, such as another road
+            if order is None:
+                continue
+            expected = self._engine.state(0)
+            self._engine.reset(options={"reset_mask": mask, "draws": {0: forms_of(scenario, order)}})
+            if not are_alike(expected, self._engine.state(0)):
+                return None
+        return order
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin episodes.
+
+        Args:
+            seed: has no effect, since the scenarios decide.
+            options: `scenarios`, one for each sub-environment, and `reset_mask`, shape (num_envs,), which selects the
+                sub-environments to reset.
+
+        Raises:
+            InputError: if a scenario is not one of this environment.
+        """
+        del seed
+        options = options or {}
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        chosen = np.flatnonzero(mask).tolist()
+        if not chosen:
+            raise InputError("reset_mask: no sub-environment is selected")
+        self._ended = self._ended & ~mask
+        scenarios: dict[int, DrawnScenario] = {b: options["scenarios"][b] for b in chosen}
+        if self._order is None:
+            return [self._begin_by_highway_env(b, scenario) for b, scenario in scenarios.items()][-1]
+        for scenario in scenarios.values():
+            self.logical.check(scenario)
+        draws = {b: forms_of(scenario, (*self._order, *self._later)) for b, scenario in scenarios.items()}
+        begun = self._engine.reset(options={"reset_mask": mask, "draws": draws})
+        for b in chosen:
+            state = self._engine.state(b)
+            self._records[b] = EpisodeRecord(self._env.inner, state.ego_route(self._networks[b]))
+            self._records[b].sizes.update(state.sizes())
+            self._log(b, 1)
+        return begun
+
+    def _begin_by_highway_env(self, b: int, scenario: DrawnScenario) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin an episode of sub-environment b in highway-env, and copy it to the engine."""
+        self._env.begin_blindly(scenario)
+        self._records[b], self._networks[b] = self._env.record, self._env.inner.road.network
+        chosen, later = np.arange(self.num_envs) == b, forms_of(scenario, self._later)
+        with self._env.vehicle_classes.applied():
+            return self._engine.reset(
+                options={"reset_mask": chosen, "starts": {b: self._env.inner}, "draws": {b: later}}
+            )
+
+    def step(self, actions: NDArray[Any]) -> tuple[NDArray[Any], Floats, Bools, Bools, dict[str, Any]]:
+        """Take an action in every sub-environment. A sub-environment whose episode has ended rests."""
+        rest = self._ended
+        for b in np.flatnonzero(~rest).tolist():
+            self._records[b].decide(actions[b])
+        observations, rewards, terminated, truncated, infos = self._engine.step(actions)
+        self._ended = terminated | truncated
+        ended = self._ended & ~rest
+        traces = np.full(self.num_envs, None, dtype=object)
+        for b in np.flatnonzero(~rest).tolist():
+            self._log(b, len(self._engine.frame_log.frames[b]))
+            self._records[b].judge(_has_arrived(infos, b))
+        for b in np.flatnonzero(ended).tolist():
+            traces[b] = self._records[b].trace(self._networks[b], terminated=bool(terminated[b]))
+        return observations, rewards, terminated, truncated, {**infos, "trace": traces, "_trace": ended}
+
+    def _log(self, b: int, count: int) -> None:
+        """Record the first frames of the latest decision of sub-environment b."""
+        log, record = self._engine.frame_log, self._records[b]
+        rows = zip(log.frames[b, :count].tolist(), log.things[b, :count].copy(), strict=True)
+        for (n_things, ego, lane, is_on_road), things in rows:
+            record.frames.append(Frame(things[:n_things], ego, self._lanes[lane], is_on_road))
+        for number in log.things[b, count - 1]["number"][:n_things].tolist():
+            record.sizes.setdefault(number, _SIZE)
+
+    def close_extras(self, **_: Any) -> None:
+        """Release the engine."""
+        self._engine.close()
+
+
+def _engine(env: DrawnEnv, num_envs: int, *, rewards: bool) -> HighwayVectorEnv:
+    """Return the engine for an environment.
+
+    Raises:
+        InputError: if it does not support the environment or its configuration, or cannot make one by its class.
+    """
+    kind = type(env.inner)
+    try:
+        return HighwayVectorEnv(
+            kind,
+            num_envs,
+            env.config,
+            AutoresetMode.DISABLED,
+            max_episode_steps=env.max_decisions,
+            log_frames=True,
+            rewards=rewards,
+        )
+    except InputError:
+        raise
+    except Exception as error:  # a user's class may have other arguments, or others than it is registered with
+        reason = f"{type(error).__name__}: {error}"
+        raise InputError(f"The compiled engine cannot make {kind.__name__} by its configuration: {reason}") from error
+
+
+def check_compiled(env: DrawnEnv, *, rewards: bool) -> None:
+    """Check that the compiled engine draws, observes and, if that is needed, rewards as the environment does.
+
+    Raises:
+        InputError: if it does not.
+    """
+    method = replaced_in(env.inner, STARTS if rewards else STARTS | REWARDS)
+    if method is not None:
+        raise InputError(f"The compiled engine does not know the method {method} of this environment object")
+    harmless = _HARMLESS if rewards else (*_HARMLESS, RewardWrapper)
+    for wrapper in env.wrappers:
+        if not isinstance(wrapper, harmless):
+            raise InputError(f"The compiled engine does not know the wrapper {type(wrapper).__name__}")
+    for draw in env.logical.draws:
+        call, _, function = draw.name.partition("/")
+        is_spawn = isinstance(env.inner, IntersectionEnv) and function.startswith(SPAWN)
+        if "observe" in draw.name:
+            raise InputError("The compiled engine does not draw anything for observations, such as a shuffled order")
+        if call.partition("#")[0] == "step" and not is_spawn:
+            raise InputError(f"The compiled engine does not know the draws of {draw.name}")
+
+
+def _has_arrived(infos: dict[str, Any], b: int) -> bool | None:
+    """Return whether the ego of sub-environment b has arrived; see `episode_record`."""
+    if "is_success" in infos:
+        return bool(infos["is_success"][b])
+    arrived = infos.get("rewards", {}).get("arrived_reward")  # in the engine, of an intersection alone
+    return None if arrived is None else bool(arrived[b])
+
+
+def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[Place, ...] | None:
+    """Return the order of the draws with which episodes begin; None if it differs from episode to episode.
+
+    Args:
+        env: the environment; its episodes are used up.
+        scenarios: scenarios whose episodes are compared.
+    """
+    orders = set()
+    for scenario in scenarios:
+        env.begin_blindly(scenario)
+        orders.add(_with_whole_spawns(Place(*place) for place in env.generator.sequence))
+    return orders.pop() if len(orders) == 1 else None
+
+
+def decision_order(env: DrawnEnv) -> tuple[Place, ...]:
+    """Return the order of the draws after each decision, by which vehicles appear at an intersection."""
+    if not isinstance(env.inner, IntersectionEnv):
+        return ()
+    decisions = math.ceil(env.config["duration"] * env.config["policy_frequency"]) + 1
+    calls = [f"step#{decision}/{SPAWN}" if decision else f"step/{SPAWN}" for decision in range(decisions)]
+    return tuple(place for call in calls for place in _spawn(call))
+
+
+def forms_of(scenario: DrawnScenario, order: Sequence[Place]) -> Floats:
+    """Return the standard forms of a scenario's draws in their order, shape (n,)."""
+    draws: dict[str, Any] = dict(scenario.draws)
+    made = DrawnGenerator(draws, scenario.seed, __file__)
+    given = ((draws.get(place.name, ()), place) for place in order)
+    return np.array(
+        [known[place.position] if place.position < len(known) else made.form(*place) for known, place in given]
+    )
+
+
+def _with_whole_spawns(places: Iterable[Place]) -> tuple[Place, ...]:
+    """Return an order in which each call that may place a vehicle at an intersection has all draws it might make."""
+    order: list[Place] = []
+    seen = set()
+    for place in places:
+        caller, found, rest = place.name.partition(f"/{SPAWN}")
+        if not found:
+            order.append(place)
+            continue
+        call = f"{caller}{found}{rest.partition('/')[0]}"
+        order += [] if call in seen else _spawn(call)
+        seen.add(call)
+    return tuple(order)
+
+
+def _spawn(call: str) -> list[Place]:
+    own = [Place(call, position, kind) for position, kind in enumerate(_SPAWN_KINDS)]
+    return [*own, Place(f"{call}/randomize_behavior", 0, UNIFORM)]

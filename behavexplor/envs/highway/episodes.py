@@ -1,0 +1,283 @@
+"""Many episodes in lock-step: their beginnings and decisions, with observations, rewards, ends and infos."""
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from behavexplor.data.array_types import Bools, Floats, Ints, Singles
+from behavexplor.envs.engine.frame_log import FrameLog, log_frame
+from behavexplor.envs.engine.frames import give_command, run_frames
+from behavexplor.envs.engine.lane_network import Network
+from behavexplor.envs.engine.observing import GridMemory, View, observe, observe_times
+from behavexplor.envs.engine.pcg64 import Words, shuffle_rows
+from behavexplor.envs.engine.state import Records, Scene, Scratch, Slots
+from behavexplor.envs.engine.world import World
+from behavexplor.envs.tasks.highway_tasks import MOST_TERMS, enter, renew_traffic, start
+from behavexplor.envs.tasks.reward_terms import is_terminated, put_terms, reward_of
+from behavexplor.envs.tasks.task import Task, TaskKind
+from behavexplor.jit import kernel_in_place, kernel_inner
+
+DECISION, BEGINNING, LOOK = range(3)  # stages of `advance`
+REFUSED, FULL = -1, -2  # what `advance` returns if an action is none of the choices, or an episode has no room
+
+REWARD, SPEED, FIRST_TERM = range(3)  # rows of `Outcome.numbers`
+N_NUMBERS: Final = FIRST_TERM + MOST_TERMS
+TERMINATED, TRUNCATED, STEPPED, CRASHED, FIRST_FLAG = range(5)  # rows of `Outcome.flags`
+N_FLAGS: Final = FIRST_FLAG + MOST_TERMS
+
+
+class Outcome(NamedTuple):
+    """What B egos observed and received in their latest decision.
+
+    Few arrays with many rows are copied faster than many arrays.
+
+    Attributes:
+        observations: shape (B, rows, columns): vehicles and features, or speeds times lanes and times.
+        memory: for the observation TimeToCollision.
+        numbers: the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B).
+        flags: whether each episode is terminated, whether it is truncated, whether the latest call of `advance` took an
+            action in it, whether the ego has crashed, and whether each term is other than 0, shape (N_FLAGS, B).
+        log: the frames of the decision, or nothing if it has no room for them.
+    """
+
+    observations: Singles
+    memory: GridMemory
+    numbers: Floats
+    flags: Bools
+    log: FrameLog
+
+
+class Engine(NamedTuple):
+    """What an environment's episodes have in common, and their random generators.
+
+    Attributes:
+        world: the road and the vehicles' classes.
+        task: starts, rewards and ends.
+        observed: options of the observation.
+        words: the generators, shape (B, 6); see `behavexplor.envs.engine.pcg64`.
+    """
+
+    world: World
+    task: Task
+    observed: View
+    words: Words
+
+
+class Actions(NamedTuple):
+    """The actions of B egos, as a choice of commands.
+
+    Attributes:
+        commands: the commands; see `behavexplor.envs.engine.frames.give_command`, shape (n, 2). They are the same
+            at all times if the actions are discrete. Otherwise, each ego has its own.
+        choices: the number of each ego's command, shape (B,).
+    """
+
+    commands: Floats
+    choices: Ints
+
+
+@kernel_in_place
+def advance(
+    engine: Engine,
+    slots: Slots,
+    scratch: Scratch,
+    outcome: Outcome,
+    chosen: Bools,
+    actions: Actions,
+    stage: int,
+    logs_start: bool,
+) -> int:
+    """Simulate a decision in the chosen slots, or begin episodes in them; then observe the result and judge it.
+
+    One kernel does all of this, because each function that is compiled on its own takes seconds more.
+
+    Args:
+        engine: the environment.
+        slots: the episodes, changed in place.
+        scratch: memory that is used within a frame.
+        outcome: changed in place.
+        chosen: whether each slot is advanced, shape (B,).
+        actions: the egos' actions.
+        stage: DECISION, in which episodes that have ended rest; BEGINNING begins episodes; LOOK observes and judges
+            those that have been begun elsewhere.
+        logs_start: whether the start is logged as the first frame.
+
+    Returns:
+        The number of these slots whose episode has ended. If a choice is none of the commands, it is REFUSED, and if
+        the vehicles of a slot would not have room in it, FULL. Nothing has changed then.
+    """
+    refusal = _refusal(engine.task, slots, chosen, actions, stage)
+    if refusal < 0:
+        return refusal
+    world, task, is_decision, n_ended = engine.world, engine.task, stage == DECISION, 0
+    for b in range(len(chosen)):
+        if not chosen[b]:
+            continue
+        words, numbers, flags = engine.words[b], outcome.numbers[:, b], outcome.flags[:, b]
+        frames, things = outcome.log.frames[b], outcome.log.things[b]
+        rests = is_decision and (flags[TERMINATED] or flags[TRUNCATED])
+        flags[STEPPED] = is_decision and not rests
+        if rests:
+            _rest(numbers, frames)
+            n_ended += 1
+            continue
+        scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
+        choice = actions.choices[b]
+        n_frames = n_logged = 0
+        if is_decision:
+            scene.episode.n_decisions += 1
+            give_command(world, scene, actions.commands[choice, 0], actions.commands[choice, 1])
+            n_frames = n_logged = world.rules[0].n_frames
+        elif stage == BEGINNING:
+            start(world, task, scene, words)
+            n_frames = task.rules[0].n_warm_up
+        run_frames(world.network, world.rules[0], scene, n_frames, frames[:n_logged], things)  # compiled once
+        if stage == BEGINNING:
+            enter(world, task, scene, words)
+        if not is_decision:
+            _note_start(world.network, scene, frames[:logs_start], things)
+        _look(world, engine.observed, scene, words, outcome.memory, outcome.observations[b])
+        _judge(world, task, scene, choice, numbers, flags)
+        if is_decision:
+            renew_traffic(world, task, scene, words)
+        n_ended += flags[TERMINATED] or flags[TRUNCATED]
+    return n_ended
+
+
+@kernel_inner
+def _refusal(task: Task, slots: Slots, chosen: Bools, actions: Actions, stage: int) -> int:
+    """Return why nothing can be done; 0 if there is no reason."""
+    if not _are_known(actions):
+        return REFUSED
+    return 0 if _have_room(task, slots, chosen, stage) else FULL
+
+
+@kernel_inner
+def _are_known(actions: Actions) -> bool:
+    n_known = 0
+    for choice in actions.choices:
+        n_known += 0 <= choice < len(actions.commands)
+    return n_known == len(actions.choices)
+
+
+@kernel_inner
+def _have_room(task: Task, slots: Slots, chosen: Bools, stage: int) -> bool:
+    """Return whether the vehicles that the chosen episodes have, begin with or receive fit into their slots."""
+    n_places, rules = slots.vehicles.shape[1], task.rules[0]
+    for b in range(len(chosen)):
+        episode = slots.episodes[b]
+        n_things = episode.n_vehicles + episode.n_obstacles
+        if stage == BEGINNING:
+            n_things = max(rules.n_at_start, 1 + rules.n_others) + len(task.starts.obstacles)
+        elif stage == DECISION:
+            n_things += rules.n_new
+        is_odd = stage != BEGINNING and (min(episode.ego, episode.n_obstacles) < 0 or episode.ego >= episode.n_vehicles)
+        if chosen[b] and (is_odd or n_things > n_places):
+            return False
+    return True
+
+
+@kernel_inner
+def _rest(numbers: Floats, frames: Records) -> None:
+    numbers[REWARD] = 0.0
+    for k in range(len(frames)):
+        frames[k].n_things = 0
+
+
+@kernel_inner
+def _note_start(network: Network, scene: Scene, frames: Records, things: Records) -> None:
+    """Note that the episode has just begun, and where. If `frames` has a frame, it shows the start."""
+    lane = network.lanes[scene.vehicles[scene.episode.ego].lane]
+    scene.episode.n_side_lanes = network.roads[lane.road].n_lanes
+    scene.episode.n_decisions = 0
+    if len(frames) > 0:
+        log_frame(network, scene, frames[0], things[0])
+
+
+@kernel_inner
+def _look(world: World, observed: View, scene: Scene, words: Words, memory: GridMemory, observation: Singles) -> None:
+    if observed.options[0].is_grid:
+        observe_times(world.network, scene, world.speeds, world.rules[0].policy_period, memory, observation)
+    else:
+        observe(world.network, observed, scene, observation)
+        if observed.options[0].is_shuffled:
+            shuffle_rows(words, observation, 1)
+
+
+@kernel_inner
+def _judge(world: World, task: Task, scene: Scene, choice: int, numbers: Floats, flags: Bools) -> None:
+    """Compute rewards and ends. An episode that has just begun has not ended."""
+    episode, rules, ego = scene.episode, task.rules[0], scene.vehicles[scene.episode.ego]
+    changes_lane = choice in (0, 2)  # highway-env looks at the number alone, also if it means another action
+    put_terms(world, rules, task.terms, scene, changes_lane, numbers[FIRST_TERM:])
+    numbers[REWARD], numbers[SPEED] = reward_of(rules, task.terms, numbers[FIRST_TERM:]), ego.speed
+    for k in range(MOST_TERMS):
+        flags[FIRST_FLAG + k] = numbers[FIRST_TERM + k] != 0.0
+    is_late = episode.time >= rules.duration or episode.n_decisions >= rules.most_decisions
+    flags[CRASHED] = ego.crashed
+    flags[TERMINATED] = flags[STEPPED] and is_terminated(world, rules, scene)
+    flags[TRUNCATED] = flags[STEPPED] and is_late
+
+
+def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any], chosen: Bools) -> dict[str, Any]:
+    """Return the infos of highway-env's single environments as gymnasium's vector environments collect them.
+
+    The infos consist of parts of the given arrays, in which what is not chosen becomes 0.
+
+    Args:
+        kind: the kind of task.
+        numbers: a copy of `Outcome.numbers`.
+        flags: a copy of `Outcome.flags`.
+        actions: a copy of the egos' actions, shape (B, ...).
+        chosen: which sub-environments have an info, shape (B,).
+    """
+    beside = None if all(chosen.tolist()) else ~chosen
+    if beside is not None:
+        numbers[SPEED:, beside] = flags[CRASHED:, beside] = actions[beside] = 0
+    rewards: dict[str, Any] = {}
+    for k, (name, (_, wanted)) in enumerate(kind.terms.items()):
+        if wanted is float:
+            rewards[name] = numbers[FIRST_TERM + k]
+        elif wanted is int:
+            rewards[name] = numbers[FIRST_TERM + k].astype(int)
+        else:
+            rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, beside)
+        rewards[f"_{name}"] = chosen
+    infos: dict[str, Any] = {
+        "speed": numbers[SPEED],
+        "_speed": chosen,
+        "crashed": flags[CRASHED],
+        "_crashed": chosen,
+        "action": actions,
+        "_action": chosen,
+        "rewards": rewards,
+        "_rewards": chosen,
+    }
+    if kind.has_agents:
+        ended = flags[CRASHED] | flags[FIRST_FLAG + kind.position(kind.arrival)]
+        infos |= {"agents_rewards": _tuples(numbers[REWARD], beside), "_agents_rewards": chosen}
+        infos |= {"agents_terminated": _tuples(ended, beside), "_agents_terminated": chosen}
+    if kind.success is not None:
+        infos |= _success(flags[FIRST_FLAG + kind.position(kind.success)], flags[STEPPED] & chosen)
+    return infos
+
+
+def _success(is_success: Bools, stepped: Bools) -> dict[str, Any]:
+    """Return the info that highway-env's exit environment gives after a decision, but not after a reset."""
+    return {"is_success": is_success & stepped, "_is_success": stepped} if np.count_nonzero(stepped) else {}
+
+
+def _flag(values: Bools, wanted: type, beside: Bools | None) -> NDArray[Any]:
+    return values if wanted is bool else _without(values.astype(object), beside)
+
+
+def _tuples(values: NDArray[Any], beside: Bools | None) -> NDArray[np.object_]:
+    """Return each value as a tuple of one, as highway-env's multi-agent environments have it."""
+    return _without(np.fromiter(zip(values.tolist(), strict=True), dtype=object), beside)
+
+
+def _without(objects: NDArray[np.object_], beside: Bools | None) -> NDArray[np.object_]:
+    if beside is not None:
+        objects[beside] = None
+    return objects

@@ -1,0 +1,69 @@
+"""The log of the frames has what highway-env's vehicles do, frame by frame."""
+
+import numpy as np
+import pytest
+from highway_env.envs import HighwayEnvFast, IntersectionEnv
+
+from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
+from behavexplor.errors import InputError
+from tests.envs.highway.frame_by_frame import compare_in_child
+
+CALLS = {
+    "highway-fast-v0": {"decisions": 8, "seed": 3},
+    "merge-v0": {"decisions": 12},
+    "roundabout-v0": {"decisions": 8},
+    "intersection-v0": {"decisions": 13, "seed": 2, "config": {"spawn_probability": 1.0}},
+}
+
+
+@pytest.fixture(scope="module")
+def results():
+    calls = [{"env_id": env_id, **call} for env_id, call in CALLS.items()]
+    return dict(zip(CALLS, compare_in_child(*calls), strict=True))
+
+
+@pytest.mark.parametrize("env_id", CALLS)
+def test_every_frame_is_highway_env_s_to_the_last_bit(env_id, results):
+    assert not results[env_id].different
+    assert results[env_id].worst == 0.0
+    assert results[env_id].frames >= 5 * results[env_id].decisions > 0
+
+
+def test_obstacles_and_new_vehicles_are_logged(results):
+    assert results["merge-v0"].obstacles == results["merge-v0"].frames
+    assert results["intersection-v0"].numbers > results["roundabout-v0"].numbers == 5
+
+
+def test_only_the_slots_that_take_an_action_are_logged():
+    env = HighwayVectorEnv(
+        HighwayEnvFast, 2, {"duration": 2, "vehicles_count": 3}, max_episode_steps=2, log_frames=True
+    )
+    env.reset(seed=0)
+    env.step(np.ones(2, dtype=np.int64))
+    assert env.frame_log.frames["n_things"].tolist() == [[4] * 5] * 2
+    first = env.frame_log.things["x"].copy()
+    env.step(np.ones(2, dtype=np.int64))
+    assert (env.frame_log.things["x"][:, 0, 0] > first[:, -1, 0]).all()
+    env.step(np.ones(2, dtype=np.int64))  # begins the next episodes
+    assert not env.frame_log.frames["n_things"].any()
+
+
+def test_a_reset_logs_the_start_and_not_what_happened_before_it():
+    env = HighwayVectorEnv(IntersectionEnv, 1, log_frames=True)
+    env.reset(seed=0)
+    frames, things = env.frame_log
+    assert (frames["n_things"][0, 1:] == 0).all()
+    count, ego, lane, is_on_road = frames[0, 0].tolist()
+    start = env.state(0)
+    assert (count, ego, is_on_road) == (len(start.vehicles), start.episode["ego"], True)
+    assert lane == start.vehicles["lane"][ego]
+    assert (things["x"][0, 0, :count] == start.vehicles["x"]).all()
+
+
+def test_without_asking_there_is_no_log():
+    env = HighwayVectorEnv(HighwayEnvFast, 2, {"vehicles_count": 3})
+    env.reset(seed=0)
+    env.step(np.ones(2, dtype=np.int64))
+    assert env.frame_log.frames.size == env.frame_log.things.size == 0
+    with pytest.raises(InputError, match="log_frames: expected True or False"):
+        HighwayVectorEnv(HighwayEnvFast, 1, log_frames="yes")
