@@ -47,6 +47,8 @@ HIGHWAY_ENV = {  # highway-env's own environments that have a compiled vector fo
     "highway-fast-v0": "highway_env.envs.highway_env:HighwayEnvFast",
     "merge-v0": "highway_env.envs.merge_env:MergeEnv",
     "merge-v1": "highway_env.envs.merge_env:ConnectedLaneMergeEnv",
+    "merge-generic-v0": "highway_env.envs.merge_env:MergeGenericEnv",
+    "merge-generic-v1": "highway_env.envs.merge_env:ConnectedLaneMergeGenericEnv",
     "roundabout-v0": "highway_env.envs.roundabout_env:RoundaboutEnv",
     "roundabout-v1": "highway_env.envs.roundabout_env:ConnectedLaneRoundaboutEnv",
     "intersection-v0": "highway_env.envs.intersection_env:IntersectionEnv",

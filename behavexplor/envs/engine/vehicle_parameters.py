@@ -127,8 +127,8 @@ def _put(traits: Traits, fields: tuple[str, ...], values: Iterable[float]) -> No
 class VehicleClasses:
     """The parameters of highway-env's vehicle classes as one environment has left them.
 
-    `IntersectionEnv` sets attributes of the class of its vehicles in each reset, and relies on them while it runs, so it
-    would change all others in the process. An environment begins with those that it finds, as without this class.
+    `IntersectionEnv` sets attributes of the class of its vehicles in each reset, and relies on them while it runs, so
+    it would change all others in the process. An environment begins with those that it finds, as without this class.
     """
 
     def __init__(self) -> None:

@@ -5,7 +5,7 @@ Each key of a configuration is reproduced, without effect on results, or refused
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import highway_env.envs.common.observation as observations
 from highway_env.envs.common.abstract import AbstractEnv
@@ -27,7 +27,6 @@ from behavexplor.envs.values import (
     RANGE,
     WHOLE,
     Kind,
-    one_of,
     optional,
     shown,
 )
@@ -62,10 +61,6 @@ READ: Mapping[str, Kind] = MappingProxyType(  # keys that are reproduced, beside
         "reward_speed_range": RANGE,
         "normalize_reward": FLAG,
         "offroad_terminal": FLAG,
-        "incoming_vehicle_destination": optional(Kind("0, 1 or 2", Literal[0, 1, 2])),
-        "destination": optional(one_of(("o0", "o1", "o2", "o3"))),
-        "initial_vehicle_count": COUNT,
-        "spawn_probability": NUMBER,
     }
 )
 OBSERVATIONS = MappingProxyType(
@@ -114,8 +109,8 @@ def _check_key(key: str, value: object, kind: TaskKind) -> None:
     if key in ONLY:
         if value != ONLY[key]:
             raise InputError(f"{key}: the compiled engine supports {ONLY[key]} only, not {shown(value)}; {OTHER_WAY}")
-    elif key in READ:
-        READ[key].check(key, value)
+    elif key in (read := {**READ, **kind.keys}):
+        read[key].check(key, value)
     elif key in kind.terms:
         NUMBER.check(key, value)
     else:

@@ -11,7 +11,7 @@ from behavexplor.envs.engine.pcg64 import Words
 from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.engine.world import BARRIER, World
 from behavexplor.envs.tasks import exit as exit_road
-from behavexplor.envs.tasks import highway, intersection, merge, roundabout, two_way, u_turn
+from behavexplor.envs.tasks import highway, intersection, merge, merge_generic, roundabout, two_way, u_turn
 from behavexplor.envs.tasks.task import Task, TaskKind
 from behavexplor.jit import kernel_inner
 
@@ -19,13 +19,14 @@ from behavexplor.jit import kernel_inner
 KINDS: Final[tuple[TaskKind, ...]] = (
     exit_road.KIND,
     highway.KIND,
+    merge_generic.KIND,
     merge.KIND,
     roundabout.KIND,
     u_turn.KIND,
     two_way.KIND,
     intersection.KIND,
 )
-_EXIT, _HIGHWAY, _MERGE, _ROUNDABOUT, _U_TURN, _TWO_WAY, _INTERSECTION = range(7)  # their numbers
+_EXIT, _HIGHWAY, _MERGE_GENERIC, _MERGE, _ROUNDABOUT, _U_TURN, _TWO_WAY, _INTERSECTION = range(8)  # their numbers
 NUMBERS: Final = MappingProxyType({cls: number for number, kind in enumerate(KINDS) for cls in kind.env_classes})
 MOST_TERMS: Final = max(len(kind.terms) for kind in KINDS)
 
@@ -54,6 +55,8 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
         exit_road.start(world, task, scene, words)
     elif number == _HIGHWAY:
         highway.start(world, task, scene, words)
+    elif number == _MERGE_GENERIC:
+        merge_generic.start(world, task, scene, words)
     elif number == _MERGE:
         merge.start(world, task, scene, words)
     elif number == _ROUNDABOUT:

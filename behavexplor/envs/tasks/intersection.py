@@ -15,6 +15,7 @@ from behavexplor.envs.engine.state import MDP, NO_ROUTE, PLAIN, Scene
 from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, draw_behavior, place_vehicle, plan_route
 from behavexplor.envs.tasks.reward_terms import ARRIVED, CRASHED, ON_ROAD, SPEED
 from behavexplor.envs.tasks.task import DRAWN, Config, Task, TaskKind
+from behavexplor.envs.values import COUNT, NUMBER, one_of, optional
 from behavexplor.jit import kernel_inner
 
 CHALLENGER: Any = np.bool_(True)  # of numpy's type, as the constants of `pcg64`
@@ -62,6 +63,13 @@ KIND = TaskKind(
     destinations=_DESTINATIONS,
     start_numbers=_gaps,
     put_starts=_put_starts,
+    keys=MappingProxyType(
+        {
+            "destination": optional(one_of(_DESTINATIONS)),
+            "initial_vehicle_count": COUNT,
+            "spawn_probability": NUMBER,
+        }
+    ),
 )
 
 

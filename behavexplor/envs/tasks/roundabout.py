@@ -1,7 +1,7 @@
 """highway-env's roundabout: enter it and leave it at the second exit (`RoundaboutEnv`)."""
 
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from highway_env.envs.roundabout_env import RoundaboutEnv
@@ -12,6 +12,7 @@ from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.engine.world import AS_EGO, World, draw_behavior, place_nearby, place_vehicle, plan_route
 from behavexplor.envs.tasks.reward_terms import CRASHED, DEFAULT_SPEED_CHOICE, LANE_CHANGE, ON_ROAD
 from behavexplor.envs.tasks.task import DRAWN, Config, Task, TaskKind, check_discrete
+from behavexplor.envs.values import Kind, optional
 from behavexplor.jit import kernel_inner
 
 _DESTINATIONS: Final = ("exr", "sxr", "nxr", "nxs")  # the last one is the ego's
@@ -39,6 +40,7 @@ KIND = TaskKind(
     destinations=_DESTINATIONS,
     n_placed=5,
     put_starts=_put_starts,
+    keys=MappingProxyType({"incoming_vehicle_destination": optional(Kind("0, 1 or 2", Literal[0, 1, 2]))}),
     unread=frozenset({"right_lane_reward"}),
     check=check_discrete,
 )

@@ -1,8 +1,9 @@
 """What distinguishes one of highway-env's environments from another: its starts, rewards and ends, as numbers."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,6 +13,7 @@ from highway_env.road.road import LaneIndex
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
 from behavexplor.envs.engine.state import SAME_NUMBER, VEHICLE, Records, record_type
+from behavexplor.envs.values import Kind
 from behavexplor.errors import InputError
 
 Config: TypeAlias = Mapping[str, Any]
@@ -127,6 +129,7 @@ class TaskKind:
         n_placed: vehicles with which an episode begins, with the ego; None: 1 + `n_others`.
         put_starts: puts a config's numbers for the start into the record `TASK`.
         unaware: environments whose traffic does not look for collisions of its own.
+        keys: keys of the config that only this kind reads, beside its rewards.
         unread: keys of the default config that highway-env itself does not read.
         check: checks what only this kind demands of a config, by raising an `InputError`.
     """
@@ -155,6 +158,7 @@ class TaskKind:
     n_placed: int | None = None
     put_starts: Callable[[Any, Config], None] = lambda _, __: None
     unaware: tuple[type[AbstractEnv], ...] = ()
+    keys: Mapping[str, Kind] = field(default_factory=lambda: MappingProxyType({}))
     unread: frozenset[str] = frozenset()
     check: Callable[[Config], None] = lambda _: None
 
