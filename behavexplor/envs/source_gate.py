@@ -346,23 +346,6 @@ def ported_sources() -> Ported:
     return dict(json.loads(_PORTED.read_text()))
 
 
-def present_sources(owners: Iterable[Owner]) -> Ported:
-    """Return what the installed release of highway-env has in some classes and modules, in the form of what was ported.
-
-    The classes must not have been changed since they were imported.
-    """
-    found: Ported = {}
-    for owner in owners:
-        if _package(owner) != "highway_env":
-            continue
-        digests, names = _digests(_module(owner)), found.setdefault(_module(owner), {}).setdefault(_qualname(owner), {})
-        for name, value in sorted(vars(owner).items()):
-            if _counts(owner, name, value):
-                path = f"{_qualname(owner)}.{name}".lstrip(".")
-                names[name] = _VALUE + _text(value) if _codes(value) is None else digests[path]
-    return found
-
-
 @cache
 def _digests(module: str) -> dict[str, str]:
     """Return the digests of the sources of the functions in the file of a module, by class and name."""

@@ -97,20 +97,6 @@ def traits_of(source: Any, kind: int) -> Traits:
     return traits
 
 
-def give_traits(vehicle: Any, traits: Traits) -> None:
-    """Give a new highway-env vehicle its traits: the inverse of `traits_of`."""
-    vehicle.check_collisions = bool(traits.checks_collisions)
-    if traits.kind not in (IDM, LINEAR):
-        return
-    vehicle.enable_lane_change = bool(traits.changes_lanes)
-    for field, name in _PARAMETERS.items():
-        if getattr(vehicle, name) != traits[field]:
-            setattr(vehicle, name, float(traits[field]))
-    if traits.kind == LINEAR:
-        vehicle.ACCELERATION_PARAMETERS = np.array([traits[field] for field in _ACCELERATION_GAINS])
-        vehicle.STEERING_PARAMETERS = np.array([traits[field] for field in _STEERING_GAINS])
-
-
 def _read_driver(traits: Traits, source: Any) -> None:
     """Read the parameters of the reactive traffic."""
     _put(traits, tuple(_PARAMETERS), [getattr(source, name) for name in _PARAMETERS.values()])

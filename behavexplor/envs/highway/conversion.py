@@ -1,15 +1,13 @@
-"""Copy the state of a highway-env environment into a slot, and back; compare slots."""
+"""The state of a slot: copied from an environment of highway-env, and compared with another."""
 
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from highway_env import utils
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import AbstractLane
-from highway_env.road.regulation import RegulatedRoad
 from highway_env.road.road import LaneIndex, RoadNetwork
-from highway_env.vehicle.objects import Obstacle, RoadObject
+from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
 
 from behavexplor.envs.engine.lane_network import lane_indexes, road_numbers
@@ -20,16 +18,14 @@ from behavexplor.envs.engine.state import (
     NO_LANE,
     NO_ROUTE,
     OBSTACLE,
-    PLAIN,
     SAME_NUMBER,
     VEHICLE,
     Records,
     Slots,
     Vehicle,
 )
-from behavexplor.envs.engine.vehicle_parameters import give_traits, kind_of, traits_of
+from behavexplor.envs.engine.vehicle_parameters import kind_of, traits_of
 from behavexplor.envs.engine.world import EGO, World
-from behavexplor.envs.observation_types import default_ranges
 from behavexplor.errors import InputError
 
 _NOT_COMPARED = frozenset({"number", "n_numbered", "route_position", "route_length"})
@@ -122,76 +118,12 @@ def _n_side_lanes(env: AbstractEnv) -> int:
     return len(env.road.network.all_side_lanes(env.vehicle.lane_index))
 
 
-def restore(env: AbstractEnv, slots: Slots, b: int) -> None:
-    """Give an environment the state of slot b: the inverse of `load`.
-
-    The environment can then be drawn or stepped. Its vehicles and obstacles are new objects. Its generator of random
-    numbers is left as it is.
-
-    Args:
-        env: a highway-env environment, without wrappers, of the same configuration. It has been reset.
-        slots: the slots.
-        b: the slot.
-    """
-    road, episode = env.road, slots.episodes[b]
-    n_vehicles, n_obstacles = int(episode.n_vehicles), int(episode.n_obstacles)
-    things = [_make_thing(env, slots, b, i) for i in range(n_vehicles + n_obstacles)]
-    road.vehicles, road.objects = things[:n_vehicles], things[n_vehicles:]
-    ego = things[episode.ego]
-    others = [things[i] for i in range(n_vehicles) if slots.traits[b, i].kind in (PLAIN, MDP) and i != episode.ego]
-    env.controlled_vehicles = [ego, *others]
-    env.steps, env.time = int(episode.frames), float(episode.time)
-    if isinstance(road, RegulatedRoad):
-        road.steps = int(episode.road_frames)
-    env.define_spaces()
-    observation: Any = env.observation_type
-    if hasattr(observation, "features_range") and not observation.features_range:
-        observation.features_range = default_ranges(int(episode.n_side_lanes))
-
-
-def _make_thing(env: AbstractEnv, slots: Slots, b: int, i: int) -> Any:
-    """Make the highway-env object of a vehicle or an obstacle."""
-    vehicle, traits, network = slots.vehicles[b, i], slots.traits[b, i], env.road.network
-    make: Any = utils.class_from_path(env.config["other_vehicles_type"])
-    if traits.kind in (PLAIN, MDP):
-        make = env.action_type.vehicle_class
-    elif traits.kind == OBSTACLE:
-        make = Obstacle
-    thing = make(env.road, (vehicle.x, vehicle.y), float(vehicle.heading), float(vehicle.speed))
-    indexes = lane_indexes(network)
-    thing.lane_index = indexes[vehicle.lane]
-    thing.lane = network.get_lane(thing.lane_index)
-    thing.crashed = bool(vehicle.crashed)
-    give_traits(thing, traits)
-    if traits.kind != OBSTACLE:
-        _give_commands(thing, vehicle)
-    if traits.kind in (MDP, IDM, LINEAR):
-        thing.target_lane_index, thing.target_speed = indexes[vehicle.target_lane], float(vehicle.target_speed)
-        thing.route = make_route(vehicle, slots.routes[b, i], list(road_numbers(network)))
-    if traits.kind == MDP:
-        thing.speed_index = int(vehicle.speed_index)
-    if traits.kind in (IDM, LINEAR):
-        _give_timers(thing, vehicle)
-    return thing
-
-
-def _give_commands(thing: Any, vehicle: Vehicle) -> None:
-    thing.action = {"steering": float(vehicle.steering), "acceleration": float(vehicle.acceleration)}
-    thing.impact = np.array([vehicle.impact_x, vehicle.impact_y]) if vehicle.has_impact else None
-
-
 def make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) -> list[LaneIndex] | None:
     """Return what is left of a route."""
     if vehicle.route_length == NO_ROUTE:
         return None
     rest = steps[vehicle.route_position : vehicle.route_length]
     return [(*ends[step.road], None if step.number == SAME_NUMBER else int(step.number)) for step in rest]
-
-
-def _give_timers(thing: Any, vehicle: Vehicle) -> None:
-    thing.timer = float(vehicle.timer)
-    if vehicle.is_yielding:
-        thing.is_yielding, thing.yield_timer, thing.color = True, 0, RegulatedRoad.YIELDING_COLOR
 
 
 class SlotState(NamedTuple):
