@@ -25,6 +25,7 @@ from behavexplor.envs.tasks.scripted_episodes import OneSlot, odd_action, odd_me
 from behavexplor.errors import InputError, unknown_name
 
 RENDER_MODES = ("human", "rgb_array")
+_OF_OUTCOMES = frozenset({"_reward", "_rewards", "_is_terminated", "_is_truncated", "_info"})  # methods of objects
 
 
 class DrivingEnv(PlainSimulation):
@@ -225,7 +226,11 @@ class DrivingEnv(PlainSimulation):
 
     def _obstacle(self) -> str | None:
         """Return why the engine cannot simulate this environment; None if it can."""
-        obstacle = odd_method(self, DrivingEnv) or odd_action(self.action_type) or replaced_in(self)
+        obstacle = (
+            odd_method(self, DrivingEnv, _OF_OUTCOMES)
+            or odd_action(self.action_type)
+            or replaced_in(self, _OF_OUTCOMES)
+        )
         if obstacle:
             return obstacle
         by_engine = odd_observation(self.observation_type) is None

@@ -167,14 +167,26 @@ class OwnReward(LaneFollowEnv):
         return 7.0
 
 
-def test_a_subclass_that_overrides_a_method_is_simulated_on_objects_and_says_so_once(caplog):
+class OwnEnd(LaneFollowEnv):
+    def _find_end(self):
+        return "timeout"
+
+
+def test_a_subclass_with_its_own_reward_is_compiled(caplog):
     env = OwnReward()
+    env.reset(seed=0)
+    assert env.step(np.zeros(2))[1] == 7.0
+    assert not caplog.records
+
+
+def test_a_subclass_that_overrides_a_method_is_simulated_on_objects_and_says_so_once(caplog):
+    env = OwnEnd()
     for _ in range(2):
         env.reset(seed=0)
-        assert env.step(np.zeros(2))[1] == 7.0
+        assert env.step(np.zeros(2))[3]
     assert [record.message for record in caplog.records] == [
-        "OwnReward is simulated on highway-env's objects, many times as slow as compiled: the engine does not support "
-        "the method OwnReward._reward"
+        "OwnEnd is simulated on highway-env's objects, many times as slow as compiled: the engine does not support "
+        "the method OwnEnd._find_end"
     ]
 
 

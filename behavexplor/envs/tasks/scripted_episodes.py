@@ -160,14 +160,15 @@ class ScriptedEpisodes:
         self._fill_table: Any = compiled_for(fill_table, *self._motion_of(0), self._time[:1], table)
 
 
-def odd_method(env: Any, known: type) -> str | None:
+def odd_method(env: Any, known: type, free: frozenset[str] = frozenset()) -> str | None:
     """Return a method that an environment's class overrides; None if there is none.
 
     Args:
         env: the environment.
         known: the class whose methods the engine stands for.
+        free: names of methods for which it does not.
     """
-    rule = replaced(type(env), known, {"logical"})
+    rule = replaced(type(env), known, free | {"logical"})
     return rule and f"the method {rule}"
 
 
