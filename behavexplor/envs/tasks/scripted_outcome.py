@@ -1,16 +1,6 @@
 """What comes out of an episode with scripted vehicles: the trace, and the terms of the reward.
 
-The reward is a sum of terms for R1-R3, progress, time and effort. The weights are the environment's `config["reward"]`;
-the defaults are `WEIGHTS`. Each term is a weight times an amount:
-
-- `progress`: distance that the ego moved forward along its route since the last decision [m];
-- `step`: 1;
-- `effort`: square of the mean acceleration since the last decision [(m/s2)^2];
-- `lines`: 1 at the decision in which the ego first touches an illegal line (R2);
-- `collision`: 1 at a collision (R1) that is not a `rear_end`;
-- `rear_end`: 1 at a collision in which a faster vehicle struck the ego from behind;
-- `arrived`: 1 on arrival (R3);
-- `missed`: 1 at any other end.
+The reward is a sum of terms for R1-R3, progress, time and effort; see `behavexplor.envs.driving.DrivingEnv`.
 """
 
 import math
