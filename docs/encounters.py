@@ -16,7 +16,7 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.fuzz.aiming import Aiming, AimingOptions, Drive
 from behavexplor.fuzz.encounters import Encounters, EncountersOptions, Niche
 from behavexplor.judge.specs import judge
-from behavexplor.report.colors import page_colors
+from behavexplor.report.marks import page_colors
 
 PICTURE = Path(__file__).parent / "encounters.png"
 ENV, ADS, SEED, EXECUTIONS = "intersection-straight", "rule:apollo-like", 1, 300

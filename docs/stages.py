@@ -5,8 +5,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from behavexplor.campaign.stage_clock import STAGES
-from behavexplor.report.colors import page_colors
+from behavexplor.campaign.progress import STAGES
+from behavexplor.report.marks import page_colors
 
 FIGURES = Path(__file__).parent / "data" / "performance.json"
 PICTURE = Path(__file__).parent / "stages.png"

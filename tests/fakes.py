@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.trace import Trace
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.testing import synthetic_trace
 

@@ -17,7 +17,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 from behavexplor import jit as compiled
-from behavexplor.ads.rule.lateral import LateralProfile
+from behavexplor.ads.rule.control import LateralProfile
 from behavexplor.ads.rule.station_time import StationTime
 from behavexplor.behavior.window_statistics import fill_statistics
 

@@ -30,12 +30,12 @@ from behavexplor.ads.sb3.archive import DATA, SETTINGS
 from behavexplor.bench.experiment import read_experiment
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
-from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.database import Row, insert
 from behavexplor.campaign.database_file import connect
+from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK
-from behavexplor.data.packed_arrays import unpack_arrays
+from behavexplor.data.motion_bytes import unpack_arrays
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.making import environment_id

@@ -7,10 +7,29 @@ from html import escape
 from importlib import import_module
 from typing import Any
 
+from rich.console import Console
+from rich.text import Text
+
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
+from behavexplor.errors import printable
 
 Observer = Callable[[Progress], None]
+
+
+class PlainConsole(Console):
+    """A console on which a text is nothing but text: control characters, markup and emoji codes have no effect.
+
+    Args:
+        settings: settings of the `Console`.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **settings)
+
+    def render_str(self, text: str, **settings: Any) -> Text:
+        """Return a text as it is shown. All strings that are printed, also in tables, go through this."""
+        return super().render_str(printable(text), **settings)
 
 
 def in_notebook() -> bool:
@@ -69,7 +88,7 @@ def _bar(budget: Budget) -> Iterator[Observer]:
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415 - only where it was asked for
     from rich.progress import Progress as Bar  # noqa: PLC0415
 
-    from behavexplor.api.plain_console import PlainConsole  # noqa: PLC0415
+    from behavexplor.api.observers import PlainConsole  # noqa: PLC0415
 
     console = PlainConsole(stderr=True)
     with Bar(BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn(), console=console) as bar:

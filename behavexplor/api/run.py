@@ -14,9 +14,9 @@ from behavexplor.api.dataframes import frame_of
 from behavexplor.api.observers import Observer
 from behavexplor.api.replays import Replay
 from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.judgment import Repetition, repeat_execution
 from behavexplor.campaign.provenance import ALL, DRIVING, JUDGED, Consent, accepted
 from behavexplor.campaign.record import Record
-from behavexplor.campaign.repetition import Repetition, repeat_execution
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import write_durably

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
+from behavexplor.jit import kernel_in_place
 
 Labels = NDArray[np.uint8]  # an abstract trace: one abstract state (cluster) per window
 
@@ -55,7 +56,7 @@ class AbstractTraces:
         Returns:
             Distances, shape (len(self),). The distance of two empty traces is 0.
         """
-        from behavexplor.behavior.differing_labels import count_differing  # noqa: PLC0415 - numba is slow to import
+        from behavexplor.behavior.distance import count_differing  # noqa: PLC0415 - numba is slow to import
 
         starts = self._starts[: self._count + 1]
         differing = np.empty(self._count, dtype=np.int64)
@@ -72,3 +73,23 @@ def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
     bigger = np.empty(max(size, 2 * len(array)), dtype=array.dtype)
     bigger[: len(array)] = array
     return bigger
+
+
+@kernel_in_place
+def count_differing(
+    labels: NDArray[np.uint8], starts: NDArray[np.int64], query: NDArray[np.uint8], differing: NDArray[np.int64]
+) -> None:
+    """Count the labels in which a query differs from each abstract trace, over their common part.
+
+    Args:
+        labels: labels of all abstract traces, one after the other.
+        starts: place of the first label of each abstract trace, and of the end of the last one, shape (n + 1,).
+        query: labels of the query, shape (length,).
+        differing: the numbers, shape (n,); changed in place.
+    """
+    for i in range(len(differing)):
+        first = starts[i]
+        count = np.int32(0)  # the processor adds up more of them at once than of longer numbers
+        for k in range(min(starts[i + 1] - first, len(query))):
+            count += np.int32(labels[first + k] != query[k])
+        differing[i] = count

@@ -4,9 +4,15 @@ Source: paper section 3.2.1. The cost of refitting the clusters would grow with 
 from the centers of the last one, uses a bounded sample of merged states, and happens at growing intervals.
 """
 
+import math
+import os
+import tempfile
+import weakref
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Annotated, Literal
+from typing import IO, Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +20,7 @@ from numpy.typing import NDArray
 from behavexplor.behavior.clusters import clusters_of, k_means
 from behavexplor.behavior.distance import MAX_CLUSTERS, AbstractTraces, Labels
 from behavexplor.behavior.features import (
+    ATTRIBUTES,
     N_FEATURES,
     NEGLIGIBLE,
     HeadingFrame,
@@ -22,13 +29,15 @@ from behavexplor.behavior.features import (
     nearest_clusters,
     state_matrix,
 )
-from behavexplor.behavior.state_file import StateFile
 from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
+from behavexplor.jit import kernel_in_place
 
 Scaling = Literal["zscore", "none"]
+States = NDArray[np.float32]
+IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
 
 
 @validated
@@ -166,7 +175,7 @@ def _scaled(sample: NDArray[np.float32], scaling: Scaling) -> tuple[Floats, Floa
     """Return scaled rows, and the mean and the scale of each feature, see `behavexplor.behavior.clusters.Clusters`."""
     if scaling == "none":
         return sample.astype(np.float64), np.zeros(N_FEATURES), np.ones(N_FEATURES)
-    from behavexplor.behavior.standardization import standardize  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.behavior.miner import standardize  # noqa: PLC0415 - numba is slow to import
 
     rows, mean, scale = np.empty(sample.shape), np.zeros(N_FEATURES), np.zeros(N_FEATURES)
     standardize(sample, NEGLIGIBLE, mean, scale, rows)
@@ -197,3 +206,74 @@ class _Sample:
         kept = slots < len(self._rows)
         self._rows[slots[kept]] = rows[kept]
         self._seen += len(rows)
+
+
+@kernel_in_place
+def standardize(sample: NDArray[np.float32], least: Floats, mean: Floats, scale: Floats, rows: Floats) -> None:
+    """Fill in the mean and the deviation of each feature, and the rows with mean 0 and deviation 1.
+
+    The sums run in the order of the rows, as in numpy.
+
+    Args:
+        sample: the features, shape (n, features), n > 0.
+        least: least scale of each feature, in place of a smaller deviation, shape (features,).
+        mean: zeros, shape (features,); changed in place.
+        scale: zeros, shape (features,); changed in place.
+        rows: the standardized features, shape (n, features); changed in place.
+    """
+    count, width = sample.shape
+    for i in range(count):
+        for j in range(width):
+            mean[j] += sample[i, j]
+    for j in range(width):
+        mean[j] /= count
+    for i in range(count):
+        for j in range(width):
+            deviation = sample[i, j] - mean[j]
+            scale[j] += deviation * deviation
+    for j in range(width):
+        scale[j] = max(math.sqrt(scale[j] / count), least[j])
+    for i in range(count):
+        for j in range(width):
+            rows[i, j] = (sample[i, j] - mean[j]) / scale[j]
+
+
+class StateFile:
+    """The states of behaviors in the order of their addition. Iteration yields them one by one.
+
+    They are in memory up to `IN_MEMORY` bytes, and beyond in a file of the temporary folder. The file has no name where
+    the system permits, so that it never outlives the process.
+    """
+
+    def __init__(self, in_memory: int = IN_MEMORY) -> None:
+        self._lengths: list[int] = []
+        self._file: IO[bytes] = tempfile.SpooledTemporaryFile(in_memory)  # noqa: SIM115 - closed with this object
+        weakref.finalize(self, _close, self._file)
+
+    def __len__(self) -> int:
+        return len(self._lengths)
+
+    def append(self, states: States) -> None:
+        """Add the states of a behavior, shape (N', 8).
+
+        Raises:
+            OSError: if the file cannot be written, for example because the disk is full; it names the folder.
+        """
+        try:
+            self._file.seek(0, os.SEEK_END)
+            self._file.write(states.tobytes())
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, tempfile.gettempdir()) from error
+        self._lengths.append(len(states))
+
+    def __iter__(self) -> Iterator[States]:
+        width = len(ATTRIBUTES)
+        self._file.seek(0)
+        for length in self._lengths:
+            data = self._file.read(length * width * np.dtype(np.float32).itemsize)
+            yield np.frombuffer(data, dtype=np.float32).reshape(length, width)
+
+
+def _close(file: IO[bytes]) -> None:
+    with suppress(OSError):  # what could not be written is not needed any more
+        file.close()

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 from behavexplor.bench.timing import Stopwatch
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
-from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.opening import opened
+from behavexplor.campaign.record import DATABASE
 from behavexplor.data.durable import folder_in
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError

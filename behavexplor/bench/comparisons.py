@@ -1,6 +1,8 @@
 """The tables of comparisons of an experiment's methods."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, compare, compare_together, least_p
@@ -20,6 +22,8 @@ from behavexplor.bench.table import (
     total,
     unique,
 )
+
+Sample = tuple[str, str, str, str, list[float], list[float]]
 
 
 def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
@@ -57,9 +61,6 @@ def families(experiment: Experiment) -> list[tuple[str, str, list[tuple[str, str
         rivals = [method for method in experiment.methods if method != baseline]
         made.append((baseline, f"{baseline} compared", [(rival, baseline) for rival in rivals]))
     return made + [(f"contrast-{name}", name, list(pairs)) for name, pairs in experiment.contrasts.items()]
-
-
-Sample = tuple[str, str, str, str, list[float], list[float]]
 
 
 def samples(
@@ -150,3 +151,38 @@ def _compared(name: str, title: str, experiment: Experiment, found: Sequence[Sam
     if least >= LEVEL:
         notes.append(f"So few seeds cannot be significant here: the least corrected p is {p_text(min(1.0, least))}.")
     return Table(name, title, (*heads,), tuple(rows), blocks, tuple(notes))
+
+
+@dataclass(frozen=True)
+class EqualTime:
+    """The campaigns of an experiment, cut off at the same time.
+
+    Attributes:
+        summaries: summaries of what the campaigns found until then.
+        notes: sentences that say which time it is.
+    """
+
+    summaries: tuple[Summary, ...]
+    notes: tuple[str, ...]
+
+
+def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> EqualTime | None:
+    """Return the campaigns of an experiment in equal time; None if a time was not measured.
+
+    The time is that of the paper's budget: the simulated time of the executions, and the time for everything else. In
+    each environment, all campaigns are cut off at the time that the shortest one took.
+    """
+    if any(math.isnan(summary.time) for summary in summaries):
+        return None
+    cut, limits = [], []
+    for env, ads in experiment.places:
+        here = [summary for summary in summaries if (summary.env, summary.ads) == (env, ads)]
+        if here:
+            limit = min(summary.time for summary in here)
+            cut += [summary.within(limit) for summary in here]
+            limits.append(f"{' with '.join(place_cells(experiment, env, ads))} {limit / 3600:.2f} h")
+    notes = (
+        f"The time of the shortest campaign: {', '.join(limits)}. It is the simulated time of the executions, "
+        "and the measured time for everything else, spread evenly over the executions.",
+    )
+    return EqualTime(tuple(cut), notes)

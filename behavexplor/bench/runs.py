@@ -14,8 +14,8 @@ from behavexplor.bench.campaign_service import RUN, campaign_recipe, campaign_re
 from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.config import CampaignConfig, check_revision, stored_config
-from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.provenance import own_run, remember
+from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError

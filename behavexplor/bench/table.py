@@ -1,7 +1,11 @@
 """A table of an experiment as values, and what the makers of tables share."""
 
+import csv
+import io
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate, estimate
@@ -10,6 +14,16 @@ from behavexplor.bench.summaries import Summary
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
 Group = tuple[str, str, str]  # environment, ADS, method
+_ESCAPES: Final = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        **{character: f"\\{character}" for character in "&%$#_{}"},
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -100,3 +114,111 @@ def n_kinds_at_fault(summary: Summary) -> int:
 def n_weaknesses(summary: Summary) -> int:
     """Return the number of weaknesses that a campaign found."""
     return len(summary.weaknesses())
+
+
+def shown(value: Value, column: Column) -> str:
+    """Return a value as text for display."""
+    if isinstance(value, Estimate):
+        mean = f"{value.mean:.{column.digits}f}"
+        if not column.interval or math.isnan(value.low):
+            return mean
+        return f"{mean} [{value.low:.{column.digits}f}, {value.high:.{column.digits}f}]"
+    if isinstance(value, float):
+        return f"{value:.{column.digits}f}"
+    return "" if value is None else str(value)
+
+
+def marked(table: Table) -> set[tuple[int, int]]:
+    """Return row and column of the greatest values of each block, for columns in which the greatest is the best.
+
+    Values that equal the greatest after rounding are marked, too. If all values of a block are equal, none is marked.
+    """
+    found = set()
+    for index, column in enumerate(table.columns):
+        if not column.best:
+            continue
+        start = 0
+        for length in table.blocks:
+            rows = range(start, start + length)
+            start += length
+            means = {
+                row: round(value.mean, column.digits)
+                for row in rows
+                if isinstance(value := table.rows[row][index], Estimate)
+            }
+            if len(set(means.values())) > 1:
+                found |= {(row, index) for row, mean in means.items() if mean == max(means.values())}
+    return found
+
+
+def table_csv(table: Table) -> str:
+    """Return a table as CSV. An estimate takes four columns."""
+    estimates = [any(isinstance(row[i], Estimate) for row in table.rows) for i in range(len(table.columns))]
+    head = []
+    for column, is_estimate in zip(table.columns, estimates, strict=True):
+        head += [f"{column.name} {part}" for part in ("mean", "low", "high", "n")] if is_estimate else [column.name]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    for row in table.rows:
+        cells: list[object] = []
+        for value in row:
+            cells += _plain(value)
+        writer.writerow(cells)
+    return text.getvalue()
+
+
+def _plain(value: Value) -> list[object]:
+    if isinstance(value, Estimate):
+        ends = (value.mean, value.low, value.high)
+        return [*("" if math.isnan(end) else round(end, 6) for end in ends), value.n]
+    return [round(value, 6) if isinstance(value, float) else "" if value is None else value]
+
+
+def table_latex(table: Table) -> str:
+    r"""Return a table for LaTeX with the package booktabs. The best value of each block is bold."""
+    columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
+    numbers = [bool(table.rows) and not isinstance(table.rows[0][i], str) for i in columns]
+    best = marked(table)
+    lines = [
+        r"\begin{table}",
+        r"  \centering",
+        rf"  \caption{{{escaped(' '.join((table.title + '.', *table.notes)))}}}",
+        rf"  \label{{tab:{table.name}}}",
+        rf"  \begin{{tabular}}{{{''.join('r' if number else 'l' for number in numbers)}}}",
+        r"    \toprule",
+        "    " + " & ".join(escaped(table.columns[i].name) for i in columns) + r" \\",
+    ]
+    row = 0
+    for length in table.blocks:
+        lines.append(r"    \midrule")
+        for _ in range(length):
+            cells = [_latex(table.rows[row][i], table.columns[i], bold=(row, i) in best) for i in columns]
+            lines.append("    " + " & ".join(cells) + r" \\")
+            row += 1
+    lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]
+    return "\n".join(lines) + "\n"
+
+
+def table_markdown(table: Table) -> str:
+    """Return a table in Markdown. The best value of each block is bold, and the notes stand below the table."""
+    columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
+    best = marked(table)
+    lines = [[table.columns[i].name for i in columns], ["---"] * len(columns)]
+    for number, row in enumerate(table.rows):
+        cells = [shown(row[i], table.columns[i]) for i in columns]
+        lines.append([f"**{cell}**" if (number, i) in best else cell for i, cell in zip(columns, cells, strict=True)])
+    rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return f"**{table.title}**\n\n{rows}\n\n{' '.join(table.notes)}\n"
+
+
+def _latex(value: Value, column: Column, *, bold: bool) -> str:
+    text = escaped(shown(value, column))
+    if isinstance(value, Estimate | float):
+        text = text.replace("-", "$-$")
+    return rf"\textbf{{{text}}}" if bold else text
+
+
+def escaped(text: str) -> str:
+    """Return a text with LaTeX's special characters escaped."""
+    return text.translate(_ESCAPES)

@@ -1,16 +1,13 @@
-"""The tables of an experiment as values. `behavexplor.bench.writing` converts them to text."""
+"""The tables of an experiment as values. `behavexplor.bench.table` converts them to text."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from behavexplor.bench.comparisons import comparisons, joint_comparisons
-from behavexplor.bench.equal_time import EqualTime, in_equal_time
+from behavexplor.bench.comparisons import EqualTime, comparisons, in_equal_time, joint_comparisons
 from behavexplor.bench.experiment import Experiment
-from behavexplor.bench.forecast_table import forecasts, pooled_forecasts
-from behavexplor.bench.overviews import overviews
-from behavexplor.bench.search_tables import correlations, mutations
+from behavexplor.bench.overviews import correlations, forecasts, mutations, overviews, pooled_forecasts
 from behavexplor.bench.statistics import estimate
 from behavexplor.bench.summaries import LABELS, Summary, all_classified, all_labels, all_signed
 from behavexplor.bench.table import (

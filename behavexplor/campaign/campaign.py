@@ -18,9 +18,8 @@ from typing import Any
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
-from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.progress import ASKING, EXECUTING, JUDGING, MINING, STORING, WAITING, Progress, StageClock
 from behavexplor.campaign.record import ERROR, Record
-from behavexplor.campaign.stage_clock import ASKING, EXECUTING, JUDGING, MINING, STORING, WAITING, StageClock
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.validation import checked

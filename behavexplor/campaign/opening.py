@@ -6,16 +6,21 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from behavexplor.ads.interface import ADS
+from behavexplor.behavior.clusters import load_clustering
+from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
+from behavexplor.campaign.progress import STARTING, StageClock
 from behavexplor.campaign.provenance import own_run, remember
-from behavexplor.campaign.stage_clock import STARTING, StageClock
 from behavexplor.campaign.store import Store
-from behavexplor.campaign.warm_up import load_analysis
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.durable import write_durably
+from behavexplor.data.motion_bytes import unpack_motion
 from behavexplor.data.road_shape import ROAD_FILE
+from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
@@ -23,6 +28,10 @@ from behavexplor.execution.shared_imports import collections_off, share_imports
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
+from behavexplor.judge.specs import judge
+
+_FRAMES = 31
+_SPEED = 10.0  # [m/s]
 
 
 @dataclass(frozen=True)
@@ -142,3 +151,35 @@ def _check_budget(run: Path, config: CampaignConfig, count: int) -> None:
     executions = Budget.parse(config.budget).executions
     if executions is not None and executions < count:
         raise InputError(f"--budget {executions} is less than the {count} executions that {run} already has")
+
+
+def load_analysis() -> None:
+    """Import the modules and load the machine code that the analysis of a trace needs, by analyzing a small one.
+
+    The first campaign on a machine compiles that code here. Otherwise, its first execution would wait for it.
+    """
+    load_clustering()
+    unpack_motion(np.zeros((1, 2, _FRAMES), dtype=np.uint8), _FRAMES, RESOLUTION)
+    trace = _pass_by()
+    judge(trace)
+    NoveltyArchive().observe(trace)
+
+
+def _pass_by() -> Trace:
+    """Return a trace of an ego that passes a standing vehicle."""
+    time = np.arange(_FRAMES) / 20
+    position, velocity = np.zeros((2, _FRAMES, 2, 2))
+    position[:, 0, 0], position[:, 1], velocity[:, 0, 0] = _SPEED * time, (8.0, 4.0), _SPEED
+    return Trace(
+        time=time,
+        position=position,
+        heading=np.zeros((_FRAMES, 2)),
+        velocity=velocity,
+        size=np.array([[5.0, 2.0], [5.0, 2.0]]),
+        actions=np.zeros((0, 1)),
+        action_frame=np.zeros(0, dtype=np.int64),
+        route=np.array([[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]),
+        destination=np.array([100.0, 0.0]),
+        illegal_lines=np.array([[[0.0, -4.0], [100.0, -4.0]]]),
+        end="timeout",
+    )

@@ -17,7 +17,6 @@ from types import MappingProxyType
 from typing import IO, Any, Self
 
 from behavexplor.campaign.config import CONFIG
-from behavexplor.campaign.damage import DATABASE, FAILURES, Losses
 from behavexplor.campaign.database import (
     FORMAT,
     READABLE,
@@ -34,10 +33,9 @@ from behavexplor.campaign.database import (
     upgrade,
     written_format,
 )
-from behavexplor.campaign.database_file import connect
-from behavexplor.campaign.folder_lock import LOCK, lock_folder
-from behavexplor.campaign.record import Record
-from behavexplor.campaign.stage_clock import known_stages
+from behavexplor.campaign.database_file import LOCK, connect, lock_folder
+from behavexplor.campaign.progress import known_stages
+from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -198,7 +196,7 @@ class Store:
 
     @property
     def stages(self) -> dict[str, float]:
-        """Time of the campaign in each stage [s], see `behavexplor.campaign.stage_clock`; empty if it is not known."""
+        """Time of the campaign in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known."""
         try:
             return known_stages(parse_json(read_note(self._connection, _STAGES).decode(), "the time in each stage"))
         except ValueError:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.commands.early_imports import begin_imports
-from behavexplor.commands.output import say
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
+from behavexplor.commands.wording import say
 from behavexplor.data.first_use import loaded_at_first_use
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.shared_imports import collections_off

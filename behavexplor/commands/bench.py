@@ -15,20 +15,17 @@ from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive,
 from behavexplor.bench.forecast import forecast
 from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
-from behavexplor.bench.table import Table
+from behavexplor.bench.table import Table, table_csv, table_latex, table_markdown
 from behavexplor.bench.tables import tables
-from behavexplor.bench.writing import table_csv, table_latex, table_markdown
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import check_said_twice
 from behavexplor.campaign.interrupts import stopped_by_signals
 from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
 from behavexplor.commands.report import PAGE
-from behavexplor.commands.terminal_tables import text
-from behavexplor.commands.wording import clock
+from behavexplor.commands.wording import clock, say, text
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import parse_cluster

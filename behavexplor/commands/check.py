@@ -10,10 +10,8 @@ import tyro
 from junitparser import Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import Trust
-from behavexplor.commands.output import say
-from behavexplor.commands.terminal_tables import grid, plain_text
-from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.commands.flags import Trust, chosen_workers, patience
+from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_given
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import Suite

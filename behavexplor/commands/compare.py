@@ -17,10 +17,9 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
 from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
-from behavexplor.commands.terminal_tables import grid, plain_text
-from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.commands.display import Meter
+from behavexplor.commands.flags import chosen_workers, patience
+from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN

@@ -10,10 +10,10 @@ import tyro
 
 from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import OK, program
+from behavexplor.commands.display import Meter
 from behavexplor.commands.fuzz import fuzz
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
 from behavexplor.commands.report import PAGE, report
+from behavexplor.commands.wording import say
 from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError, missing_library
 

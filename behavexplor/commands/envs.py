@@ -7,7 +7,7 @@ import gymnasium
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.commands import OK
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.envs.making import ENTRY_POINTS, HIGHWAY_ENV
 
 

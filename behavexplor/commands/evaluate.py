@@ -17,10 +17,9 @@ from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
-from behavexplor.commands.terminal_tables import grid, plain_text
-from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.commands.display import Meter
+from behavexplor.commands.flags import chosen_workers, patience
+from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario

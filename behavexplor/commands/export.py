@@ -15,19 +15,18 @@ from behavexplor.campaign.provenance import ADS, DRIVING, Consent, accepted
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import OK
 from behavexplor.commands.flags import Trust
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.data.conventions import EPISODE_TIME
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.durable import folder_in
 from behavexplor.data.logical import LogicalScenario
-from behavexplor.data.road_plan import RoadPlan, plan_of_map
+from behavexplor.data.road_shape import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
 from behavexplor.envs.making import make_env, make_recorded
 from behavexplor.errors import InputError, missing_library
-from behavexplor.exchange.csv_table import write_table
-from behavexplor.exchange.scenes import Scene, movers_of
+from behavexplor.exchange.scenes import Scene, movers_of, write_table
 from behavexplor.execution.simulation import logical_of
-from behavexplor.report.captions import outcome
+from behavexplor.report.marks import outcome
 
 LIBRARIES = ("lxml", "scenariogeneration")  # of the extra `scenes`
 

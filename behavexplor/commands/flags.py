@@ -1,14 +1,18 @@
 """Flags that override a configuration."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from threading import Timer
+from typing import Annotated, Any, Final
 
 import tyro
 
 from behavexplor.errors import InputError
+from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
 Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
 Switch = Annotated[bool | None, tyro.conf.DisallowNone]  # --name or --no-name; None without either
+WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
 
 def flag(metavar: str | None, default: object, text: str | None = None) -> Any:
@@ -39,3 +43,27 @@ def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
         if value != getattr(stored, name):
             option = name.replace("_", "-")
             raise InputError(f"--{option} cannot be changed with --resume: the {what} has {getattr(stored, name)!r}")
+
+
+def chosen_workers(workers: int | None) -> int:
+    """Return the number of worker processes on this machine; by default one for each available core.
+
+    Raises:
+        InputError: if the number is out of range.
+    """
+    if workers is None:
+        return min(available_cores(), MOST_WORKERS)
+    if not 0 <= workers <= MOST_WORKERS:
+        raise InputError(f"--workers {workers} must lie between 0 and {MOST_WORKERS}")
+    return workers
+
+
+@contextmanager
+def patience(say: Callable[[str], object], note: str = WAITING, after: float = 5.0) -> Iterator[None]:
+    """Say something if the code in this context takes longer than `after` seconds."""
+    timer = Timer(after, say, [note])
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -37,9 +37,8 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag
-from behavexplor.commands.output import say
-from behavexplor.commands.workers import chosen_workers, patience
+from behavexplor.commands.flags import Switch, Trust, check_unchanged, chosen_workers, flag, patience
+from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
 from behavexplor.fuzz.methods import METHODS, describe_method

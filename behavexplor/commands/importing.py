@@ -13,7 +13,7 @@ from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.export import check_libraries, road_of
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code
@@ -26,7 +26,7 @@ from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.start import fewest_workers, start_executor
 from behavexplor.judge.specs import ERROR, SPECS
-from behavexplor.report.captions import outcome
+from behavexplor.report.marks import outcome
 
 
 def importing(

@@ -13,16 +13,15 @@ from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import Trust
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
-from behavexplor.commands.terminal_tables import grid, plain_text
-from behavexplor.commands.wording import counted
-from behavexplor.commands.workers import chosen_workers
+from behavexplor.commands.display import Meter
+from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.wording import counted, grid, plain_text, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import chosen_failures, minimize_failures
 from behavexplor.triage.minimized import Minimized, known_minimized
+
+_NUMBERS = ("vehicles", "free values", "executions")
 
 
 def minimize(
@@ -106,6 +105,3 @@ def table(found: Sequence[Minimized]) -> str:
             [f"{unfinished} of them may have an even simpler scenario: the limit was reached"] if unfinished else []
         )
     return "\n".join(lines)
-
-
-_NUMBERS = ("vehicles", "free values", "executions")

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.damage import Losses
+from behavexplor.campaign.record import Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, program
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 
 
 def records(run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]) -> int:

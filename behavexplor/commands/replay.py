@@ -9,12 +9,12 @@ from typing import Annotated
 import tyro
 
 from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.judgment import repeat_execution
 from behavexplor.campaign.provenance import DRIVING, Consent, accepted
-from behavexplor.campaign.repetition import repeat_execution
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.flags import Trust
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape

@@ -7,7 +7,7 @@ import tyro
 
 from behavexplor.bench.experiment import EXPERIMENT
 from behavexplor.commands import OK
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError
 from behavexplor.report.reading import read_run

@@ -14,11 +14,10 @@ from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
 from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
+from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust, check_unchanged, flag
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
-from behavexplor.commands.terminal_tables import grid, plain_text
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
+from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.errors import InputError, missing_library, sentence
 from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, Sources, best
 

@@ -7,12 +7,11 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.folder_lock import is_being_written
+from behavexplor.campaign.database_file import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
-from behavexplor.commands.output import say
-from behavexplor.commands.wording import class_count, clock, hanging
+from behavexplor.commands.wording import class_count, clock, hanging, say
 
 
 def status(

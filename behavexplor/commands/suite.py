@@ -13,14 +13,11 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import Trust
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
-from behavexplor.commands.wording import counted
-from behavexplor.commands.workers import chosen_workers
+from behavexplor.commands.display import Meter
+from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
-from behavexplor.repair.cases import TEST, Case, Suite, check_free
-from behavexplor.repair.selection import candidates, case_of, check_same_driving
+from behavexplor.repair.cases import TEST, Case, Suite, candidates, case_of, check_free, check_same_driving
 from behavexplor.triage.findings import known_findings
 from behavexplor.triage.minimization import minimize_failures
 from behavexplor.triage.minimized import Minimized, known_minimized

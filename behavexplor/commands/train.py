@@ -11,10 +11,10 @@ import yaml
 from behavexplor.campaign.config import read_yaml
 from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import INTERRUPTED, OK, program
+from behavexplor.commands.display import Meter
 from behavexplor.commands.evaluate import table
 from behavexplor.commands.flags import check_unchanged, flag
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.target import Target
 from behavexplor.data.validation import checked

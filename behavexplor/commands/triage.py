@@ -12,18 +12,14 @@ from rich.table import Table
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import Trust
-from behavexplor.commands.meter import Meter
-from behavexplor.commands.output import say
-from behavexplor.commands.terminal_tables import grid, plain_text
-from behavexplor.commands.wording import class_count, hanging
-from behavexplor.commands.workers import chosen_workers
+from behavexplor.commands.display import Meter
+from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.wording import class_count, grid, hanging, plain_text, say
 from behavexplor.data.decision_log import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
-from behavexplor.triage.agreement import agreement
 from behavexplor.triage.findings import Finding, Sighting, Triage, counted
-from behavexplor.triage.run_triage import RunTriage
+from behavexplor.triage.run_triage import RunTriage, agreement
 
 _NUMBERS = ("count", "first", "look at")  # columns of numbers
 

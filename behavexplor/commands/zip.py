@@ -10,7 +10,7 @@ from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.description import env_in_card
 from behavexplor.commands import OK, program
-from behavexplor.commands.output import say
+from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, missing_library
 
 

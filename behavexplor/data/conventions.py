@@ -1,6 +1,8 @@
 """Conventions about traffic that environments, judging and search share."""
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 STANDING_SPEED: Final = 0.3  # vehicles slower than this stand [m/s]
@@ -12,6 +14,16 @@ EPISODE_TIME: Final = 200.0  # an episode takes at most so long, unless the envi
 MOST_ENVS: Final = 4096  # environments in lock-step in a training
 MANEUVERS: Final = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")  # highway-env's meta-actions by index
 REAR_END_ANGLE: Final = 0.8  # least angle between the headings at which a contact is no rear-end collision [rad]
+EGO_SIZE = (4.70, 2.06)  # length and width [m], Lincoln MKZ
+VEHICLE_SIZES: Mapping[str, tuple[float, float]] = MappingProxyType(  # length and width [m]
+    {
+        "sedan": (4.57, 2.08),
+        "suv": (4.71, 2.08),
+        "jeep": (4.24, 1.87),
+        "hatchback": (4.05, 1.89),
+        "school-bus": (9.21, 3.26),
+    }
+)
 
 
 def is_rear_end(ahead: float, turned: float, ego_length: float, ego_speed: float, npc_speed: float) -> bool:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, sorted_draws
-from behavexplor.data.logical import Mutations, Noise
-from behavexplor.data.parts import Part, Parts
+from behavexplor.data.logical import Mutations, Noise, Part, Parts
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 

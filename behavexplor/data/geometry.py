@@ -260,7 +260,7 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
         Station of each projected point [m], and the polyline's heading at that station [rad], each of shape (T,). The
         heading is interpolated between the headings at the middles of the segments.
     """
-    from behavexplor.data.polyline_kernels import fill_stations  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.box_kernels import fill_stations  # noqa: PLC0415 - numba is slow to import
 
     vertices = np.array(polyline, dtype=np.float64, order="C")
     pieces, ends, heading = _pieces(vertices.tobytes())

@@ -1,13 +1,21 @@
 """Motion as few bytes that compress well: second differences over time."""
 
-from typing import Final
+import threading
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
+import safetensors.numpy
+import zstandard
+from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Bytes, Floats
+from behavexplor.data.array_types import Bytes, Floats, Ints
 from behavexplor.errors import InputError
+from behavexplor.jit import kernel_in_place
 
 MOST_VALUES: Final = 20_000_000  # of one quantity of all vehicles in all frames
+LEVEL: Final = 3
+MAX_BYTES: Final = 450_000_000  # unpacked size; the largest trace has 41 bytes for each of 10 million places
 
 
 def pack_motion(motion: Floats, resolution: float) -> Bytes:
@@ -20,7 +28,7 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
     Returns:
         Bytes, shape (b, ..., T), of which each difference needs b.
     """
-    from behavexplor.data.motion_kernels import fill_bytes, fill_changes  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.motion_bytes import fill_bytes, fill_changes  # noqa: PLC0415 - numba is slow to import
 
     frames, *rest = motion.shape
     rows = np.ascontiguousarray(motion).reshape(frames, -1)
@@ -41,7 +49,7 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     Raises:
         InputError: if the bytes have another shape.
     """
-    from behavexplor.data.motion_kernels import fill_values  # noqa: PLC0415 - numba is slow to import
+    from behavexplor.data.motion_bytes import fill_values  # noqa: PLC0415 - numba is slow to import
 
     if planes.dtype != np.uint8 or planes.ndim < 2 or not 1 <= len(planes) <= 8 or planes.shape[-1] != frames:
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
@@ -52,3 +60,81 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     fill_values(rows, resolution, motion.reshape(frames, -1))
     motion.setflags(write=False)
     return motion
+
+
+@kernel_in_place
+def fill_changes(motion: Floats, resolution: float, changes: Ints) -> int:
+    """Fill in the second differences of motion, shape (T, n), over time; differences of shape (n, T).
+
+    Returns:
+        The number of bytes that each of them needs, at least 1.
+    """
+    size = np.int64(0)
+    for i in range(motion.shape[1]):
+        before, step = np.int64(0), np.int64(0)
+        for t in range(len(motion)):
+            now = np.int64(np.rint(motion[t, i] / resolution))
+            change = (now - before) - step
+            before, step = now, now - before
+            changes[i, t] = change
+            size |= change ^ (change >> 63)  # the bits below the sign
+    count = 1
+    while count < 8 and size >> (8 * count - 1):
+        count += 1
+    return count
+
+
+@kernel_in_place
+def fill_bytes(changes: Ints, planes: Bytes) -> None:
+    """Fill in the lowest bytes of differences, shape (n, T); bytes of shape (b, n, T)."""
+    for k in range(len(planes)):
+        for i in range(len(changes)):
+            for t in range(changes.shape[1]):
+                planes[k, i, t] = (changes[i, t] >> (8 * k)) & 255
+
+
+@kernel_in_place
+def fill_values(planes: Bytes, resolution: float, motion: Floats) -> None:
+    """Fill in motion, shape (T, n), from the bytes of its differences, shape (b, n, T)."""
+    unused = 64 - 8 * len(planes)
+    for i in range(motion.shape[1]):
+        now, step = np.int64(0), np.int64(0)
+        for t in range(len(motion)):
+            change = np.int64(0)
+            for k in range(len(planes)):
+                change |= np.int64(planes[k, i, t]) << (8 * k)
+            step += (change << unused) >> unused  # the highest bit is the sign
+            now += step
+            motion[t, i] = now * resolution
+
+
+class _Compression(threading.local):
+    """A compressor and a decompressor for each thread. Creating them takes longer than they need for a trace."""
+
+    def __init__(self) -> None:
+        self.compressor = zstandard.ZstdCompressor(level=LEVEL)
+        self.decompressor = zstandard.ZstdDecompressor()
+
+
+_compression = _Compression()
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return arrays of numbers or truth values as bytes. Equal arrays give equal bytes."""
+    contiguous = {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    return _compression.compressor.compress(safetensors.numpy.save(contiguous))
+
+
+def unpack_arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays that `pack_arrays` packed. No code in the data is executed.
+
+    Raises:
+        ValueError: if the data is of another form, is damaged, or would unpack to more than `MAX_BYTES`.
+    """
+    try:
+        size = zstandard.frame_content_size(data)
+        if not 0 <= size <= MAX_BYTES:
+            raise ValueError(f"it declares an unpacked size of {size} bytes")  # noqa: TRY301
+        return safetensors.numpy.load(_compression.decompressor.decompress(data))
+    except Exception as error:  # both libraries raise several kinds of errors for damaged data
+        raise ValueError(" ".join(f"{type(error).__name__}: {error}".split())[:300]) from None

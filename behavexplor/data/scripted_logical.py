@@ -3,21 +3,19 @@
 Source: paper section 2.2, for the parameters that are searched (the NPCs' routes and waypoints).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from behavexplor.data.logical import Mutations, Noise
-from behavexplor.data.parts import Parts
-from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.scripted_encoding import ScriptedEncoding
-from behavexplor.data.scripted_mutation import mutate_routes, mutate_waypoints
-from behavexplor.data.scripted_parts import part_of, vehicle_of
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.logical import Mutations, Noise, Part, Parts, Value
+from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
+from behavexplor.data.scripted_encoding import ScriptedEncoding, mutate_routes, mutate_waypoints
 from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.data.trace import Trace
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError
 
 WAYPOINTS: Final = "waypoints"
@@ -110,7 +108,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return f"{len(routes)} NPCs: {listed}" if routes else "no NPCs"
 
     def parts(self, scenario: ScriptedScenario) -> Parts:
-        """Return the vehicles of a scenario as parts; see `behavexplor.data.scripted_parts`."""
+        """Return the vehicles of a scenario as parts; see `behavexplor.data.scripted_logical`."""
         return tuple(part_of(npc, self) for npc in scenario.npcs)
 
     def with_parts(self, scenario: ScriptedScenario, parts: Parts) -> ScriptedScenario:
@@ -137,3 +135,50 @@ def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
     if not isinstance(logical, ScriptedLogicalScenario):
         raise InputError(f"{what} needs one of the environments with scripted vehicles, such as intersection-straight")
     return logical
+
+
+def part_of(npc: NPC, ranges: ScriptedRanges) -> Part:
+    """Return a vehicle as a part: its type, the positions of all waypoints, and the speeds of all but the last one."""
+    positions, speeds = [], []
+    before = Waypoint(0.0, ranges.speed_range[1])
+    for waypoint, plain in zip(npc.waypoints, _middles(npc.route, ranges), strict=True):
+        positions.append(_unless(waypoint.position, max(plain, before.position)))
+        speeds.append(_unless(waypoint.speed, before.speed))
+        before = waypoint
+    kind = None if npc.type == ranges.vehicle_types[0] else npc.type
+    return Part(npc.route, (kind, *positions, *speeds[:-1]))
+
+
+def vehicle_of(part: Part, ranges: ScriptedRanges) -> NPC:
+    """Return the vehicle of a part. This is the inverse of `part_of`.
+
+    Raises:
+        InputError: if the route is unknown, or the values are not those of a vehicle on this route.
+    """
+    middles = _middles(part.label, ranges)
+    if len(part.values) != 2 * len(middles):
+        raise InputError(f"{part.label}: a vehicle on this route has {2 * len(middles)} values")
+    kind, *numbers = part.values
+    waypoints: list[Waypoint] = []
+    at, speed = 0.0, ranges.speed_range[1]
+    for plain, position, pace in zip(middles, numbers[: len(middles)], [*numbers[len(middles) :], 0.0], strict=True):
+        at = _number(position, max(plain, at))
+        speed = _number(pace, speed)
+        waypoints.append(Waypoint(at, speed))
+    return NPC(ranges.vehicle_types[0] if kind is None else str(kind), part.label, tuple(waypoints))
+
+
+def _middles(route: str, ranges: ScriptedRanges) -> Sequence[float]:
+    """Return the plain position of each waypoint on a route, regardless of the waypoints before it."""
+    if route not in ranges.roadmap.routes:
+        raise InputError(f"route: there is no route {route!r}")
+    bounds = ranges.position_ranges(ranges.roadmap.routes[route])
+    return [*bounds[:-1].mean(axis=1).tolist(), float(bounds[-1, 1])]
+
+
+def _unless(value: float, plain: float) -> float | None:
+    return None if value == plain else value
+
+
+def _number(value: Value, plain: float) -> float:
+    return plain if value is None else float(value)

@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from behavexplor.data.array_types import Floats
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.geometry import box_corners, boxes_overlap
 from behavexplor.data.roadmap import Lane, RoadMap, Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 
 _MARGIN: Final = 1e-6  # much more than roundings change a distance [m]

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.durable import write_durably
-from behavexplor.data.motion_bytes import MOST_VALUES, pack_motion, unpack_motion
-from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
+from behavexplor.data.motion_bytes import MOST_VALUES, pack_arrays, pack_motion, unpack_arrays, unpack_motion
 from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_arrays, read_file
 from behavexplor.errors import InputError
 
@@ -32,6 +31,10 @@ ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every
 CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
 _MOTION = ("position", "heading", "velocity")
 _PACKED = (*_MOTION, "present")  # arrays of which each value takes a byte in a file
+_NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
+_ALL_PRESENT = np.ones((0, 0), dtype=bool)
+_NOTHING_MORE = {"decisions": _NO_ARRAYS, "signals": _NO_ARRAYS, "present": _ALL_PRESENT, "partner": -1}
+_OTHERS = ("end", "decisions", "signals", "present", "partner")
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,11 +283,7 @@ class Trace:
         return cls.from_bytes(read_file(path))
 
 
-_NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
-_ALL_PRESENT = np.ones((0, 0), dtype=bool)
 _ALL_PRESENT.setflags(write=False)
-_NOTHING_MORE = {"decisions": _NO_ARRAYS, "signals": _NO_ARRAYS, "present": _ALL_PRESENT, "partner": -1}
-_OTHERS = ("end", "decisions", "signals", "present", "partner")
 _ARRAYS = tuple(f.name for f in fields(Trace) if f.name not in _OTHERS)
 
 

@@ -18,6 +18,7 @@ from behavexplor.data.conventions import (
     PASSED_DISTANCE,
     STANDING_SPEED,
     STANDSTILL_TIME,
+    VEHICLE_SIZES,
     is_rear_end,
     wrapped,
 )
@@ -27,7 +28,6 @@ from behavexplor.data.roadmap import DOUBLE_YELLOW, RoadMap
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import ENDS, Trace
-from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.envs.road_objects import ScriptedVehicle, place_ego, road_network
 from behavexplor.envs.tasks.scripted_outcome import POSE, TERMS, episode_trace, reward_terms
 from behavexplor.envs.tasks.scripted_slots import RUN, RUNNING

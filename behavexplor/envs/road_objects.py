@@ -24,9 +24,9 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from behavexplor.data.array_types import Floats
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.npc_motion import ACCELERATION, HEADING, SPEED, X, Y
 from behavexplor.data.roadmap import Lane, RoadMap, Route
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 
 Function = TypeVar("Function", bound=Callable[..., object])
 

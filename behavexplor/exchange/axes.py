@@ -12,13 +12,23 @@ from typing import Final
 import numpy as np
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.road_plan import SineLane
-from behavexplor.data.roadmap import Lane
+from behavexplor.data.npc_motion import BEGIN, N_PHASE_COLUMNS, PHASE_SPEED, fill_phases, waypoint_array
+from behavexplor.data.road_shape import SineLane
+from behavexplor.data.roadmap import Lane, RoadMap
+from behavexplor.data.scripted import NPC, Waypoint
+from behavexplor.errors import InputError, brief
 
 REAR_AXLE: Final = 0.3  # distance of the rear axle behind the center of a written vehicle, as a share of its length
 DIGITS: Final = 9  # decimals of written positions and headings, the resolution of a trace
 
 _MIRROR: Final = np.array([1.0, -1.0, -1.0])
+ENVIRONMENT: Final = "behavexplor:environment"  # properties of the file
+ENV_CONFIG: Final = "behavexplor:env_config"
+SCENARIO: Final = "behavexplor:scenario"
+VEHICLES: Final = "behavexplor:vehicles"
+ROUTE: Final = "behavexplor:route"  # properties of a vehicle
+WAYPOINTS: Final = "behavexplor:waypoints"
+RECORDED: Final = "behavexplor:recorded"
 
 
 def mirrored(pose: Floats) -> Floats:
@@ -47,3 +57,53 @@ def shifted(pose: Floats, ahead: float) -> Floats:
     heading = pose[..., 2]
     moved = pose[..., :2] + ahead * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return np.concatenate([moved, heading[..., None]], axis=-1)
+
+
+def waypoint_text(script: NPC) -> str:
+    """Return the position [m] and speed [m/s] of each waypoint as a text, from which `read_script` restores them."""
+    return ", ".join(f"{waypoint.position!r} {waypoint.speed!r}" for waypoint in script.waypoints)
+
+
+def read_script(name: str, kind: str, route: str, text: str) -> NPC:
+    """Return a scripted vehicle.
+
+    Args:
+        name: name of the vehicle in its scene, for error messages.
+        kind: type of the vehicle.
+        route: name of its route.
+        text: its waypoints, as `waypoint_text` writes them.
+
+    Raises:
+        InputError: if the text does not describe waypoints.
+    """
+    waypoints = []
+    for pair in text.split(","):
+        try:
+            position, speed = map(float, pair.split())
+        except ValueError:
+            raise InputError(
+                f"{name}: a waypoint is a position [m] and a speed [m/s], separated by a space, got {brief(pair)}"
+            ) from None
+        waypoints.append(Waypoint(position, speed))
+    return NPC(kind, route, tuple(waypoints))
+
+
+def route_points(npc: NPC, roadmap: RoadMap) -> Floats:
+    """Return points of a vehicle's route as they are written, shape (P, 2) [m].
+
+    They are the start, the ends of the lanes that it passes, and the place where it parks.
+    """
+    route = roadmap.routes[npc.route]
+    first, last = npc.waypoints[0].position, npc.waypoints[-1].position
+    between = [end for end in route.bounds.tolist() if first < end < last]
+    points = route.pose(np.array([first, *between, last]))[:, :2]
+    return np.asarray(np.round(mirrored_points(points), DIGITS) + 0.0)
+
+
+def speed_profile(npc: NPC) -> Floats:
+    """Return the speed at the end of each phase [m/s] and the duration of the phase [s], shape (P, 2)."""
+    waypoints = waypoint_array(npc)
+    phases = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))
+    phases = phases[: fill_phases(waypoints, phases)]
+    profile = np.column_stack([phases[1:, PHASE_SPEED], np.diff(phases[:, BEGIN])])
+    return np.asarray(np.round(profile, DIGITS))

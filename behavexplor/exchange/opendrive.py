@@ -11,12 +11,10 @@ from scenariogeneration import xodr
 from scenariogeneration.helpers import prettify
 
 from behavexplor.data.durable import write_durably
-from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, SineLane
-from behavexplor.data.road_shape import DASH, PERIOD
+from behavexplor.data.road_shape import BROKEN, DASH, NO_LINE, PERIOD, SOLID, PlannedLane, RoadPlan, SineLane
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW, Lane
 from behavexplor.exchange.axes import mirrored_lane
-from behavexplor.exchange.road_layout import NOWHERE, RoadLayout, road_layout
-from behavexplor.exchange.sine_pieces import sine_pieces
+from behavexplor.exchange.road_layout import NOWHERE, RoadLayout, road_layout, sine_pieces
 
 REVISION: Final = "7"  # minor revision of OpenDRIVE 1
 _FIRST_JUNCTION: Final = 1000  # id of the first junction; ids of roads are smaller where there are fewer roads

@@ -16,11 +16,23 @@ from scenariogeneration.helpers import prettify
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
-from behavexplor.exchange.axes import DIGITS, REAR_AXLE, mirrored, mirrored_points, shifted
-from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
-from behavexplor.exchange.routes import speed_profile
+from behavexplor.exchange.axes import (
+    DIGITS,
+    ENV_CONFIG,
+    ENVIRONMENT,
+    REAR_AXLE,
+    RECORDED,
+    ROUTE,
+    SCENARIO,
+    VEHICLES,
+    WAYPOINTS,
+    mirrored,
+    mirrored_points,
+    shifted,
+    speed_profile,
+    waypoint_text,
+)
 from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
-from behavexplor.exchange.waypoint_text import waypoint_text
 
 REVISION: Final = 2  # minor revision of OpenSCENARIO XML 1
 AUTHOR: Final = "behavexplor"

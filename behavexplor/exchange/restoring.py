@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.errors import InputError, unknown_name
 from behavexplor.exchange.fitting import fitted_script
 from behavexplor.exchange.scenes import Mover, Scene

@@ -5,7 +5,9 @@ Every element of a file must be one that is known here, so that nothing is left 
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -14,12 +16,82 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
-from behavexplor.exchange.axes import mirrored, shifted
-from behavexplor.exchange.known_elements import KNOWN
-from behavexplor.exchange.names import ENV_CONFIG, ENVIRONMENT, RECORDED, ROUTE, SCENARIO, VEHICLES, WAYPOINTS
+from behavexplor.exchange.axes import (
+    ENV_CONFIG,
+    ENVIRONMENT,
+    RECORDED,
+    ROUTE,
+    SCENARIO,
+    VEHICLES,
+    WAYPOINTS,
+    mirrored,
+    read_script,
+    shifted,
+)
 from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
-from behavexplor.exchange.waypoint_text import read_script
 from behavexplor.exchange.xml_files import Element, read_xml
+
+_CHILDREN: Final = {
+    "OpenSCENARIO": "FileHeader ParameterDeclarations CatalogLocations RoadNetwork Entities Storyboard",
+    "FileHeader": "License Properties",
+    "Properties": "Property",
+    "ParameterDeclarations": "ParameterDeclaration",
+    "RoadNetwork": "LogicFile",
+    "Entities": "ScenarioObject",
+    "ScenarioObject": "Vehicle",
+    "Vehicle": "ParameterDeclarations BoundingBox Performance Axles Properties",
+    "BoundingBox": "Center Dimensions",
+    "Axles": "FrontAxle RearAxle",
+    "Storyboard": "Init Story StopTrigger",
+    "Init": "Actions",
+    "Actions": "Private",
+    "Private": "PrivateAction",
+    "PrivateAction": "TeleportAction LongitudinalAction RoutingAction",
+    "TeleportAction": "Position",
+    "Position": "WorldPosition",
+    "LongitudinalAction": "SpeedAction SpeedProfileAction",
+    "SpeedAction": "SpeedActionDynamics SpeedActionTarget",
+    "SpeedActionTarget": "AbsoluteTargetSpeed",
+    "SpeedProfileAction": "SpeedProfileEntry",
+    "RoutingAction": "AcquirePositionAction AssignRouteAction FollowTrajectoryAction",
+    "AcquirePositionAction": "Position",
+    "AssignRouteAction": "Route",
+    "Route": "ParameterDeclarations Waypoint",
+    "Waypoint": "Position",
+    "FollowTrajectoryAction": "TrajectoryRef TimeReference TrajectoryFollowingMode",
+    "TrajectoryRef": "Trajectory",
+    "Trajectory": "ParameterDeclarations Shape",
+    "Shape": "Polyline",
+    "Polyline": "Vertex",
+    "Vertex": "Position",
+    "TimeReference": "Timing",
+    "Story": "ParameterDeclarations Act",
+    "Act": "ManeuverGroup StartTrigger StopTrigger",
+    "ManeuverGroup": "Actors Maneuver",
+    "Actors": "EntityRef",
+    "Maneuver": "ParameterDeclarations Event",
+    "Event": "Action StartTrigger",
+    "Action": "PrivateAction GlobalAction",
+    "GlobalAction": "EntityAction",
+    "EntityAction": "AddEntityAction DeleteEntityAction",
+    "AddEntityAction": "Position",
+    "StartTrigger": "ConditionGroup",
+    "StopTrigger": "ConditionGroup",
+    "ConditionGroup": "Condition",
+    "Condition": "ByValueCondition ByEntityCondition",
+    "ByValueCondition": "SimulationTimeCondition",
+    "ByEntityCondition": "TriggeringEntities EntityCondition",
+    "TriggeringEntities": "EntityRef",
+    "EntityCondition": "CollisionCondition DistanceCondition",
+    "CollisionCondition": "EntityRef",
+    "DistanceCondition": "Position",
+}
+_LEAVES: Final = frozenset(name for names in _CHILDREN.values() for name in names.split()) - _CHILDREN.keys()
+
+KNOWN: Final[Mapping[str, frozenset[str]]] = MappingProxyType(  # the elements that each element may contain
+    {name: frozenset(children.split()) for name, children in _CHILDREN.items()} | dict.fromkeys(_LEAVES, frozenset())
+)
+
 
 _FROM_THEN_ON: Final = ("greaterThan", "greaterOrEqual", "equalTo")
 _SAME_TIME: Final = 1e-6  # [s]

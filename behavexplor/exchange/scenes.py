@@ -3,9 +3,12 @@
 The writers make files of a scene, and the reader makes a scene of a file.
 """
 
+import codecs
+import csv
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,17 +16,19 @@ from numpy.typing import ArrayLike
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EPISODE_TIME
+from behavexplor.data.durable import new_file
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.data.trace import Trace
-from behavexplor.exchange.routes import route_points
+from behavexplor.exchange.axes import DIGITS, mirrored, mirrored_points, route_points
 
 EGO: Final = "Ego"  # name of the ego; the other vehicles are NPC1, NPC2, ...
 VEHICLE: Final = "vehicle"  # type of a vehicle that is not scripted
 _PERIOD: Final = 0.05  # time between the points of a trajectory that goes on after the episode [s]
 _DIGEST_LENGTH: Final = 16  # hexadecimal digits
+COLUMNS: Final = ("time", "vehicle", "type", "x", "y", "heading", "vx", "vy", "length", "width")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +44,7 @@ class Mover:
         speed: speed at the first of these times [m/s].
         is_gone: whether it leaves the scene after the last of these times, before the scene ends.
         script: its route and waypoints; None if it is not scripted.
-        route: points of its route, see `behavexplor.exchange.routes`; empty if it is not scripted.
+        route: points of its route, see `behavexplor.exchange.axes`; empty if it is not scripted.
         is_changed: whether its motion in a file differs from the motion that was written.
     """
 
@@ -148,3 +153,18 @@ def _until_parked(scenario: ScriptedScenario, roadmap: RoadMap, movers: list[Mov
     return [
         replace(mover, time=time[:last], pose=motion[:last, i][:, [X, Y, HEADING]]) for i, mover in enumerate(movers)
     ]
+
+
+def write_table(scenario: Scenario, trace: Trace, path: Path) -> None:
+    """Write a trace as a table with the columns `COLUMNS`: one row for each frame and vehicle present in it."""
+    pose = mirrored(np.concatenate([trace.position, trace.heading[..., None]], axis=2))
+    motion = np.concatenate([pose, mirrored_points(trace.velocity)], axis=2)
+    motion = np.round(motion, DIGITS) + 0.0  # no negative zeros
+    present = trace.present if trace.present.size else np.ones(trace.heading.shape, dtype=bool)
+    names = [(vehicle_name(i), vehicle_type(scenario, i)) for i in range(len(trace.size))]
+    sizes, times = trace.size.tolist(), np.round(trace.time, DIGITS).tolist()
+    with new_file(path) as file:
+        writer = csv.writer(codecs.getwriter("utf-8")(file))
+        writer.writerow(COLUMNS)
+        for frame, i in np.argwhere(present).tolist():
+            writer.writerow([times[frame], *names[i], *motion[frame, i].tolist(), *sizes[i]])

@@ -68,7 +68,7 @@ class _AnswerError(ValueError):
 
 
 def is_function(ads: Any) -> bool:
-    """Return whether an ADS is a plain function; see `behavexplor.ads.function_driver`."""
+    """Return whether an ADS is a plain function; see `behavexplor.ads.loading`."""
     return getattr(ads, "is_function", False)
 
 

@@ -1,7 +1,10 @@
 """Evaluator: the service that executes scenarios of one target in this process."""
 
 import json
-from collections.abc import Callable, Mapping
+import logging
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
@@ -11,13 +14,12 @@ from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed, driven_compiled
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
-from behavexplor.execution.notices import collected_notices
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import LockStep
 from behavexplor.execution.service import Recipe, Service
@@ -32,6 +34,7 @@ PREFLIGHT: Final = "preflight"
 LOGICAL: Final = "logical"
 ROAD: Final = "road"
 DRAWS: Final = "draws"
+_COMPILING = "behavexplor.jit"  # logger that tells that the user has to wait, which is no warning about an ADS
 
 
 class Evaluator(Service):
@@ -282,3 +285,32 @@ def _explained(sentence: str) -> str:
 
 def _scenario(data: bytes) -> Scenario:
     return parse_scenario(data.decode())
+
+
+@contextmanager
+def collected_notices() -> Iterator[list[str]]:
+    """Collect what is logged at level WARNING or above, and Python's warnings, instead of printing it.
+
+    Yields:
+        A list to which the notices are added, each as one printable line.
+    """
+    notices: list[str] = []
+    handler = _Collector(notices)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        with warnings.catch_warnings(record=True) as issued:
+            yield notices
+    finally:
+        root.removeHandler(handler)
+    notices += [sentence(str(warning.message)) for warning in issued]
+
+
+class _Collector(logging.Handler):
+    def __init__(self, notices: list[str]) -> None:
+        super().__init__(logging.WARNING)
+        self._notices = notices
+        self.addFilter(lambda record: record.name != _COMPILING)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._notices.append(sentence(record.getMessage()))

@@ -15,8 +15,7 @@ from behavexplor.data.geometry import point_box_distance
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
-from behavexplor.judge.arrival import final_distance
-from behavexplor.judge.specs import Collision, Lines, Verdict
+from behavexplor.judge.specs import Collision, Lines, Verdict, final_distance
 
 _REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section 3.2.2
 MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow

@@ -13,8 +13,7 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
-from behavexplor.fuzz.corpus import Corpus, Testcase
-from behavexplor.fuzz.energy import GAMMA, SELECTION_CHANGE, degree_change, failure_change
+from behavexplor.fuzz.corpus import GAMMA, SELECTION_CHANGE, Corpus, Testcase, degree_change, failure_change
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
 from behavexplor.judge.specs import Verdict
 

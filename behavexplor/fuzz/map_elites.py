@@ -15,9 +15,8 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError, missing_library
-from behavexplor.fuzz.descriptors import Measure, check_measures, describe
 from behavexplor.fuzz.search import Candidate
-from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_elites
+from behavexplor.fuzz.variation import ELITES, Measure, VariationOptions, ask_elites, check_measures, describe
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
 
@@ -30,7 +29,7 @@ class MAPElitesOptions:
 
     Attributes:
         initial: number of uniform scenarios executed before the first variation.
-        measures: dimensions of the archive; see `behavexplor.fuzz.descriptors`.
+        measures: dimensions of the archive; see `behavexplor.fuzz.variation`.
         bins: number of cells along each measure.
         variation: options for the variation of elites.
 

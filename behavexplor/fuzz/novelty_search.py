@@ -14,9 +14,8 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import missing_library
-from behavexplor.fuzz.descriptors import SCALES, Measure, check_measures, describe
 from behavexplor.fuzz.search import Candidate
-from behavexplor.fuzz.variation import ELITES, VariationOptions, ask_elites
+from behavexplor.fuzz.variation import ELITES, SCALES, Measure, VariationOptions, ask_elites, check_measures, describe
 from behavexplor.fuzz.vector_search import Asker
 from behavexplor.judge.specs import Verdict
 
@@ -27,7 +26,7 @@ class NoveltySearchOptions:
 
     Attributes:
         initial: number of uniform scenarios executed before the first variation.
-        measures: measures that distinguish behaviors; see `behavexplor.fuzz.descriptors`.
+        measures: measures that distinguish behaviors; see `behavexplor.fuzz.variation`.
         neighbors: number of nearest neighbors whose mean distance is the novelty.
         threshold: least novelty of a kept scenario, in the space of the measures, each of which spans [0, 1].
         variation: options for the variation of kept scenarios.

@@ -15,9 +15,8 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
 from behavexplor.errors import missing_library
-from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate
-from behavexplor.fuzz.vector_search import Asker
+from behavexplor.fuzz.vector_search import Asker, objectives
 from behavexplor.judge.specs import Verdict
 
 OFFSPRING = "offspring"  # origin of candidates

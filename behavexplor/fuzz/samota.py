@@ -16,15 +16,59 @@ from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
-from behavexplor.fuzz.many_objective import survivors
-from behavexplor.fuzz.objectives import objectives
 from behavexplor.fuzz.search import INITIAL, MAX_POPULATION, Candidate
 from behavexplor.fuzz.surrogates import Ensemble, fit_ensemble, fit_rbf
-from behavexplor.fuzz.vector_search import Asker
+from behavexplor.fuzz.vector_search import Asker, objectives
 from behavexplor.judge.specs import Verdict
 
 PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
 _MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn
+
+
+def survivors(values: Floats, count: int) -> Ints:
+    """Return the `count` fittest of n individuals, the fittest first.
+
+    Args:
+        values: objectives of the individuals, shape (n, k).
+        count: number of survivors, at most n.
+
+    Returns:
+        Indices of the survivors, shape (count,).
+    """
+    ranks = preference_ranks(values)
+    crowding = np.zeros(len(values))
+    for rank in range(ranks.max() + 1):
+        front = np.flatnonzero(ranks == rank)
+        crowding[front] = crowding_distances(values[front])
+    return np.lexsort((-crowding, ranks))[:count]
+
+
+def preference_ranks(values: Floats) -> Ints:
+    """Compute the front of each individual, shape (n,).
+
+    The best individual in any objective has front 0. All other individuals are sorted by domination.
+    """
+    ranks = np.full(len(values), -1, dtype=np.intp)
+    ranks[values.argmin(0)] = 0
+    no_worse = (values[:, None] <= values[None]).all(2)
+    dominates = np.asarray(no_worse & (values[:, None] < values[None]).any(2))
+    rank = 1
+    while (open_ := ranks < 0).any():
+        ranks[open_ & ~dominates[open_].any(0)] = rank
+        rank += 1
+    return ranks
+
+
+def crowding_distances(values: Floats) -> Floats:
+    """Compute the distance between the neighbors of each individual in a front, infinite at its ends; shape (n,)."""
+    distances = np.zeros(len(values))
+    for column in values.T:
+        order = np.argsort(column, kind="stable")
+        span = column[order[-1]] - column[order[0]]
+        distances[order[[0, -1]]] = np.inf
+        if span > 0:
+            distances[order[1:-1]] += (column[order[2:]] - column[order[:-2]]) / span
+    return distances
 
 
 @validated

@@ -8,8 +8,10 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.errors import InputError
 from behavexplor.fuzz.search import Candidate, draws
+from behavexplor.judge.specs import Verdict
 
 _ATTEMPTS = 1000
+_APART = 1e-3  # [m]
 
 
 class Asker:
@@ -97,3 +99,16 @@ class Asker:
     def told(self, candidate: Candidate) -> Floats:
         """Return the point of a told candidate, shape (n,). It encodes the executed scenario, after any repair."""
         return self._in_flight.pop(candidate.number)
+
+
+def objectives(verdict: Verdict) -> Floats:
+    """Compute the distance of an execution from violating each spec, in [0, 1); shape (specs,).
+
+    An objective is 0 if and only if the spec is violated. Otherwise, a degree d becomes (d + e) / (d + e + 1), the
+    usual normalization of search-based testing (Arcuri, "It really does matter how you normalize the branch distance",
+    STVR 2013). It keeps the order and needs no upper limit of the degree. The small e distinguishes an execution that
+    came arbitrarily close to a violation from one that violates the spec.
+    """
+    degrees = np.maximum(np.array(list(verdict.degrees.values())), 0.0) + _APART
+    violated = [name in verdict.violated for name in verdict.degrees]
+    return np.where(violated, 0.0, degrees / (degrees + 1))

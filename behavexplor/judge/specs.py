@@ -2,13 +2,14 @@
 
 Source: paper section 2.3 (R1, R2, R3) and 3.2.2 (violation degree O). Traces are judged outside the search methods,
 so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
-arrival (`behavexplor.judge.arrival`).
+arrival (`behavexplor.judge.specs`).
 
 In a stock environment, a violation is what the environment itself says, as the signals of a trace. There a crash
 pushes the vehicles apart, so that their boxes do not tell it. Lines may be crossed, and not every environment has a
 destination.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -29,7 +30,6 @@ from behavexplor.data.geometry import (
 )
 from behavexplor.data.trace import ARRIVED, CRASHED, OFF_ROAD, RESOLUTION, Trace
 from behavexplor.errors import InputError
-from behavexplor.judge.arrival import final_distance, poses_until_arrival
 
 ERROR: Final = "error"  # recorded in place of a violated spec if the ADS failed instead of returning an action
 DIFFERS: Final = "differs"  # kind of an error that is not counted as the ADS's: highway-env did not confirm a failure
@@ -102,7 +102,7 @@ class Destination:
     """R3: the ego ends at its destination; in a stock environment that has one, it arrives there.
 
     The degree is max(10 - D, 0) (paper section 3.2.2), where D is the final distance of the ego's center from the
-    destination [m], see `behavexplor.judge.arrival.final_distance`. So the farther from the destination the episode
+    destination [m], see `behavexplor.judge.specs.final_distance`. So the farther from the destination the episode
     ends, the lower is the degree.
 
     Attributes:
@@ -231,3 +231,58 @@ def _least(lower: Floats, upper: float, exact: Callable[[Ints], Floats]) -> floa
         least = min(least, float(exact(order[start : start + count]).min()))
         start, count = start + count, 2 * count
     return least if least > RESOLUTION else 0.0
+
+
+def final_distance(trace: Trace) -> float:
+    """Return the ego's distance from its destination at the end of an episode, the paper's D_p2p [m].
+
+    If the ego arrived, this is its closest approach: the least distance of the destination from the ego's course, which
+    is the way between the last two frames and its straight continuation. It does not depend on where on this course the
+    frames lie. On a course of curvature k, it is exact to k r (r + h) / 2 with r = `ARRIVAL_DISTANCE` and the distance
+    h between the frames. For any other end, it is the distance of the last position.
+    """
+    if trace.end != ARRIVED or len(trace.time) < 2:
+        return trace.destination_distance
+    (x, y), (to_x, to_y) = trace.position[-2, 0].tolist(), trace.position[-1, 0].tolist()
+    step = math.hypot(to_x - x, to_y - y)
+    if step == 0:
+        return trace.destination_distance
+    cos, sin = (to_x - x) / step, (to_y - y) / step
+    gap_x, gap_y = trace.destination[0] - x, trace.destination[1] - y
+    ahead, across = gap_x * cos + gap_y * sin, gap_y * cos - gap_x * sin
+    beyond = ahead - min(max(ahead, 0.0), step + ARRIVAL_DISTANCE)
+    return math.hypot(beyond, across)
+
+
+@lru_cache(maxsize=2)  # several specs ask for the poses of the same trace
+def poses_until_arrival(trace: Trace) -> tuple[Floats, Floats]:
+    """Return the poses of all vehicles in an episode up to the moment of arrival.
+
+    The last frame of an ego that arrived is moved back to the moment at which its center came within
+    `ARRIVAL_DISTANCE` of the destination, at the earliest to the frame before. All vehicles are interpolated linearly
+    between these two frames. The poses of an episode with any other end are those of the trace.
+
+    Returns:
+        Positions, shape (T, N, 2) [m], and headings, shape (T, N) [rad].
+    """
+    share = _arrival_share(trace) if trace.end == ARRIVED and len(trace.time) > 1 else 1.0
+    if share == 1.0:
+        return trace.position, trace.heading
+    position, heading = trace.position.copy(), trace.heading.copy()
+    turned = np.remainder(heading[-1] - heading[-2] + np.pi, 2 * np.pi) - np.pi
+    position[-1] = position[-2] + share * (position[-1] - position[-2])
+    heading[-1] = heading[-2] + share * turned
+    for array in (position, heading):
+        array.setflags(write=False)
+    return position, heading
+
+
+def _arrival_share(trace: Trace) -> float:
+    """Return the share of the last time step after which the ego arrived, in [0, 1]."""
+    start, end = trace.position[-2:, 0] - trace.destination
+    way = end - start
+    squared, inward = float(way @ way), -float(start @ way)
+    if squared == 0 or np.hypot(*end) > ARRIVAL_DISTANCE:
+        return 1.0
+    within = inward**2 - squared * (float(start @ start) - ARRIVAL_DISTANCE**2)
+    return min(max((inward - math.sqrt(max(within, 0.0))) / squared, 0.0), 1.0)

@@ -1,9 +1,9 @@
 """The pool of a retraining: scenarios in which the policy fails, from which some of the training episodes are drawn."""
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
+from behavexplor.evaluation import outcomes_of
+from behavexplor.training import Learned, Watch
 
 FULL: Final = 100  # scenarios that a pool needs to be drawn from with its full share
 MOST: Final = 2000  # scenarios in a pool; the newest are kept
@@ -86,3 +88,41 @@ def read_pool(path: Path) -> list[Scenario]:
     except (OSError, ValueError) as error:
         raise InputError(f"The pool {path} cannot be read: {error}") from None
     return [parse_scenario(line) for line in lines]
+
+
+class PoolWatch(Watch):
+    """Callback that keeps a pool up to date with the ends of the training's episodes.
+
+    A scenario leaves the pool when an episode in it ends without a failure at fault.
+
+    Args:
+        observe: callback that gets the progress after each batch of experience.
+        pool: the pool.
+        own: whether a scenario enters the pool when an episode in it ends with a failure at fault.
+    """
+
+    def __init__(self, observe: Callable[[Learned], None], pool: Pool, *, own: bool) -> None:
+        super().__init__(observe)
+        self._pool = pool
+        self._own = own
+        self._running: list[Any] = []
+
+    def _on_training_start(self) -> None:
+        super()._on_training_start()
+        self._running = self.training_env.get_attr("scenario")
+
+    def _on_step(self) -> bool:
+        for i in np.flatnonzero(self.locals["dones"]).tolist():
+            self._ended(self._running[i], self.locals["infos"][i])
+            (self._running[i],) = self.training_env.get_attr("scenario", [i])
+        return super()._on_step()
+
+    def _on_rollout_end(self) -> None:
+        self.logger.record("pool/scenarios", len(self._pool))
+        super()._on_rollout_end()
+
+    def _ended(self, scenario: Any, info: Mapping[str, Any]) -> None:
+        if not outcomes_of(info["trace"]).at_fault:
+            self._pool.discard(scenario)
+        elif self._own:
+            self._pool.add(scenario)

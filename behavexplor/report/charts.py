@@ -1,12 +1,13 @@
 """Layout of charts: positions of lines, dots, ticks and labels. The page template draws them as SVG."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from behavexplor.campaign.progress import STAGES
 from behavexplor.data.array_types import Floats
 
 WIDTH, HEIGHT = 360.0, 190.0  # size of a chart, in units of its view box
@@ -149,3 +150,42 @@ def _rows(series: Sequence[Series]) -> tuple[tuple[str, ...], ...]:
 
 def _cell(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.4g}"
+
+
+@dataclass(frozen=True)
+class StagePart:
+    """The part of a bar that stands for one stage.
+
+    Attributes:
+        name: name of the stage.
+        words: what the campaign does in it.
+        seconds: time in the stage [s].
+        begin: where the part begins, in percent of the bar.
+        share: length of the part, in percent of the bar.
+        style: index of a style of the page.
+    """
+
+    name: str
+    words: str
+    seconds: float
+    begin: float
+    share: float
+    style: int
+
+
+def stage_parts(stages: Mapping[str, float]) -> tuple[StagePart, ...]:
+    """Return the parts of a bar, in the order of the stages, without stages that took no time.
+
+    Args:
+        stages: time in each stage [s]; empty if it is not known.
+    """
+    total = sum(stages.values())
+    parts, before = [], 0.0
+    for style, (name, words) in enumerate(STAGES.items()):
+        seconds = stages.get(name, 0.0)
+        if seconds > 0:
+            parts.append(
+                StagePart(name, words, seconds, round(100 * before / total, 2), round(100 * seconds / total, 2), style)
+            )
+        before += seconds
+    return tuple(parts)

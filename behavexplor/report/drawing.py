@@ -18,9 +18,7 @@ from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import ViolationEvent, violation_event
-from behavexplor.report.captions import outcome
-from behavexplor.report.colors import Color, page_colors, type_color
-from behavexplor.report.marks import violation_place
+from behavexplor.report.marks import Color, outcome, page_colors, type_color, violation_place
 from behavexplor.report.road_shapes import line_kinds
 
 _Number = TypeVar("_Number", bound=np.generic)

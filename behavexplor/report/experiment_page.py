@@ -11,8 +11,7 @@ from behavexplor.bench.curves import Curve
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Summary, summary_rows
-from behavexplor.bench.table import Table
-from behavexplor.bench.writing import marked, shown
+from behavexplor.bench.table import Table, marked, shown
 from behavexplor.report.charts import WIDTH, Chart, Scale, Series, chart, ticks
 from behavexplor.report.rendering import rendered
 

@@ -1,11 +1,34 @@
 """The place at which a trace violates a requirement, which replays and pictures mark with a circle."""
 
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from types import MappingProxyType
+from typing import Final
+
 import numpy as np
 
 from behavexplor.data.array_types import Floats
+from behavexplor.data.conventions import VEHICLE_SIZES
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, ViolationEvent
+from behavexplor.report.rendering import source
+
+_ENDED_BY: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "collision": "a collision",
+        "arrived": "its arrival",
+        "passed": "passing its destination",
+        "standstill": "standing still",
+        "timeout": "the time limit",
+        "off-road": "leaving the road",
+        "ended": "the environment",
+        "error": "a failure of the ADS",
+    }
+)
+Color = tuple[int, int, int]
+_VARIABLE = re.compile(r"--(\w+): (?:light-dark\()?#([0-9a-f]{6})")
 
 
 def violation_place(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
@@ -36,3 +59,29 @@ def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
     for edge in (front_left - front_right, back_right - front_right):
         place += np.clip((point - front_right) @ edge / (edge @ edge), 0.0, 1.0) * edge
     return np.asarray(place)
+
+
+def outcome(violated: Sequence[str], end: str) -> str:
+    """Describe the outcome of an execution, to follow its number.
+
+    Args:
+        violated: names of the violated specs.
+        end: kind of end, one of `behavexplor.data.trace.ENDS`.
+    """
+    return f"violates {' and '.join(violated) or 'nothing'}, ended by {_ENDED_BY[end]}"
+
+
+@cache
+def page_colors() -> Mapping[str, Color]:
+    """Return the colors of the style sheet's variables, as they are on light pages."""
+    return {name: _rgb(value) for name, value in _VARIABLE.findall(source("page.css"))}
+
+
+def type_color(name: str) -> int:
+    """Return the number of a vehicle type's color, v0 to v5; the last one is that of all other types."""
+    return list(VEHICLE_SIZES).index(name) if name in VEHICLE_SIZES else len(VEHICLE_SIZES)
+
+
+def _rgb(value: str) -> Color:
+    red, green, blue = bytes.fromhex(value)
+    return red, green, blue

@@ -80,7 +80,7 @@ class Run:
         weaknesses: coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`.
         minimized: minimized failures by the numbers of their executions.
         digests: SHA-256 of the read data, by name.
-        stages: time in each stage [s], see `behavexplor.campaign.stage_clock`; empty if it is not known.
+        stages: time in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known.
     """
 
     folder: Path

@@ -12,18 +12,17 @@ from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Store
 from behavexplor.data.array_types import Floats
+from behavexplor.data.conventions import VEHICLE_SIZES
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
-from behavexplor.data.vehicle_sizes import VEHICLE_SIZES
 from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
-from behavexplor.report.charts import Chart, Series, chart
-from behavexplor.report.colors import type_color
+from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
 from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
+from behavexplor.report.marks import type_color
 from behavexplor.report.packing import MAX_FRAMES
 from behavexplor.report.reading import Run
 from behavexplor.report.road_shapes import known_road, road_values
-from behavexplor.report.stage_bar import StagePart, stage_parts
 from behavexplor.triage.minimized import trace_path
 
 MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors

@@ -5,10 +5,10 @@ from zlib import crc32
 
 import numpy as np
 
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.trace import Trace
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 
 RATE = 20  # frames per second
 

@@ -1,9 +1,10 @@
 """Evasions: the ego drives as recorded up to some time, then brakes, accelerates, or moves to the side."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +13,19 @@ from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.data.trace import Trace
-from behavexplor.triage.playback import as_actions, recorded_commands
 
+MAX_ACCELERATION: Final = 10.0  # greatest commanded acceleration and deceleration [m/s2]
+MAX_STEERING: Final = math.pi / 3  # greatest commanded steering angle to either side [rad]
+MOVING: Final = 1e-3  # below this speed, the steering has no effect and cannot be recovered [m/s]
+
+OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})
+ACTION: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "type": "ContinuousAction",
+        "acceleration_range": [-MAX_ACCELERATION, MAX_ACCELERATION],
+        "steering_range": [-MAX_STEERING, MAX_STEERING],
+    }
+)
 SPACING: Final = 0.25  # distance between points of a path [m]
 BEYOND: Final = 60.0  # straight extension of a path at its end [m]
 BACK, AHEAD = 8, 16  # points behind and ahead of the last nearest point among which the next one is searched for
@@ -22,6 +34,62 @@ LOOK_AHEAD_TIME: Final = 0.25  # growth of the look-ahead distance with the spee
 STEERING: Final = 0.6  # greatest steering angle [rad]
 STEERING_RATE: Final = 0.8  # greatest change of the steering angle [rad/s]
 LATERAL: Final = 5.0  # greatest lateral acceleration [m/s2]
+
+
+def frequency(trace: Trace) -> int:
+    """Return the frequency of the recorded simulation steps [Hz]."""
+    return round((len(trace.time) - 1) / trace.duration)
+
+
+def recorded_commands(trace: Trace) -> Floats:
+    """Recover the commands to highway-env's bicycle model at every step, for any ADS.
+
+    This inverts `Vehicle.step` of highway-env.
+
+    Returns:
+        Accelerations [m/s2] and steering angles [rad] from each frame to the next, shape (T - 1, 2).
+    """
+    heading, velocity = trace.heading[:, 0], trace.velocity[:, 0]
+    forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
+    speed = np.copysign(np.hypot(velocity[:, 0], velocity[:, 1]), forward)
+    direction = np.copysign(1.0, forward)
+    course = np.arctan2(velocity[:, 1] * direction, velocity[:, 0] * direction)
+    slip = np.remainder(course - heading + np.pi, 2 * np.pi) - np.pi
+    step = np.diff(trace.time)
+    moves = np.abs(speed) > MOVING
+    turn = np.diff(heading) * trace.size[0, 0] / 2 / np.where(moves[:-1], speed[:-1] * step, np.inf)
+    # An ego that has just stopped has no direction of motion. There, the change of its heading shows the steering.
+    stopping = np.arcsin(np.clip(turn, -1.0, 1.0))
+    used = np.where(moves[1:], slip[1:], stopping)
+    return np.stack([np.diff(speed) / step, np.arctan(2 * np.tan(used))], axis=-1)
+
+
+def as_actions(commands: Floats) -> Floats:
+    """Scale accelerations [m/s2] and steering angles [rad], shape (..., 2), to values of `ACTION`."""
+    return np.asarray(commands / (MAX_ACCELERATION, MAX_STEERING))
+
+
+class Playback:
+    """An ADS that gives recorded commands, one at each step, and then repeats the last one.
+
+    Args:
+        commands: accelerations [m/s2] and steering angles [rad], shape (T, 2).
+    """
+
+    def __init__(self, commands: Floats) -> None:
+        self._actions = as_actions(commands)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: int | None = None,
+        episode_start: NDArray[np.bool_] | None = None,  # noqa: ARG002 - all egos begin together
+        deterministic: bool = True,  # noqa: ARG002 - playback is always deterministic
+    ) -> tuple[Floats, int]:
+        """Return the command of this step for every ego. The state counts the steps."""
+        step = 0 if state is None else state
+        action = self._actions[min(step, len(self._actions) - 1)]
+        return np.repeat(action[None], len(observation), axis=0), step + 1
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from behavexplor.data.durable import write_durably
-from behavexplor.data.parts import Size
+from behavexplor.data.logical import Size
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked

@@ -1,29 +1,34 @@
 """Triage of a whole run: every failure is examined once, and the findings are kept in the run folder."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.data.decision_log import WEAKNESS_NAMES, weakness_names
 from behavexplor.data.durable import folder_in, write_durably
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.lookahead import AHEAD, in_order
 from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.triage.coverage import weakness_records
 from behavexplor.triage.examination import EXAMINE, Examiner, examination
 from behavexplor.triage.findings import (
     WITNESSES,
     Finding,
+    Sighting,
     Triage,
+    WeaknessRecord,
     error_finding,
     known_findings,
     trace_finding,
@@ -137,3 +142,73 @@ def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
     if values["witness"] is not None:
         write_durably(witness_path(run, execution.id), json.dumps(values["witness"]) + "\n")
     return Finding(**values["finding"])
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Agreement of given labels with true labels.
+
+    Attributes:
+        n: number of compared labels.
+        equal: share of equal labels; meaningful only if both sequences use the same names.
+        precision: mean over the given names of the share of items with that label for which it is true.
+        recall: mean over the true names of the share of items with that true label that were given it.
+        adjusted_rand: adjusted Rand index, which compares the groups and ignores their names: 1 for equal groups,
+            about 0 for groups made by chance.
+    """
+
+    n: int
+    equal: float
+    precision: float
+    recall: float
+    adjusted_rand: float
+
+
+def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
+    """Compare given labels with true labels.
+
+    Args:
+        true: true labels.
+        given: given labels of the same items, in the same order.
+
+    Raises:
+        InputError: if there are no labels, or the sequences differ in length.
+    """
+    from sklearn.metrics import (  # noqa: PLC0415 - slow to import
+        adjusted_rand_score,
+        precision_recall_fscore_support,
+    )
+
+    if not true or len(true) != len(given):
+        raise InputError(f"Labels are compared one by one, so {len(true)} and {len(given)} labels do not match")
+    equal = sum(a == b for a, b in zip(true, given, strict=True)) / len(true)
+    precision, recall = (
+        precision_recall_fscore_support(true, given, labels=sorted(set(names)), average="macro", zero_division=0.0)[i]
+        for i, names in enumerate((given, true))
+    )
+    return Agreement(len(true), equal, float(precision), float(recall), float(adjusted_rand_score(true, given)))
+
+
+def weakness_records(traces: Iterable[tuple[int, Trace]], findings: Sequence[Finding]) -> dict[str, WeaknessRecord]:
+    """Count the executions that reached or triggered each weakness, and the failures that it caused.
+
+    Args:
+        traces: traces of all executions of the rule planner with their numbers, in order.
+        findings: findings of its failures, in order.
+
+    Returns:
+        The record of each weakness by name.
+    """
+    bits = ("reached", "triggered")
+    seen: dict[str, dict[str, list[int]]] = {name: {bit: [] for bit in bits} for name in WEAKNESS_NAMES}
+    for number, trace in traces:
+        for bit in bits if len(trace.actions) else ():
+            for name in weakness_names(int(np.bitwise_or.reduce(trace.decisions[bit].astype(np.int64)))):
+                seen[name][bit].append(number)
+    detected = {name: [finding.id for finding in findings if finding.cause == name] for name in WEAKNESS_NAMES}
+    return {
+        name: WeaknessRecord(
+            Sighting.of(found["reached"]), Sighting.of(found["triggered"]), Sighting.of(detected[name])
+        )
+        for name, found in seen.items()
+    }

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from behavexplor.campaign.record import ERROR, Record
-from behavexplor.data.parts import Parts
+from behavexplor.data.logical import Parts
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError

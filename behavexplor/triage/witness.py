@@ -19,9 +19,18 @@ from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import ViolationEvent, first_line_touch
-from behavexplor.triage.evasion import Evasion, EvasionDriver, path_beside_route, path_straight_on
+from behavexplor.triage.evasion import (
+    ACTION,
+    OBSERVATION,
+    Evasion,
+    EvasionDriver,
+    Playback,
+    frequency,
+    path_beside_route,
+    path_straight_on,
+    recorded_commands,
+)
 from behavexplor.triage.findings import Witness
-from behavexplor.triage.playback import ACTION, OBSERVATION, Playback, frequency, recorded_commands
 
 SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
 SAMPLES: Final = 192  # random evasions that are tried before a collision counts as unpreventable

@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from behavexplor.ads.function_driver import takes_one_observation
-from behavexplor.ads.loading import load_ads
+from behavexplor.ads.loading import load_ads, takes_one_observation
 from behavexplor.errors import InputError
 
 

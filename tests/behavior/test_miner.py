@@ -6,8 +6,7 @@ from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE
-from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
-from behavexplor.behavior.state_file import StateFile
+from behavexplor.behavior.miner import BehaviorMiner, MinerOptions, StateFile
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from tests.fakes import make_trace, simulate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.behavior.features import N_FEATURES, NEGLIGIBLE
-from behavexplor.behavior.standardization import standardize
+from behavexplor.behavior.miner import standardize
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 300, 20_000])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from behavexplor.behavior.features import ATTRIBUTES
-from behavexplor.behavior.state_file import StateFile
+from behavexplor.behavior.miner import StateFile
 
 BEHAVIORS = [
     np.random.default_rng(n).random((length, len(ATTRIBUTES)), np.float32) for n, length in enumerate([3, 0, 9])

@@ -11,13 +11,11 @@ from scipy.stats import pearsonr
 
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import experiment_config
-from behavexplor.bench.mutants import Mutant, correlation
 from behavexplor.bench.statistics import Estimate
-from behavexplor.bench.summaries import Failure, Summary, summaries_csv
-from behavexplor.bench.table import Column, Table
+from behavexplor.bench.summaries import Failure, Mutant, Summary, correlation, summaries_csv
+from behavexplor.bench.table import Column, Table, escaped, marked, table_csv, table_latex, table_markdown
 from behavexplor.bench.tables import tables
-from behavexplor.bench.writing import escaped, marked, table_csv, table_latex, table_markdown
-from behavexplor.commands.terminal_tables import text
+from behavexplor.commands.wording import text
 
 ENVS = ("lane-follow", "lane-change")
 EXPERIMENT = experiment_config(

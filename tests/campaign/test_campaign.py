@@ -10,8 +10,8 @@ import pytest
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.judgment import judgment
+from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionStraightEnv

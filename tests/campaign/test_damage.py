@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from behavexplor.campaign.config import CONFIG, REVISION
-from behavexplor.campaign.damage import DATABASE, FAILURES, Losses
-from behavexplor.campaign.folder_lock import LOCK
+from behavexplor.campaign.database_file import LOCK
+from behavexplor.campaign.record import DATABASE, FAILURES, Losses
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.errors import InputError

@@ -12,9 +12,8 @@ import textwrap
 import pytest
 
 from behavexplor.campaign.config import CONFIG, REVISION
-from behavexplor.campaign.damage import DATABASE, FAILURES
-from behavexplor.campaign.database_file import AUXILIARY
-from behavexplor.campaign.folder_lock import LOCK, is_being_written
+from behavexplor.campaign.database_file import AUXILIARY, LOCK, is_being_written
+from behavexplor.campaign.record import DATABASE, FAILURES
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.errors import InputError

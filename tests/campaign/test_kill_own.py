@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from behavexplor.campaign.config import CONFIG, stored_config
-from behavexplor.campaign.own_folders import list_path
-from behavexplor.campaign.provenance import accepted
+from behavexplor.campaign.provenance import accepted, list_path
 
 ROOT = Path(__file__).parents[2]
 KILLS = 50

@@ -6,11 +6,11 @@ from contextlib import suppress
 
 import pytest
 
-from behavexplor.campaign.damage import DATABASE
-from behavexplor.campaign.stage_clock import EXECUTING, JUDGING, STAGES, STARTING, WAITING, StageClock, known_stages
+from behavexplor.campaign.progress import EXECUTING, JUDGING, STAGES, STARTING, WAITING, StageClock, known_stages
+from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import OK, main
-from behavexplor.report.stage_bar import stage_parts
+from behavexplor.report.charts import stage_parts
 
 
 @pytest.fixture

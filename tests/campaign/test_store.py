@@ -5,9 +5,8 @@ import sqlite3
 
 import pytest
 
-from behavexplor.campaign.damage import DATABASE
 from behavexplor.campaign.database import rebuild
-from behavexplor.campaign.record import Record
+from behavexplor.campaign.record import DATABASE, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.judgment import judgment
-from behavexplor.campaign.warm_up import load_analysis
+from behavexplor.campaign.opening import load_analysis
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
 

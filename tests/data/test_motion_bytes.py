@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.data.motion_bytes import pack_motion, unpack_motion
-from behavexplor.data.packed_arrays import pack_arrays, unpack_arrays
+from behavexplor.data.motion_bytes import pack_arrays, pack_motion, unpack_arrays, unpack_motion
 from behavexplor.data.trace import RESOLUTION, Trace
 from tests.fakes import make_trace
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_mutation import mutate_routes, mutate_waypoints, shift_waypoints
+from behavexplor.data.scripted_encoding import mutate_routes, mutate_waypoints, shift_waypoints
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 

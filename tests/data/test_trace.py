@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from behavexplor.data import trace as trace_module
-from behavexplor.data.packed_arrays import MAX_BYTES, pack_arrays, unpack_arrays
+from behavexplor.data.motion_bytes import MAX_BYTES, pack_arrays, unpack_arrays
 from behavexplor.data.trace import MOST_PLACES, Trace
 from behavexplor.data.untrusted import MAX_ARRAY_BYTES
 from behavexplor.errors import InputError

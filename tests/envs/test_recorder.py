@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Polygon
 
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.geometry import box_corners
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
 from behavexplor.envs.plain_simulation import Recorder
 from behavexplor.envs.tasks.scripted_outcome import WEIGHTS

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from highway_env.road.road import RoadNetwork
 
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.engine import contact, lane_keeping
 from behavexplor.envs.engine.contact import boxes_touch, line_meets_box, touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point

@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
-from behavexplor.data.conventions import MANEUVERS
+from behavexplor.data.conventions import EGO_SIZE, MANEUVERS, VEHICLE_SIZES
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.engine import contact, lane_keeping
 from behavexplor.envs.engine.bicycle import _limit_commands
 from behavexplor.envs.engine.contact import boxes_touch, line_distance, line_meets_box, touches_line

@@ -8,15 +8,14 @@ import pytest
 from highway_env.road.lane import PolyLane, StraightLane
 from highway_env.road.road import RoadNetwork
 
-from behavexplor.data.road_plan import SineLane, part_of, plan_of_map
+from behavexplor.data.road_shape import SineLane, part_of, plan_of_map
 from behavexplor.data.roadmap import Lane
 from behavexplor.envs.highway.course import road_plan
 from behavexplor.envs.making import make_registered
 from behavexplor.errors import InputError
 from behavexplor.exchange.axes import mirrored_lane, mirrored_points
 from behavexplor.exchange.opendrive import write_road
-from behavexplor.exchange.road_layout import NOWHERE, road_layout
-from behavexplor.exchange.sine_pieces import MAX_ERROR, sine_pieces
+from behavexplor.exchange.road_layout import MAX_ERROR, NOWHERE, road_layout, sine_pieces
 from behavexplor.execution.simulation import logical_scenario
 from tests.exchange.exported import schema_errors
 

@@ -12,19 +12,18 @@ import behavexplor.commands.export
 from behavexplor.commands import main
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.npc_motion import motion_table
-from behavexplor.data.road_plan import plan_of_map
+from behavexplor.data.road_shape import plan_of_map
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.errors import InputError
-from behavexplor.exchange.csv_table import COLUMNS
 from behavexplor.exchange.fitting import MAX_DEVIATION
 from behavexplor.exchange.opendrive import write_road
 from behavexplor.exchange.openscenario import write_scene
 from behavexplor.exchange.restoring import restored
+from behavexplor.exchange.road_layout import MAX_ERROR
 from behavexplor.exchange.scene_reading import read_scene
-from behavexplor.exchange.scenes import Scene, movers_of
-from behavexplor.exchange.sine_pieces import MAX_ERROR
+from behavexplor.exchange.scenes import COLUMNS, Scene, movers_of
 from behavexplor.execution.simulation import logical_scenario
 from tests.exchange.exported import difference, failures, imported, repeated, schema_errors
 

@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from behavexplor.execution.notices import collected_notices
+from behavexplor.execution.evaluator import collected_notices
 
 
 def test_warnings_of_both_kinds_are_kept_as_printable_lines_and_not_printed(capsys):

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from behavexplor.ads.function_driver import FunctionDriver
+from behavexplor.ads.loading import FunctionDriver
 from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.simulation import Simulation

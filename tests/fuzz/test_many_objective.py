@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.fuzz.many_objective import crowding_distances, preference_ranks, survivors
+from behavexplor.fuzz.samota import crowding_distances, preference_ranks, survivors
 from tests.strategies import seeds
 
 VALUES = np.array([[0.1, 0.9], [0.9, 0.1], [0.2, 0.5], [0.5, 0.2], [0.6, 0.6], [0.95, 0.95]])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.fuzz.objectives import objectives
+from behavexplor.fuzz.vector_search import objectives
 from behavexplor.judge.specs import Verdict
 
 

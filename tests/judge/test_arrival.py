@@ -8,8 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
-from behavexplor.judge.arrival import final_distance, poses_until_arrival
-from behavexplor.judge.specs import Collision, Destination, Lines, judge
+from behavexplor.judge.specs import Collision, Destination, Lines, final_distance, judge, poses_until_arrival
 from tests.fakes import RATE, make_trace
 
 STEP = 1 / RATE  # [s]

@@ -7,8 +7,8 @@ whatever is near, so behaviors tell how near a violation is, and runs take longe
 
 import numpy as np
 
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.trace import Trace
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.functional import IntersectionStraightEnv
 
 LOGICAL = IntersectionStraightEnv.logical

@@ -9,8 +9,8 @@ from PIL import Image
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.report import drawing
-from behavexplor.report.colors import page_colors
 from behavexplor.report.drawing import SIDE, Footage, decisive_frame, draw, save_animation
+from behavexplor.report.marks import page_colors
 from behavexplor.report.road_shapes import shape_of
 from tests.fakes import make_trace, simulate
 from tests.strategies import random_trace

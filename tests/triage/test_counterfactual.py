@@ -10,8 +10,16 @@ from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
-from behavexplor.triage.counterfactual import UNKNOWN, Cause, find_cause, primary_cause, upstream_first
-from behavexplor.triage.forks import Fork, run_forks, without
+from behavexplor.triage.counterfactual import (
+    UNKNOWN,
+    Cause,
+    Fork,
+    find_cause,
+    primary_cause,
+    run_forks,
+    upstream_first,
+    without,
+)
 from behavexplor.triage.signatures import signature
 from tests.triage.scenes import slow_leader, way_blocked
 

@@ -10,7 +10,7 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.data.parts import Size
+from behavexplor.data.logical import Size
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.ads_error import ADSError

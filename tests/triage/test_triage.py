@@ -19,6 +19,7 @@ from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
+from behavexplor.triage.examination import repeat
 from behavexplor.triage.findings import (
     TRIAGE,
     Finding,
@@ -29,7 +30,6 @@ from behavexplor.triage.findings import (
     read_witness,
     witness_path,
 )
-from behavexplor.triage.flakiness import repeat
 from behavexplor.triage.witness import replay_witness
 from tests.drivers import Cruiser
 

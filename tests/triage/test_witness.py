@@ -9,8 +9,7 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import violation_event
 from behavexplor.judge.specs import judge
 from behavexplor.triage.blame import blame
-from behavexplor.triage.evasion import Evasion, path_straight_on
-from behavexplor.triage.playback import recorded_commands
+from behavexplor.triage.evasion import Evasion, path_straight_on, recorded_commands
 from behavexplor.triage.witness import (
     CAREFUL,
     SAMPLES,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.lane_arrays import LENGTH, lane_array, pose_on_lane
 from behavexplor.ads.road.path import SPACING, Path, ego_path, pose_on_path, project_on_path
 from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.roadmap import Lane, RoadMap
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.jit import kernel_in_place
 
 SIDE_GAP: Final = 0.3  # greatest gap between two vehicles side by side that are still in conflict [m]

@@ -1,12 +1,11 @@
 """Control: steering and acceleration for highway-env's bicycle model, with limited rates of change."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from behavexplor.ads.road.path import Path, point_beside, pose_on_path
-from behavexplor.ads.rule.lateral import LateralProfile, offset_at
-from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
+from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R2_1, R2_4, note
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
 from behavexplor.data.array_types import Floats, Ints
@@ -14,12 +13,54 @@ from behavexplor.data.scene import EGO, HEADING, LENGTH, SPEED, X, Y
 from behavexplor.jit import kernel_inner
 
 PERIOD: Final = 0.1  # time between two decisions [s]
-
 TWO_PI: Final = 2 * math.pi
 RECOVERY_SPEED: Final = 4.0  # speed above which steering back is reduced (R2-1) [m/s]
 HOLD_SPEED: Final = 4.0  # speed below which steering is held in turns (R2-4) [m/s]
 HELD_STEERING: Final = 0.2  # angle beyond which steering is held (R2-4) [rad]
 TURN_WAY, TURN = 15.0, 0.1  # a left turn: the route has turned by more than TURN [rad] on the last TURN_WAY [m]
+
+
+class LateralProfile(NamedTuple):
+    """Offset from the route (positive to the right) as a function of the station.
+
+    Attributes:
+        start: station where the change begins [m].
+        length: length of the change along the route [m], 0 if the last offset is kept from the beginning.
+        first: offset at the start and before it [m].
+        slope: slope of the offset at the start; before the start it is 0.
+        last: offset at the end and after it [m].
+    """
+
+    start: float
+    length: float
+    first: float
+    slope: float
+    last: float
+
+
+@kernel_inner
+def offset_at(profile: LateralProfile, station: float) -> float:
+    """Return the offset at a station [m]: between start and end, a quintic without curvature at its ends."""
+    if station >= profile.start + profile.length:
+        return profile.last
+    if station <= profile.start:
+        return profile.first
+    u = (station - profile.start) / profile.length
+    across, slope = profile.last - profile.first, profile.slope * profile.length
+    cubic, quartic, quintic = 10 * across - 6 * slope, 8 * slope - 15 * across, 6 * across - 3 * slope
+    return profile.first + u * (slope + u * u * (cubic + u * (quartic + u * quintic)))
+
+
+@kernel_inner
+def change_profile(station: float, offset: float, slope: float, target: float, length: float) -> LateralProfile:
+    """Return the profile of a change from the ego's position to another offset."""
+    return LateralProfile(station, length, offset, min(max(slope, -0.5), 0.5), target)
+
+
+@kernel_inner
+def keep_profile(offset: float) -> LateralProfile:
+    """Return the profile of an offset that is kept."""
+    return LateralProfile(-math.inf, 0.0, offset, 0.0, offset)
 
 
 @kernel_inner

@@ -4,7 +4,7 @@ import math
 from typing import Final
 
 from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
-from behavexplor.ads.rule.control import PERIOD, accelerate, steer
+from behavexplor.ads.rule.control import PERIOD, LateralProfile, accelerate, change_profile, keep_profile, steer
 from behavexplor.ads.rule.decision import (
     CREEP,
     EMERGENCY,
@@ -26,11 +26,9 @@ from behavexplor.ads.rule.lane_choice import (
     gap_share,
     wrong_side,
 )
-from behavexplor.ads.rule.lateral import LateralProfile, change_profile, keep_profile
-from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
-from behavexplor.ads.rule.traffic import locate
+from behavexplor.ads.rule.traffic import Memory, locate
 from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
 from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.data.scene import EGO, HEADING, SPEED, WIDTH, X, Y

@@ -5,7 +5,6 @@ from typing import Final
 import numpy as np
 
 from behavexplor.ads.road.path import Path
-from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed_search import SpeedPlan
 from behavexplor.ads.rule.station_time import (
@@ -19,6 +18,7 @@ from behavexplor.ads.rule.station_time import (
     SOFT_LOW,
     StationTime,
 )
+from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
 from behavexplor.data.array_types import Ints
 from behavexplor.jit import kernel_inner

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from behavexplor.ads.road.path import Path
-from behavexplor.ads.rule.control import PERIOD
+from behavexplor.ads.rule.control import PERIOD, LateralProfile
 from behavexplor.ads.rule.decision import (
     RESTART_OUTLOOK,
     YIELD,
@@ -21,14 +21,13 @@ from behavexplor.ads.rule.lane_choice import (
     cuts_in,
     lane_wall,
 )
-from behavexplor.ads.rule.lateral import LateralProfile
-from behavexplor.ads.rule.memory import Memory
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed import plan_speed
 from behavexplor.ads.rule.speed_motions import Situation
 from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan
 from behavexplor.ads.rule.station_time import StationTime, project_obstacles
+from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R1_5, note
 from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner

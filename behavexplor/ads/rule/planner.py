@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path, ego_path
 from behavexplor.ads.rule.control import PERIOD
 from behavexplor.ads.rule.cycle import plan_once
-from behavexplor.ads.rule.memory import N_MEMORIES, as_records
 from behavexplor.ads.rule.option import Surroundings
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed_search import empty_nodes
 from behavexplor.ads.rule.station_time import empty_station_time
-from behavexplor.ads.rule.traffic import N_OTHER_COLUMNS
+from behavexplor.ads.rule.traffic import N_MEMORIES, N_OTHER_COLUMNS, as_records
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
 from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import RoadMap

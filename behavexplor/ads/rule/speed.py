@@ -4,8 +4,7 @@ from typing import Final
 
 from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed_grid import ACCELERATIONS
-from behavexplor.ads.rule.speed_motions import Situation, moved, stops_inside
+from behavexplor.ads.rule.speed_motions import ACCELERATIONS, Situation, moved, stops_inside
 from behavexplor.ads.rule.speed_search import Nodes, SpeedPlan, search
 from behavexplor.ads.rule.station_time import COST, HARD_HIGH, HARD_LOW, INTERVAL, N_INTERVALS, SOFT_HIGH, SOFT_LOW
 from behavexplor.jit import kernel_inner

@@ -3,11 +3,11 @@
 Their arithmetic then has no branches, so the processor works on several motions at once.
 """
 
+import math
 from typing import Final, NamedTuple
 
 from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed_grid import ACCELERATIONS, N_BINS
 from behavexplor.ads.rule.station_time import (
     COST,
     HARD_HIGH,
@@ -21,14 +21,34 @@ from behavexplor.ads.rule.station_time import (
 from behavexplor.data.array_types import Floats
 from behavexplor.jit import kernel_inner
 
-MOST_HURRY: Final = 1.5  # weight of the delay in the first interval
+STAGES: Final = (2, 2, 4, 4, 4, 4, 6, 6)  # number of intervals in each stage of constant acceleration
+ACCELERATIONS: Final = (-8.0, -5.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0)  # candidate accelerations [m/s2]
+HARDEST: Final = (0, 0, 1, 1, 2, 2, 2, 2)  # index of the hardest braking in each stage
+STRONGEST: Final = (8, 8, 8, 8, 7, 7, 7, 7)  # index of the strongest acceleration in each stage
 
+FINENESS: Final = 2.5  # bins per root of distance or speed, fine near 0; a stage keeps one node a bin
+N_STATION_BINS: Final = 42
+N_SPEED_BINS: Final = 16
+N_BINS: Final = N_STATION_BINS * N_SPEED_BINS
+MOST_HURRY: Final = 1.5  # weight of the delay in the first interval
 # Where the rows of the motions of a stage begin. They are one array with constant offsets, so that the compiler knows
 # that rows do not overlap. Otherwise, it would not compute several motions at once.
 MOST: Final = N_BINS * len(ACCELERATIONS)
 N_ROWS: Final = 12
 STATION, SPEED, LIMIT, AHEAD, AFTER, CLEAR = (i * MOST for i in range(6))
 CHOSEN, BEFORE, SPENT, TOTAL_SPENT, RISKED, STOPPED = (i * MOST for i in range(6, N_ROWS))
+
+
+@kernel_inner
+def station_bin(driven: float) -> int:
+    """Return the row of bins for a distance since the start of the plan [m]."""
+    return min(int(FINENESS * math.sqrt(driven)), N_STATION_BINS - 1)
+
+
+@kernel_inner
+def speed_bin(speed: float) -> int:
+    """Return the column of bins for a speed [m/s]."""
+    return min(math.ceil(FINENESS * math.sqrt(speed)), N_SPEED_BINS - 1)
 
 
 class Situation(NamedTuple):

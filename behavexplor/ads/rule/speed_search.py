@@ -6,31 +6,29 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from behavexplor.ads.rule.parameters import Numbers
-from behavexplor.ads.rule.speed_grid import (
-    ACCELERATIONS,
-    HARDEST,
-    N_BINS,
-    N_SPEED_BINS,
-    STAGES,
-    STRONGEST,
-    speed_bin,
-    station_bin,
-)
 from behavexplor.ads.rule.speed_motions import (
+    ACCELERATIONS,
     BEFORE,
     CHOSEN,
     CLEAR,
+    HARDEST,
     MOST,
     MOST_HURRY,
+    N_BINS,
     N_ROWS,
+    N_SPEED_BINS,
     RISKED,
     SPEED,
     SPENT,
+    STAGES,
     STATION,
     STOPPED,
+    STRONGEST,
     TOTAL_SPENT,
     Situation,
     drive,
+    speed_bin,
+    station_bin,
 )
 from behavexplor.ads.rule.station_time import HARD_LOW, INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS
 from behavexplor.data.array_types import Floats, Ints

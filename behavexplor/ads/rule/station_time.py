@@ -8,9 +8,8 @@ import numpy as np
 from behavexplor.ads.road.lane_arrays import CURVATURE, direction_on_lane
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH
 from behavexplor.ads.road.path import Path, project_on_path
-from behavexplor.ads.rule.beside import is_beside
-from behavexplor.ads.rule.boxes import Box, box_on_path
-from behavexplor.ads.rule.lateral import LateralProfile
+from behavexplor.ads.rule.beside import Box, box_on_path, is_beside
+from behavexplor.ads.rule.control import LateralProfile
 from behavexplor.ads.rule.motion import Motion, false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph, find_tails, reach

@@ -5,27 +5,106 @@ So a network always receives blocks of the same number of rows, padded with zero
 row separately. A network with other layers, or with code from elsewhere, receives one row at a time.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from threading import Lock
 from typing import Any, Final
 
+import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 
-from behavexplor.ads.sb3.dense_actor import dense_actor
-from behavexplor.ads.sb3.drawing_actions import drawn_by
-from behavexplor.ads.sb3.row_linear import ROWS, Block, multiply_rows_separately
+from behavexplor.ads.sb3.dense_actor import ROWS, Block, dense_actor, multiply_rows_separately
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
+_EDGE: Final = 1e-7  # least distance of a share from 0 and 1, where the quantiles of a normal distribution are infinite
+_DISTRIBUTIONS: Final = frozenset(  # distributions of Stable-Baselines3 and sb3-contrib
+    {
+        "CategoricalDistribution",
+        "MaskableCategoricalDistribution",
+        "MultiCategoricalDistribution",
+        "BernoulliDistribution",
+        "DiagGaussianDistribution",
+    }
+)
+
+Tensor = torch.Tensor
 _KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.")
-
 _LOCK: Final = Lock()  # the blocks of a network hold one question at a time
-
 Memory = tuple[NDArray[Any], ...]
+
+
+def noise_of(network: BasePolicy) -> int:
+    """Return how many random numbers an action needs; 0 if the policy has no distribution that is known here."""
+    policy: Any = network
+    if _is_squashed(policy):
+        return 0 if policy.actor.use_sde else _numbers(policy.action_space)
+    is_known = type(getattr(policy, "action_dist", None)).__name__ in _DISTRIBUTIONS
+    return _numbers(policy.action_space) if is_known and hasattr(policy, "get_distribution") else 0
+
+
+def drawn_by(network: BasePolicy, noise: NDArray[np.float64]) -> Callable[..., Any]:
+    """Return a replacement for `network._predict` that draws its actions.
+
+    Args:
+        network: the policy network.
+        noise: numbers in [0, 1), shape (B, `noise_of(network)`).
+    """
+    shares = torch.as_tensor(noise, dtype=torch.float32)
+    policy: Any = network
+    if _is_squashed(policy):
+        return lambda observation, *_, **__: _squashed(policy, observation, shares)
+    if hasattr(policy, "lstm_actor"):
+        return lambda *given, **named: _recurrent(policy, shares, *given, **named)
+    return lambda observation, *_, **__: _sampled(policy.get_distribution(observation), shares)
+
+
+def _is_squashed(policy: Any) -> bool:
+    """Return whether actions are a squashed normal distribution, as in SAC, TQC and CrossQ."""
+    return hasattr(getattr(policy, "actor", None), "get_action_dist_params")
+
+
+def _squashed(network: Any, observation: Any, shares: Tensor) -> Tensor:
+    mean, log_deviation, _ = network.actor.get_action_dist_params(observation)
+    return torch.tanh(mean + torch.exp(log_deviation) * _normal(shares).reshape(mean.shape))
+
+
+def _recurrent(
+    network: Any, shares: Tensor, observation: Any, lstm_states: Any, episode_starts: Tensor, *_: Any, **__: Any
+) -> tuple[Tensor, Any]:
+    distribution, states = network.get_distribution(observation, lstm_states, episode_starts)
+    return _sampled(distribution, shares), states
+
+
+def _sampled(distribution: Any, shares: Tensor) -> Tensor:
+    """Return the actions at the given shares of a distribution."""
+    parts = distribution.distribution
+    if isinstance(parts, list):
+        return torch.stack([_category(part, shares[:, i]) for i, part in enumerate(parts)], dim=1)
+    if isinstance(parts, torch.distributions.Categorical):
+        return _category(parts, shares[:, 0])
+    if isinstance(parts, torch.distributions.Bernoulli):
+        return (shares < parts.probs).float()
+    drawn: Tensor = parts.mean + parts.stddev * _normal(shares).reshape(parts.mean.shape)
+    return drawn
+
+
+def _category(distribution: torch.distributions.Categorical, shares: Tensor) -> Tensor:
+    """Return the category in which each share of the cumulative probabilities lies, shape (B,)."""
+    passed: Tensor = distribution.probs.cumsum(dim=1) <= shares[:, None]
+    return passed.sum(dim=1).clamp(max=distribution.probs.shape[1] - 1)
+
+
+def _normal(shares: Tensor) -> Tensor:
+    quantiles: Tensor = torch.special.ndtri(shares.clamp(_EDGE, 1 - _EDGE))
+    return quantiles
+
+
+def _numbers(space: gymnasium.Space[Any]) -> int:
+    return int(np.prod(space.shape or (1,)))
 
 
 class BlockwiseNetwork:
@@ -60,7 +139,7 @@ class BlockwiseNetwork:
             memory: memory returned by the last call, arrays of shape (layers, B, ...); None at first.
             episode_start: True for each row that begins an episode, shape (B,); None if no row does.
             noise: numbers in [0, 1) by which actions are drawn, shape (B, n), see
-                `behavexplor.ads.sb3.drawing_actions`; None for the most probable actions.
+                `behavexplor.ads.sb3.blocks`; None for the most probable actions.
 
         Returns:
             The actions, shape (B, ...), and the memory. The memory is None if the network has none.

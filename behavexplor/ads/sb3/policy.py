@@ -13,12 +13,10 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.preprocessing import is_image_space
 
 from behavexplor.ads.sb3.archive import Archive, read_archive
-from behavexplor.ads.sb3.arrays import as_arrays
-from behavexplor.ads.sb3.blocks import BlockwiseNetwork
+from behavexplor.ads.sb3.blocks import BlockwiseNetwork, noise_of
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
-from behavexplor.ads.sb3.drawing_actions import noise_of
-from behavexplor.ads.sb3.normalization import Moments, Statistics
+from behavexplor.ads.sb3.normalization import Moments, Statistics, as_arrays
 from behavexplor.data.array_types import Floats
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, brief, sentence

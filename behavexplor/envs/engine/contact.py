@@ -8,7 +8,7 @@ import math
 from typing import Final, TypeAlias
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.envs.engine.state import OBSTACLE, Records, Traits, Vehicle
 from behavexplor.jit import kernel_inner
 

@@ -9,8 +9,7 @@ from highway_env.road.lane import SineLane as HighwaySineLane
 from highway_env.road.road import RoadNetwork
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.road_plan import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, SineLane
-from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.road_shape import BROKEN, NO_LINE, SOLID, PlannedLane, RoadPlan, RoadShape, SineLane
 from behavexplor.data.roadmap import Lane
 from behavexplor.errors import InputError
 
@@ -18,6 +17,16 @@ LaneIndex: TypeAlias = tuple[str, str, int | None]
 
 _STEP: Final = 2.0  # greatest distance of two points of a route where it is not straight [m]
 _SAME: Final = 1e-6  # points nearer to each other are one [m]
+_MARKINGS: Final = {
+    LineType.NONE: NO_LINE,
+    LineType.STRIPED: BROKEN,
+    LineType.CONTINUOUS: SOLID,
+    LineType.CONTINUOUS_LINE: SOLID,
+}
+_COMPARED: Final = 9  # points of a lane at which the plan is compared with the network
+_TOLERANCE: Final = 1e-6  # [m]
+_MOST_POINTS: Final = 400  # of one line
+_LEFT, _RIGHT = 0, 1  # places of a lane's line types
 
 
 def ego_route(
@@ -70,16 +79,6 @@ def _center(lane: AbstractLane, start: float, end: float) -> Floats:
     return np.array([lane.position(station, 0.0) for station in np.linspace(start, end, count)])
 
 
-_MARKINGS: Final = {
-    LineType.NONE: NO_LINE,
-    LineType.STRIPED: BROKEN,
-    LineType.CONTINUOUS: SOLID,
-    LineType.CONTINUOUS_LINE: SOLID,
-}
-_COMPARED: Final = 9  # points of a lane at which the plan is compared with the network
-_TOLERANCE: Final = 1e-6  # [m]
-
-
 def road_plan(network: RoadNetwork) -> RoadPlan:
     """Return the lanes of a network, road by road in highway-env's order.
 
@@ -120,10 +119,6 @@ def _plain(lane: AbstractLane, index: LaneIndex) -> Lane | None:
         wave = (float(lane.amplitude), float(lane.pulsation), float(lane.phase))
         return SineLane(*axis, amplitude=wave[0], pulsation=wave[1], phase=wave[2])
     return Lane(*axis)
-
-
-_MOST_POINTS: Final = 400  # of one line
-_LEFT, _RIGHT = 0, 1  # places of a lane's line types
 
 
 def road_shape(network: RoadNetwork) -> RoadShape:

@@ -12,8 +12,7 @@ from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn_logical import UNIFORM, Draw, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
-from behavexplor.data.road_plan import RoadPlan
-from behavexplor.data.road_shape import RoadShape
+from behavexplor.data.road_shape import RoadPlan, RoadShape
 from behavexplor.envs.engine.vehicle_parameters import VehicleClasses
 from behavexplor.envs.highway.course import road_plan, road_shape
 from behavexplor.envs.highway.episode_record import EpisodeRecord, Watch, has_arrived

@@ -7,6 +7,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.npc_motion import (
     BEGIN,
     N_PHASE_COLUMNS,
@@ -22,7 +23,6 @@ from behavexplor.data.npc_motion import (
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.engine import state as engine_state
 from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane

@@ -5,9 +5,8 @@ from typing import Final
 
 from behavexplor.data import scene
 from behavexplor.data.array_types import Bools, Floats, Singles
-from behavexplor.data.conventions import is_rear_end
+from behavexplor.data.conventions import EGO_SIZE, is_rear_end
 from behavexplor.data.trace import ENDS
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.engine.bicycle import move
 from behavexplor.envs.engine.contact import boxes_touch, corners, touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates

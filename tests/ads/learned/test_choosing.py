@@ -6,14 +6,18 @@ from scipy.stats import chisquare
 
 from behavexplor.ads.learned.choosing import (
     ACCELERATION_TABLE,
+    ACCELERATIONS,
     DRAWN,
+    HOME,
+    KEEP,
+    LEFT,
     MEAN,
     MOST_PROBABLE,
+    N_ACTIONS,
     Decisions,
     as_decisions,
     choose,
 )
-from behavexplor.ads.learned.tracker import ACCELERATIONS, HOME, KEEP, LEFT, N_ACTIONS
 from tests.kernel_calls import called_alone
 
 BRAKE, COAST, GO = 0, 3, 4

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.interface import ADS, DecisionLog
+from behavexplor.ads.learned.choosing import N_ACTIONS
 from behavexplor.ads.learned.driver import LearnedDriver
 from behavexplor.ads.learned.network_file import RULES, TrainedNetwork, read_network, write_network
 from behavexplor.ads.learned.observation import N_FEATURES
-from behavexplor.ads.learned.tracker import N_ACTIONS
 from behavexplor.ads.loading import load_ads
 from behavexplor.errors import InputError
 from tests.ads.learned.scenes import LOGICALS, ego, on_route

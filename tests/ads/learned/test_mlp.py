@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from behavexplor.ads.learned.mlp import as_network, evaluate
+from behavexplor.ads.learned.driver import as_network, evaluate
 from tests.kernel_calls import called_alone
 
 evaluated = called_alone(evaluate)

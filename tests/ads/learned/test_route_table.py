@@ -7,8 +7,8 @@ from shapely import LineString, Polygon
 from behavexplor.ads.learned.observation import lanes_beside
 from behavexplor.ads.learned.route_table import CAR, END, IN, OUT, SIDE_GAP, START
 from behavexplor.ads.road.path import SPACING, row_at
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.geometry import box_corners
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 from tests.ads.learned.scenes import COURSES, LOGICALS
 from tests.kernel_calls import called_alone
 

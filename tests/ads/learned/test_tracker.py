@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.learned.tracker import (
+from behavexplor.ads.learned.choosing import (
     ACCELERATIONS,
     HOME,
     KEEP,

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.road.path import ego_path, point_beside, pose_on_path
-from behavexplor.ads.rule.control import PERIOD, accelerate, steer
-from behavexplor.ads.rule.lateral import change_profile, keep_profile, offset_at
+from behavexplor.ads.rule.control import PERIOD, accelerate, change_profile, keep_profile, offset_at, steer
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.scene_io import ACCELERATION_RANGE, STEERING_RANGE
-from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 from tests.kernel_calls import called_alone

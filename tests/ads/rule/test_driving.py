@@ -6,8 +6,8 @@ import pytest
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.decision import CREEP, CRUISE, STOP, YIELD
 from behavexplor.ads.rule.lane_choice import ABORT
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.geometry import box_corners, box_distance, distances_from_segments, project_on_polyline
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import SEDAN, drive
 

@@ -16,7 +16,7 @@ from behavexplor.ads.rule.lane_choice import (
 )
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.traffic import locate
-from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 from tests.kernel_calls import called_alone

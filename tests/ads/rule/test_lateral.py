@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from behavexplor.ads.rule.lateral import LateralProfile, change_profile, keep_profile, offset_at
+from behavexplor.ads.rule.control import LateralProfile, change_profile, keep_profile, offset_at
 from tests.kernel_calls import called_alone
 
 change_profile = called_alone(change_profile)

@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path, limit_at
 from behavexplor.ads.rule.parameters import Parameters, numbers
-from behavexplor.ads.rule.speed_grid import (
+from behavexplor.ads.rule.speed_motions import (
     ACCELERATIONS,
     FINENESS,
     HARDEST,
@@ -15,8 +15,8 @@ from behavexplor.ads.rule.speed_grid import (
     N_STATION_BINS,
     STAGES,
     STRONGEST,
+    Situation,
 )
-from behavexplor.ads.rule.speed_motions import Situation
 from behavexplor.ads.rule.speed_search import CLOSE, empty_nodes, search
 from behavexplor.ads.rule.station_time import INTERVAL, LEAD_SPEED, LEADS, N_INTERVALS, empty_station_time
 from behavexplor.envs.logical_scenarios import crossing, straight_road

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.road.path import ego_path, pose_on_path, project_on_path
-from behavexplor.ads.rule.boxes import Box, box_on_path
-from behavexplor.ads.rule.lateral import change_profile, keep_profile
+from behavexplor.ads.rule.beside import Box, box_on_path
+from behavexplor.ads.rule.control import change_profile, keep_profile
 from behavexplor.ads.rule.parameters import Parameters, numbers
 from behavexplor.ads.rule.prediction import lane_graph
 from behavexplor.ads.rule.station_time import (
@@ -18,8 +18,8 @@ from behavexplor.ads.rule.station_time import (
     empty_station_time,
     project_obstacles,
 )
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.geometry import box_corners, boxes_overlap
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
 from tests.kernel_calls import called_alone

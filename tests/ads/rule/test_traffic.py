@@ -5,7 +5,7 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule.traffic import ALONG_SPEED, NO_VEHICLE, OFFSET, STATION, TURNED, locate, neighbors
-from behavexplor.data.vehicle_sizes import EGO_SIZE
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import SEDAN, scene
 from tests.kernel_calls import called_alone

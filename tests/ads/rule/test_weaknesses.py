@@ -5,9 +5,8 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule import Parameters
-from behavexplor.ads.rule.control import steer
+from behavexplor.ads.rule.control import change_profile, keep_profile, steer
 from behavexplor.ads.rule.lane_choice import EgoState, accepts_gap, choose_lane, gap_share, wrong_side
-from behavexplor.ads.rule.lateral import change_profile, keep_profile
 from behavexplor.ads.rule.motion import false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import numbers
 from behavexplor.ads.rule.traffic import locate
@@ -26,7 +25,7 @@ from behavexplor.ads.rule.weaknesses import (
     REACHED,
     TRIGGERED,
 )
-from behavexplor.data.vehicle_sizes import EGO_SIZE, VEHICLE_SIZES
+from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.envs.logical_scenarios import crossing, straight_road
 from tests.ads.rule.world import memory_with, scene
 from tests.kernel_calls import called_alone

@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.ads.rule.memory import MEMORY
+from behavexplor.ads.rule.traffic import MEMORY
+from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.vehicle_sizes import EGO_SIZE
 
 SEDAN = (4.57, 2.08)
 
