@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.ads.learned.network_file import FOLDER
+from behavexplor.ads.learned.shipped import FOLDER
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.description import trained_in
 from behavexplor.data.scripted import ScriptedScenario
