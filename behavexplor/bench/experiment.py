@@ -2,15 +2,15 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final
 
 import yaml
 from pydantic import ConfigDict
 
 from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_folder, read_config, read_yaml
-from behavexplor.data.drawn_scenario import DEFAULT
+from behavexplor.data.target import Conditions
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
@@ -46,8 +46,8 @@ class _MethodEntry(MethodChoice):
     config: str | None = None
 
 
-@dataclass(frozen=True)
-class Experiment:
+@dataclass(frozen=True, kw_only=True)
+class Experiment(Conditions):
     """Every search method in every environment with every ADS, once with each seed.
 
     Attributes:
@@ -61,13 +61,7 @@ class Experiment:
         batch: number of candidates in flight, as in a campaign's `batch`.
         workers: number of processes that execute the scenarios of one campaign. 0 is the campaign's own process,
             without limits of time and memory; a third-party ADS then gets one process, in which it is confined.
-        trust: digests of trusted policy files, as in a campaign's `trust`.
-        unconfined: whether third-party driving systems may write files and use the network, as in a campaign's
-            `unconfined`.
         specs: user-defined requirements, as in a campaign's `specs`.
-        traffic: kind of traffic in stock environments, as in a campaign's `traffic`.
-        stochastic: whether the driving systems draw their actions, as in a campaign's `stochastic`.
-        confirm: whether highway-env itself confirms failures in stock environments, as in a campaign's `confirm`.
         reference: method that is compared with each other method; by default the first one.
         baseline: method that each other method is compared with; empty for none.
         groups: names of additional tables, each with the methods that it shows.
@@ -87,18 +81,14 @@ class Experiment:
     budget: int = 750
     batch: int = 8
     workers: int = 0
-    trust: tuple[str, ...] = ()
-    unconfined: bool = False
     specs: tuple[str, ...] = ()
-    traffic: Literal["default", "wide"] = DEFAULT
-    confirm: bool = True
-    stochastic: bool = False
     reference: str = ""
     baseline: str = ""
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     contrasts: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _check_name("name of the experiment", self.name)
         _check_names("methods", tuple(self.methods))
         for key, value, least, most in (
@@ -163,7 +153,7 @@ class Experiment:
     def _campaign(self, env: str, ads: str, choice: MethodChoice) -> CampaignConfig:
         """Return the configuration of a method's campaigns in one environment with one ADS, with the default seed."""
         values = {"env": env, "ads": ads, "method": choice.method, "options": choice.options}
-        of_all = ("budget", "batch", "trust", "unconfined", "specs", "traffic", "confirm", "stochastic")
+        of_all = ("budget", "batch", "specs", *(one.name for one in fields(Conditions)))
         return campaign_config({**values, **{key: getattr(self, key) for key in of_all}})
 
     def to_yaml(self) -> str:

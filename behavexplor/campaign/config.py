@@ -2,16 +2,15 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, Self
+from typing import Any, ClassVar, Final, Self
 
 import yaml
 from pydantic import ConfigDict
 
-from behavexplor.data.drawn_scenario import DEFAULT
-from behavexplor.data.target import MEMORY_LIMIT, TIME_LIMIT, Target
+from behavexplor.data.target import Conditions, Target
 from behavexplor.data.untrusted import parse_yaml, read_file
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
@@ -53,34 +52,20 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class CampaignConfig:
+class CampaignConfig(Target):
     """One search method x ADS x environment x seed, with a budget.
 
     Attributes:
-        env: functional scenario, or gymnasium id of an environment that takes concrete scenarios.
-        ads: driving system under test: "rule", a policy file, or "package.module:attribute" of an object or class with
-            a `predict` method.
-        method: search method, see `behavexplor.fuzz.methods`, or "package.module:attribute".
-        budget: number of executions, such as "750", or running time, such as "30m".
-        seed: seed of the campaign. The same seed gives the same campaign.
-        batch: number of candidates in flight. Candidate i is chosen with the results up to i - batch; 1 is the paper's
-            sequential loop.
-        time_limit: time limit of one execution [s]. An ADS that takes longer counts as a hang.
-        memory_limit: memory limit of one worker process [GiB], where the system can set it.
-        unconfined: whether an ADS that is not shipped with this package may write files and use the network. By
-            default its worker processes may not, where the system can prevent it.
-        trust: digests ("sha256:...") of policy files that may run code while they are loaded.
-        specs: user-defined requirements in addition to R1, R2 and R3, each as "package.module:attribute"; see
-            `behavexplor.judge.robustness`.
-        env_config: configuration of the environment, as far as it differs from what the ADS declares: keys of
-            highway-env, see docs/highway-env.md. None if it is not known.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
-        stochastic: whether the ADS draws its actions instead of deciding deterministically.
-        confirm: whether highway-env itself confirms each failure that the compiled engine finds in a stock environment.
-        options: options of the search method; see its `Options`.
-        revision: revision of the search methods, the environments and the judgment. The same campaign has the same
+        method: Search method, or package.module:attribute of your own:
+        budget: Number of executions (750), or running time (90s, 30m, 1h30m).
+        seed: Random seed. The same seed gives the same records.
+        batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it; 1 is the
+            paper's sequential loop.
+        specs: Additional requirement: function from a trace to its signed robustness (docs/specs.md).
+        options: Options of the search method; see its `Options`.
+        revision: Revision of the search methods, the environments and the judgment. The same campaign has the same
             records in all versions of this program with the same revision. Campaigns of other revisions can be read,
-            but not continued. Campaigns that do not state it are of revision 1.
+            but not continued.
 
     Raises:
         InputError: if a value is out of range.
@@ -88,50 +73,27 @@ class CampaignConfig:
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
-    env: str = "intersection-straight"
-    ads: str = "rule"
     method: str = "behavexplor"
     budget: str = "750"
     seed: int = 0
     batch: int = 8
-    time_limit: float = TIME_LIMIT
-    memory_limit: float = MEMORY_LIMIT
-    unconfined: bool = False
-    trust: tuple[str, ...] = ()
     specs: tuple[str, ...] = ()
-    env_config: dict[str, Any] | None = None
-    traffic: Literal["default", "wide"] = DEFAULT
-    confirm: bool = True
-    stochastic: bool = False
     options: dict[str, Any] = field(default_factory=dict)
     revision: int = REVISION
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         Budget.parse(self.budget)
         if not 0 <= self.seed < 2**63:
             raise InputError(f"The seed {self.seed} must be a whole number from 0 to 2^63 - 1")
         if not 1 <= self.batch <= 10_000:
             raise InputError(f"The batch {self.batch} must lie between 1 and 10000")
-        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
-            if not 0 < limit < 1e9:
-                raise InputError(f"{name} {limit} must be greater than 0")
-        check_digests(self.trust)
 
-    @property
-    def target(self) -> Target:
-        """The driving system and its environment, with the limits of the worker processes."""
-        return Target(
-            self.env,
-            self.ads,
-            self.trust,
-            self.unconfined,
-            self.time_limit,
-            self.memory_limit,
-            self.env_config,
-            self.traffic,
-            self.confirm,
-            self.stochastic,
-        )
+    def stated(self) -> dict[str, Any]:
+        """Return what the configuration states, as values by key: first what drives where, last the conditions."""
+        names = [one.name for one in fields(CampaignConfig)]  # without those of derived classes
+        conditions = [one.name for one in fields(Conditions)]
+        return {name: getattr(self, name) for name in sorted(names, key=conditions.__contains__)}
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML, which reproduces the campaign when it is read from a file.
@@ -139,9 +101,7 @@ class CampaignConfig:
         Raises:
             InputError: if a value cannot be stored, such as a number of numpy in the options of the method.
         """
-        plain = asdict(self)
-        values = {one.name: plain[one.name] for one in fields(CampaignConfig)}  # without those of derived classes
-        values |= {"trust": list(self.trust), "specs": list(self.specs)}
+        values = self.stated() | {"trust": list(self.trust), "specs": list(self.specs)}
         try:
             return yaml.safe_dump(values, sort_keys=False)
         except yaml.representer.RepresenterError as error:
@@ -162,19 +122,6 @@ class StoredConfig:
 
     folder: Path
     says: CampaignConfig
-
-
-def check_digests(trust: Iterable[str]) -> None:
-    """Check the form of digests.
-
-    Raises:
-        InputError: if one has another form.
-    """
-    for digest in trust:
-        if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
-            raise InputError(
-                f"--trust {digest!r} must be sha256: and the 64 hexadecimal digits of a policy file or a folder"
-            )
 
 
 def check_said_twice(values: Mapping[str, Any], given: Mapping[str, Any], file: str) -> None:

@@ -11,7 +11,7 @@ import json
 import os
 import stat
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,9 +19,9 @@ from platformdirs import user_state_path
 
 from behavexplor.ads.loading import IN_MEMORY, is_shipped
 from behavexplor.ads.sb3.description import files_of_model
-from behavexplor.campaign.config import CONFIG, CampaignConfig, StoredConfig, campaign_config, check_digests
+from behavexplor.campaign.config import CONFIG, CampaignConfig, StoredConfig, campaign_config
 from behavexplor.data.named_code import Code, attribute_code, env_code, traffic_code
-from behavexplor.data.target import Target
+from behavexplor.data.target import CheckedTarget, check_digests
 from behavexplor.data.untrusted import parse_yaml
 from behavexplor.errors import InputError
 from behavexplor.execution.checked_imports import digests_of, import_checked, source_files
@@ -111,8 +111,8 @@ class AcceptedConfig(CampaignConfig):
     modules: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def target(self) -> Target:
-        """The driving system and its environment; see `behavexplor.campaign.config.CampaignConfig.target`."""
+    def target(self) -> CheckedTarget:
+        """The driving system and its environment, with the modules that were checked."""
         return replace(super().target, modules=self.modules)
 
 
@@ -173,7 +173,7 @@ def accepted(
     config = stored.says
     found = agreed(claim_of(config, stored.folder / CONFIG), consent, runs)
     trust = tuple(digest for digest in consent.trust if digest not in found.digests)
-    values = {one.name: getattr(config, one.name) for one in fields(CampaignConfig)}
+    values = config.stated()
     values["trust"] = tuple(dict.fromkeys((*config.trust, *trust))) if found.is_own else trust
     values["unconfined"] = consent.unconfined or (found.is_own and config.unconfined)
     return AcceptedConfig(**values, modules=found.modules)
@@ -181,9 +181,8 @@ def accepted(
 
 def claim_of(config: CampaignConfig, place: Path) -> Claim:
     """Return what the configuration of a campaign says that may have code run. A campaign may get another budget."""
-    stated = {one.name: getattr(config, one.name) for one in fields(CampaignConfig) if one.name != "budget"}
-    usual = CampaignConfig()
-    values = {name: value for name, value in stated.items() if value != getattr(usual, name)}
+    usual = CampaignConfig().stated() | {"budget": config.budget}
+    values = {name: value for name, value in config.stated().items() if value != usual[name]}
     code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
     asks = bool(config.trust or config.unconfined) and not is_shipped(config.ads)
     return Claim(place, {**values, "revision": config.revision}, code, config.ads, asks)

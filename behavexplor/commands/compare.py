@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -14,11 +14,11 @@ from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
-from behavexplor.campaign.config import CampaignConfig, campaign_config, read_yaml
+from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.run_names import stamped_folder
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import chosen_workers, patience
+from behavexplor.commands.flags import chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
@@ -41,30 +41,26 @@ from behavexplor.report.run_page import page
 
 TABLE, SEARCH = "comparison.json", "search"
 _REPLAYS = 100
-_DEFAULTS = CampaignConfig()
 
 
-def compare(  # noqa: PLR0913 - one argument for each flag
+_SETTINGS = settings(
+    CampaignConfig,
+    "env env_config seed method budget specs trust unconfined traffic confirm stochastic",
+    env=(f"that of A, or {CampaignConfig.env}", ""),
+    method=("nsga2", " with --search"),
+    budget=(CampaignConfig.budget, " with --search"),
+)
+
+
+def compare(
     first: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A")],
     second: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")],
     *,
-    env: Annotated[
-        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint=f"(default: that of A, or {_DEFAULTS.env})")
-    ] = None,
+    given: Annotated[dict[str, Any], _SETTINGS],
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     search: bool = False,
-    method: Annotated[str, tyro.conf.arg(metavar="NAME")] = "nsga2",
-    budget: Annotated[int, tyro.conf.arg(metavar="N")] = 750,
-    spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="MODULE:NAME")] = (),
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")] = (),
-    env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    traffic: Literal["default", "wide"] = "default",
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: in runs/)")] = None,
-    stochastic: bool = False,
-    unconfined: bool = False,
-    confirm: bool = True,
+    workers: Annotated[int | None, flag("N", "the cores")] = None,
+    out: Annotated[Path | None, flag("FOLDER", "in runs/")] = None,
     quiet: bool = False,
 ) -> int:
     """Drive the same scenarios with two drivers, and report what the second one fixes and what it breaks.
@@ -74,45 +70,21 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     Args:
         first: The first driving system, as for --ads of fuzz: for example, a policy before it was trained further.
         second: The second driving system.
-        env: Environment, as for fuzz.
+        given: Settings of both campaigns.
         scenarios: Number of uniformly sampled scenarios.
-        seed: Seed of the scenarios and of the search.
         search: Also search for scenarios in which one driver fails and the other does not.
-        method: Search method of that search.
-        budget: Number of scenarios of that search.
-        spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the drivers;
             a driver that is not shipped with behavexplor then needs --unconfined.
-        trust: Allow the policy file with this digest ("sha256:...") to execute code on load. May be repeated.
-        env_config: YAML file with highway-env's configuration of the environment, as in the first policy's training.
-        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         out: Folder for the results, new or empty.
-        stochastic: Draw the actions of both policies, as in their training, instead of deciding deterministically.
-        unconfined: Allow drivers that are not shipped with behavexplor to write files and use the network.
-        confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
-            time if a driver fails often.
         quiet: Print only the tables.
     """
     count = chosen_workers(workers)
     for name in (first, second):
         check_name(name)
-    config = campaign_config(
-        {
-            "env": named_env(env, first) or _DEFAULTS.env,
-            "ads": first,
-            **SETTINGS,
-            "budget": str(scenarios),
-            "seed": seed,
-            "specs": spec,
-            "trust": trust,
-            "env_config": read_yaml(env_config) if env_config else None,
-            "traffic": traffic,
-            "unconfined": unconfined,
-            "stochastic": stochastic,
-            "confirm": confirm,
-        }
-    )
-    searching = replace(config, method=method, budget=str(budget), batch=_DEFAULTS.batch)
+    of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
+    env = named_env(given.get("env"), first) or CampaignConfig.env
+    config = campaign_config({**given, "env": env, "ads": first, **SETTINGS, "budget": str(scenarios)})
+    searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
         check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")

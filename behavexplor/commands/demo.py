@@ -51,7 +51,7 @@ def demo(
         model = train_small_policy(folder, meter.show, steps)
     run = folder / "run"
     _say("fuzz", "--ads", model, "--budget", budget, "--out", run)
-    code = fuzz(ads=str(model), budget=budget, out=run)
+    code = fuzz(given={"ads": str(model), "budget": budget}, out=run)
     if code != OK:
         return code
     _say("report", run)

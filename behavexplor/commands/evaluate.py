@@ -8,17 +8,17 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
 
 import scipy
 import tyro
 
 from behavexplor.ads.sb3.description import named_env
-from behavexplor.campaign.config import CampaignConfig, read_yaml
+from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import chosen_workers, patience
+from behavexplor.commands.flags import chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT
@@ -45,60 +45,39 @@ _CONTROLS: Final = MappingProxyType(
 )
 
 
-def evaluate(  # noqa: PLR0913 - one argument for each flag
+_SETTINGS = settings(
+    CampaignConfig,
+    "env ads env_config seed trust unconfined traffic stochastic",
+    env=(f"the policy's own, or {CampaignConfig.env}", ""),
+    stochastic=(False, " By default, the rates with drawn actions are shown, too."),
+)
+
+
+def evaluate(
     *,
-    env: Annotated[
-        str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint=f"(default: the policy's own, or {_ENV})"),
-    ] = None,
-    ads: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rule",
+    given: Annotated[dict[str, Any], _SETTINGS],
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
-    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
+    workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
-    env_config: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    traffic: Literal["default", "wide"] = "default",
-    stochastic: bool = False,
     controls: bool = True,
-    unconfined: bool = False,
     quiet: bool = False,
 ) -> int:
     """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
 
     Args:
-        env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id".
-        ads: Driving system under test, as for fuzz.
+        given: The driver, its environment and the seed of the scenarios.
         scenarios: Number of scenarios.
-        seed: Seed of the sampled scenarios.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
-        trust: Allow the policy file with this digest ("sha256:...") to execute code on load.
         json_file: Also write the counts to this JSON file.
-        env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
-        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
-        stochastic: Draw the actions of a stochastic policy, as in its training. By default, it decides
-            deterministically, and the rates with drawn actions are shown, too.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
-        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the table.
     """
     if not 1 <= scenarios <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
-    if seed < 0:
-        raise InputError(f"--seed {seed} must not be negative")
-    env = named_env(env, ads) or _ENV
-    run = _Run(scenarios, seed, chosen_workers(workers), quiet)
-    settings = read_yaml(env_config) if env_config else None
-    target = Target(
-        env,
-        ads,
-        (trust,) if trust else (),
-        unconfined,
-        env_config=settings,
-        traffic=traffic,
-        stochastic=stochastic,
-    )
+    ads = given.get("ads", CampaignConfig.ads)
+    config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
+    run, target, env = _Run(scenarios, config.seed, chosen_workers(workers), quiet), config.target, config.env
     found: dict[str, Evaluation] = {}
     try:
         logical, found[Path(ads).name], draws = _evaluated(target, run)
@@ -117,7 +96,7 @@ def evaluate(  # noqa: PLR0913 - one argument for each flag
         say(_gap(found[Path(ads).name], found[DRAWN]))
     if json_file is not None:
         first, *others = found.items()
-        values: dict[str, object] = {"env": env, "ads": ads, "seed": seed, "n": first[1].n, **first[1].counts}
+        values: dict[str, object] = {"env": env, "ads": ads, "seed": config.seed, "n": first[1].n, **first[1].counts}
         write_json(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
     return OK
 

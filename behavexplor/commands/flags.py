@@ -1,31 +1,102 @@
 """Flags that override a configuration."""
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import MISSING, fields
+from inspect import Parameter, Signature, cleandoc
+from pathlib import Path
 from threading import Timer
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import tyro
 
+from behavexplor.campaign.config import read_yaml
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
 Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
-Switch = Annotated[bool | None, tyro.conf.DisallowNone]  # --name or --no-name; None without either
+_METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
+    "budget": "N|TIME",
+    "trust": "DIGEST",
+    "specs": "MODULE:NAME",
+    "env_config": "FILE",
+    "share": "P",
+    "rate": "RATE",
+    str: "NAME",
+    int: "N",
+    int | None: "N",
+}
+_SINGULAR: Final = {"specs": "spec"}  # flags that are given several times
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
 
-def flag(metavar: str | None, default: object, text: str | None = None) -> Any:
-    """Return the argument settings of a flag that overrides the configuration.
+def flag(metavar: str | None, default: object) -> Any:
+    """Return the argument settings of a flag whose default is not a value of its own.
 
     Args:
-        metavar: name of the value in the help text; None for a `Switch`, which has no value.
-        default: value without the flag, for the help text; None for none.
-        text: help text; by default, that of the command's docstring.
+        metavar: name of the value in the help text.
+        default: what holds without the flag, for the help text; None for nothing.
     """
-    return tyro.conf.arg(
-        metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "", help=text
-    )
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "")
+
+
+def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
+    """Return the argument settings of a parameter that takes flags: one for each of some settings.
+
+    Name, type, default and description of a flag are those of the field. The parameter gets the values of the flags
+    that were given, by the names of the fields. A configuration of the environment is given as a YAML file.
+
+    Args:
+        kind: a dataclass whose docstring describes its fields.
+        names: names of the fields in the order of the help text, separated by spaces.
+        other: other defaults for the help text, and a text that is added to the description, by field.
+    """
+    texts, types, known = described(kind), get_type_hints(kind), {one.name: one for one in fields(kind)}
+    parameters = []
+    for one in map(known.__getitem__, names.split()):
+        default, more = other.get(one.name, (one.default, ""))
+        shown = "" if default in (MISSING, None, ()) else f"(default: {default})"
+        what = tyro.conf.arg(
+            name=_SINGULAR.get(one.name, one.name),
+            metavar=_METAVARS.get(one.name) or _METAVARS.get(types[one.name]),
+            help_behavior_hint=shown,
+            help=f"{texts[one.name]}{more}",
+        )
+        parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=_flag_type(types[one.name], what)))
+    return tyro.conf.arg(name="", constructor=_taker(parameters))
+
+
+def _flag_type(kind: Any, what: Any) -> Any:
+    if get_origin(kind) is tuple:
+        return Annotated[kind, tyro.conf.UseAppendAction, what]
+    if any(get_origin(one) in (dict, Mapping) for one in (kind, *get_args(kind))):
+        kind = Path
+    return Annotated[kind | None, tyro.conf.DisallowNone, what]
+
+
+def _taker(parameters: Sequence[Parameter]) -> Callable[..., dict[str, Any]]:
+    """Return a function with these parameters that returns the given ones."""
+
+    def given(**values: Any) -> dict[str, Any]:
+        found = {name: value for name, value in values.items() if value not in (None, ())}
+        return {name: read_yaml(value) if isinstance(value, Path) else value for name, value in found.items()}
+
+    defaults = {one.name: () if get_origin(get_args(one.annotation)[0]) is tuple else None for one in parameters}
+    shown = [one.replace(default=defaults[one.name]) for one in parameters]
+    given.__signature__ = Signature(shown)  # type: ignore[attr-defined]
+    given.__annotations__ = {**{one.name: one.annotation for one in shown}, "return": dict[str, Any]}
+    return given
+
+
+def described(kind: type) -> dict[str, str]:
+    """Return the descriptions of a dataclass's fields by name, from its docstring and from those of its parents."""
+    found: dict[str, str] = {}
+    for one in kind.__mro__[::-1]:
+        listed = cleandoc(one.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+        entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", listed, re.MULTILINE)
+        found |= {name: " ".join(text.split()) for name, text in entries}
+    return found
 
 
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:

@@ -5,16 +5,11 @@ import shlex
 import signal
 import sqlite3
 import sys
-from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-import tyro
-
-from behavexplor import FUNCTIONAL_SCENARIOS
-from behavexplor.ads.loading import SYSTEMS
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import (
@@ -23,7 +18,6 @@ from behavexplor.campaign.config import (
     campaign_config,
     check_said_twice,
     read_config,
-    read_yaml,
     stored_config,
 )
 from behavexplor.campaign.interrupts import stopped_by_signals
@@ -37,51 +31,30 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.flags import Switch, Trust, check_unchanged, chosen_workers, flag, patience
+from behavexplor.commands.flags import check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
 from behavexplor.fuzz.methods import METHODS, describe_method
 from behavexplor.judge.specs import DIFFERS, ERROR
 
-_DEFAULTS = CampaignConfig()
-_ENVS = (
-    f"Environment: {', '.join(FUNCTIONAL_SCENARIOS)}; one of highway-env's own, such as highway-fast-v0 "
-    "(docs/stock.md); or module:id of one that another module registers."
-)
-_SYSTEMS = (
-    f"Driving system under test (ADS): {', '.join(SYSTEMS)} (docs/policies.md), a policy file, or "
-    "package.module:attribute of an object or class with a predict method."
-)
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
-
-
-def _methods() -> str:
-    """Return a help text with one line for each search method."""
-    lines = [f"{name}: {describe_method(name)}" for name in METHODS]
-    return "\n".join(["Search method, or package.module:attribute of your own:", *lines])
+_SETTINGS = settings(
+    CampaignConfig,
+    "env ads env_config method budget seed batch specs trust unconfined traffic confirm stochastic",
+    env=(f"the policy's own, or {CampaignConfig.env}", ""),
+    method=(CampaignConfig.method, "".join(f"\n{name}: {describe_method(name)}" for name in METHODS)),
+)
 
 
 def fuzz(  # noqa: PLR0913 - one argument for each flag
     *,
-    env: Annotated[str | None, flag("NAME", f"the policy's own, or {_DEFAULTS.env}", _ENVS)] = None,
-    ads: Annotated[str | None, flag("NAME", _DEFAULTS.ads, _SYSTEMS)] = None,
-    method: Annotated[str | None, flag("NAME", _DEFAULTS.method, _methods())] = None,
+    given: Annotated[dict[str, Any], _SETTINGS],
     config: Annotated[str | None, flag("FILE", None)] = None,
-    budget: Annotated[str | None, flag("N|TIME", _DEFAULTS.budget)] = None,
-    seed: Annotated[int | None, flag("N", _DEFAULTS.seed)] = None,
-    batch: Annotated[int | None, flag("N", _DEFAULTS.batch)] = None,
     workers: Annotated[int | None, flag("N", "the available cores")] = None,
     cluster: Annotated[str | None, flag("ray|dask[:ADDRESS]", None)] = None,
-    trust: Trust = (),
-    env_config: Annotated[Path | None, flag("FILE", None)] = None,
-    traffic: Annotated[Literal["default", "wide"] | None, flag("default|wide", _DEFAULTS.traffic)] = None,
-    spec: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, flag("MODULE:NAME", None)] = (),
     out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, flag("RUN", None)] = None,
-    unconfined: Annotated[Switch, flag(None, _DEFAULTS.unconfined)] = None,
-    stochastic: Annotated[Switch, flag(None, _DEFAULTS.stochastic)] = None,
-    confirm: Annotated[Switch, flag(None, _DEFAULTS.confirm)] = None,
     stop_after: Annotated[int | None, flag("N", None)] = None,
     summary: Annotated[Path | None, flag("FILE", None)] = None,
     quiet: bool = False,
@@ -92,27 +65,13 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     """Search for scenarios in which a driving system fails, and store every execution in a run folder.
 
     Args:
-        env: Environment.
-        ads: Driving system under test.
-        method: Search method.
+        given: Settings of the campaign, see `behavexplor.campaign.config.CampaignConfig`.
         config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
-        budget: Number of executions (750), or running time (90s, 30m, 1h30m).
-        seed: Random seed. The same seed gives the same records.
-        batch: Number N of scenarios in flight. Each is chosen without the results of the N - 1 before it.
         workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
             ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
         cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
-        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
-        env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
-        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
-        spec: Additional requirement: function from a trace to its signed robustness (docs/specs.md). May be repeated.
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
-        unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network.
-        stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
-            deterministically.
-        confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
-            time if the driver fails often.
         stop_after: Stop after this many failures, before the budget is used up.
         summary: Also write the findings to this JSON file.
         quiet: Print only the summary.
@@ -121,25 +80,15 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         known_classes: File with one class in each line, or a --summary file. Failures of these classes do not count for
             --fail-on-violation and --fail-above.
     """
-    flags: dict[str, Any] = {"env": env, "ads": ads, "method": method, "budget": budget, "seed": seed, "batch": batch}
-    flags |= {
-        "trust": trust or None,
-        "unconfined": unconfined,
-        "stochastic": stochastic,
-        "confirm": confirm,
-        "traffic": traffic,
-    }
-    flags["env_config"] = read_yaml(env_config) if env_config else None
-    given = {name: value for name, value in flags.items() if value is not None}
     workers = _checked_workers(workers, cluster)
     checks = Checks(fail_on_violation, fail_above, read_known_classes(known_classes))
     if stop_after is not None and stop_after < 1:
         raise InputError(f"--stop-after {stop_after} must be at least 1")
-    if resume and (config or out or spec):
+    if resume and (config or out or "specs" in given):
         raise InputError(
             "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
         )
-    chosen = _resumed_config(resume, given) if resume else _new_config(given, spec, config)
+    chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
     folder = resume or out or run_folder(chosen)
@@ -220,12 +169,10 @@ def _checked_workers(workers: int | None, cluster: str | None) -> int:
     return workers or 0
 
 
-def _new_config(given: dict[str, Any], specs: Sequence[str], file: str | None) -> CampaignConfig:
+def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     said = read_config(file) if file else {}
     check_said_twice(said, given, file or "")
-    values = {**said, **given}
-    if specs:
-        values["specs"] = [*values.get("specs", ()), *specs]
+    values = {**said, **given, "specs": (*said.get("specs", ()), *given.get("specs", ()))}
     trained = named_env(values.get("env"), values["ads"]) if isinstance(values.get("ads"), str) else None
     return campaign_config({**({"env": trained} if trained else {}), **values})
 

@@ -4,42 +4,38 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import ExecutionError
-from behavexplor.campaign.config import CampaignConfig, read_yaml
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
 from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, check_unchanged, flag
+from behavexplor.commands.flags import Trust, check_unchanged, flag, settings
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.errors import InputError, missing_library, sentence
-from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, Sources, best
+from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, best
+
+_SETTINGS = settings(
+    RetrainingConfig,
+    "env env_config traffic pool share rounds steps envs rate method budget validation seed",
+    env=(f"the policy's own, or {CampaignConfig.env}", ""),
+    envs=("the model's, or 64", ""),
+    rate=("the model's, or 2.5e-4", ""),
+)
 
 
-def retrain(  # noqa: PLR0913 - one argument for each flag
+def retrain(
     policy: Annotated[str | None, tyro.conf.Positional, flag("POLICY", None)] = None,
     *,
-    env: Annotated[str | None, flag("NAME", f"the policy's own, or {CampaignConfig.env}")] = None,
-    pool: Annotated[Sources | None, flag("none|own|found|both", RetrainingConfig.pool)] = None,
-    share: Annotated[float | None, flag("P", RetrainingConfig.share)] = None,
-    rounds: Annotated[int | None, flag("N", RetrainingConfig.rounds)] = None,
-    steps: Annotated[int | None, flag("N", RetrainingConfig.steps)] = None,
-    envs: Annotated[int | None, flag("N", "the model's, or 64")] = None,
-    rate: Annotated[float | None, flag("RATE", "the model's, or 2.5e-4")] = None,
-    method: Annotated[str | None, flag("NAME", RetrainingConfig.method)] = None,
-    budget: Annotated[int | None, flag("N", RetrainingConfig.budget)] = None,
-    validation: Annotated[int | None, flag("N", RetrainingConfig.validation)] = None,
-    seed: Annotated[int | None, flag("N", RetrainingConfig.seed)] = None,
+    given: Annotated[dict[str, Any], _SETTINGS],
     out: Annotated[Path | None, flag("FOLDER", "runs/ENV-retrain-SEED")] = None,
     resume: Annotated[Path | None, flag("FOLDER", None)] = None,
-    env_config: Annotated[Path | None, flag("FILE", None)] = None,
-    traffic: Annotated[Literal["default", "wide"] | None, flag("default|wide", RetrainingConfig.traffic)] = None,
     trust: Trust = (),
     quiet: bool = False,
 ) -> int:
@@ -49,22 +45,9 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
 
     Args:
         policy: Model of Stable-Baselines3 (PPO, A2C, TRPO, DQN or QR-DQN), policy.npz of `train`, or learned:NAME.
-        env: Functional scenario, environment of highway-env such as highway-fast-v0, or "module:id".
-        pool: Scenarios in which the policy fails and which are mixed in: none; those of its own training; those that
-            campaigns find; or both.
-        share: Probability that the scenario of an episode comes from this pool.
-        rounds: Number of rounds. Each trains and validates, after a search if --pool is found or both.
-        steps: Number of decisions in a round, including those of the campaign.
-        envs: Number of environments in lock-step.
-        rate: Learning rate of the first round.
-        method: Search method of the campaigns.
-        budget: Number of executions of each campaign.
-        validation: Number of scenarios in which each round is validated.
-        seed: Random seed. The same seed gives the same policy on the same kind of machine.
+        given: Settings of the retraining, see `behavexplor.repair.retraining_rounds.RetrainingConfig`.
         out: Folder for rounds and logs, new or empty.
         resume: Resume the retraining in this folder.
-        env_config: YAML file with highway-env's configuration of the environment, as in the policy's training.
-        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
         trust: With --resume, allow the folder with this digest ("sha256:...") to execute code: that of its environment
             and of its search method.
         quiet: Print only the result.
@@ -73,18 +56,6 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
         from behavexplor.repair import retraining  # noqa: PLC0415 - torch is heavy, and need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("Retraining", error.name, "rl") from None
-    flags: dict[str, Any] = {
-        "env": env,
-        "pool": pool,
-        "share": share,
-        "rounds": rounds,
-        "steps": steps,
-        "envs": envs,
-        "rate": rate,
-    }
-    flags |= {"method": method, "budget": budget, "validation": validation, "seed": seed, "traffic": traffic}
-    flags["env_config"] = read_yaml(env_config) if env_config else None
-    given = {name: value for name, value in flags.items() if value is not None}
     if resume:
         if policy or out:
             raise InputError("A policy and --out cannot be given with --resume")
@@ -95,7 +66,8 @@ def retrain(  # noqa: PLR0913 - one argument for each flag
     else:
         if not policy:
             raise InputError("Give a policy to train further, such as model.zip or runs/lane-change-ppo-0/policy.npz")
-        config = RetrainingConfig(**{**given, "env": named_env(env, policy) or CampaignConfig.env, "policy": policy})
+        env = named_env(given.get("env"), policy) or CampaignConfig.env
+        config = RetrainingConfig(**{**given, "env": env, "policy": policy})
         folder = out or RUNS / f"{config.env.rpartition(':')[2]}-retrain-{config.seed}"
         own = own_digests(config.claim)
         retraining.check(config)

@@ -7,12 +7,13 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self
 
 from behavexplor.data.untrusted import object_fields, parse_json
 from behavexplor.errors import InputError, brief
 
-DEFAULT: Final = "default"  # kinds of traffic
+Traffic = Literal["default", "wide"]
+DEFAULT: Final = "default"
 WIDE: Final = "wide"
 TRAFFIC: Final = (DEFAULT, WIDE)
 DECLARED: Final = ("observation", "action", "policy_frequency", "simulation_frequency")  # by a driver
@@ -55,7 +56,7 @@ class Setup:
 
     env: str
     config: str
-    traffic: str
+    traffic: Traffic
     highway_env: str
 
     @property

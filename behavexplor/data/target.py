@@ -1,50 +1,102 @@
-"""Target: the driving system under test, its environment, and the limits of the processes in which it runs."""
+"""Target: the driving system under test, its environment, and the conditions under which it drives.
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Final
+Each of these settings is stated here alone. Files, flags and the Python interface have its name, type, default and
+description from here.
+"""
 
-from behavexplor.data.drawn_scenario import DEFAULT
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
-TIME_LIMIT: Final = 300.0  # default limit of one execution [s]
-MEMORY_LIMIT: Final = 8.0  # default limit of one worker process [GiB]
+from behavexplor.data.drawn_scenario import DEFAULT, Traffic
+from behavexplor.errors import InputError
 
 
-@dataclass(frozen=True)
-class Target:
-    """Everything that a process needs to know to execute scenarios.
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """The conditions under which driving systems drive.
 
     Attributes:
-        env: name of the environment, see `behavexplor.envs.making.environment_id`.
-        ads: name of the driving system, see `behavexplor.ads.loading.load_ads`.
-        trust: digests ("sha256:...") of policy files that may run code while they are loaded.
-        unconfined: whether a third-party ADS may write files and use the network.
-        time_limit: limit of one execution [s]. It applies to worker processes only.
-        memory_limit: limit of one worker process [GiB], where the system can set it.
-        env_config: configuration of the environment, as far as it differs from what the driving system declares;
-            None if it is not known.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
-        stochastic: whether the driving system draws its actions instead of deciding deterministically.
-        confirm: whether highway-env itself confirms each failure in a stock environment that the compiled engine finds.
-        modules: digests of the modules that a folder names and that were checked, by module; a process loads these
-            bytes and no others, see `behavexplor.execution.checked_imports`. Modules that the user names need none.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code.
+        unconfined: Allow an ADS that is not shipped with behavexplor to write files and use the network. By default its
+            worker processes may not, where the system can prevent it.
+        time_limit: Time limit of one execution [s]. An ADS that takes longer counts as a hang. It applies to worker
+            processes only.
+        memory_limit: Memory limit of one worker process [GiB], where the system can set it.
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
+            time if the driver fails often.
+        stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
+            deterministically.
+
+    Raises:
+        InputError: if a value is out of range.
     """
 
-    env: str
-    ads: str
     trust: tuple[str, ...] = ()
     unconfined: bool = False
-    time_limit: float = TIME_LIMIT
-    memory_limit: float = MEMORY_LIMIT
-    env_config: Mapping[str, Any] | None = None
-    traffic: str = DEFAULT
+    time_limit: float = 300.0
+    memory_limit: float = 8.0
+    traffic: Traffic = DEFAULT
     confirm: bool = True
     stochastic: bool = False
-    modules: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only
+        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
+            if not 0 < limit < 1e9:
+                raise InputError(f"{name} {limit} must be greater than 0")
+        check_digests(self.trust)
+
+
+@dataclass(frozen=True)
+class Target(Conditions):
+    """The driving system under test in its environment.
+
+    Attributes:
+        env: Environment: intersection-left, intersection-straight, lane-change, lane-follow; one of highway-env's own,
+            such as highway-fast-v0 (docs/stock.md); or module:id of one that another module registers.
+        ads: Driving system under test (ADS): rule, idm, constant, careful, learned:NAME (docs/policies.md), a policy
+            file, or package.module:attribute of an object or class with a predict method.
+        env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
+            policy declares: keys of highway-env (docs/highway-env.md).
+    """
+
+    env: str = "intersection-straight"
+    ads: str = "rule"
+    env_config: Mapping[str, Any] | None = None
+
+    @property
+    def target(self) -> "CheckedTarget":
+        """What the processes need to know in which it drives."""
+        return CheckedTarget(**{one.name: getattr(self, one.name) for one in fields(Target)})
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON values, from which `Target(**values)` makes an equal target."""
+        """Return the fields as JSON values, from which `CheckedTarget(**values)` makes an equal target."""
         return {**asdict(self), "trust": list(self.trust)}
+
+
+@dataclass(frozen=True)
+class CheckedTarget(Target):
+    """Everything that a process needs to know to execute scenarios.
+
+    Attributes:
+        modules: Digests of the modules that a folder names and that were checked, by module; a process loads these
+            bytes and no others, see `behavexplor.execution.checked_imports`. Modules that the user names need none.
+    """
+
+    modules: Mapping[str, str] = field(default_factory=dict)
+
+
+def check_digests(trust: Iterable[str]) -> None:
+    """Check the form of digests.
+
+    Raises:
+        InputError: if one has another form.
+    """
+    for digest in trust:
+        if not re.fullmatch(r"sha256:[0-9a-f]{64}", digest):
+            raise InputError(
+                f"--trust {digest!r} must be sha256: and the 64 hexadecimal digits of a policy file or a folder"
+            )

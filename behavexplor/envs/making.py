@@ -15,7 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 import behavexplor
-from behavexplor.data.drawn_scenario import DEFAULT, Setup
+from behavexplor.data.drawn_scenario import DEFAULT, Setup, Traffic
 from behavexplor.data.named_code import env_code, traffic_code
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, unknown_name
@@ -105,7 +105,7 @@ def has_own_config(name: str) -> bool:
     return bool(made.spec.kwargs.get("config")) or not stated.startswith(f"{HIGHWAY_ENV}.")
 
 
-def make_env(name: str, config: Mapping[str, Any], traffic: str = DEFAULT) -> gymnasium.Env[Any, Any]:
+def make_env(name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT) -> gymnasium.Env[Any, Any]:
     """Make an environment that runs concrete scenarios.
 
     Args:

@@ -12,7 +12,7 @@ from behavexplor.ads.loading import is_shipped
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
-from behavexplor.data.target import Target
+from behavexplor.data.target import CheckedTarget, Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ads_error import ADSError
@@ -42,7 +42,7 @@ class Evaluator(Service):
 
     Args:
         lock_step: greatest number of episodes that run in lock-step.
-        target: the fields of a `behavexplor.data.target.Target`.
+        target: the fields of a `behavexplor.data.target.CheckedTarget`.
 
     Attributes:
         confirms: whether highway-env itself confirms each failure that the compiled engine finds.
@@ -56,7 +56,7 @@ class Evaluator(Service):
     confirms = True
 
     def __init__(self, lock_step: int = LOCK_STEP, **target: Any) -> None:
-        self.target = Target(**target)
+        self.target = CheckedTarget(**target)
         self.is_confined = needs_confinement(self.target)
         self._lock_step = lock_step
         self.driver: ADS | None = None

@@ -12,7 +12,7 @@ import behavexplor
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
-from behavexplor.data.drawn_scenario import DECLARED, DEFAULT
+from behavexplor.data.drawn_scenario import DECLARED, DEFAULT, Traffic
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
 from behavexplor.data.scenario import Scenario
@@ -70,7 +70,7 @@ class Simulation:
         ads: Any,
         trust: Collection[str] = (),
         env_config: Mapping[str, Any] | None = None,
-        traffic: str = DEFAULT,
+        traffic: Traffic = DEFAULT,
         *,
         stochastic: bool = False,
     ) -> None:

@@ -12,10 +12,10 @@ from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.campaign.provenance import Claim, code_of, own_digests, remember
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
-from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario
+from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario, Traffic
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
-from behavexplor.data.target import Target
+from behavexplor.data.target import CheckedTarget
 from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import read_file
 from behavexplor.data.validation import checked
@@ -116,11 +116,11 @@ class Suite:
     driver: str
     specs: tuple[str, ...] = ()
     env_config: Mapping[str, Any] = field(default_factory=dict)
-    traffic: str = DEFAULT
+    traffic: Traffic = DEFAULT
     stochastic: bool = False
     cases: tuple[Case, ...] = ()
 
-    def target(self, ads: str, **settings: Any) -> Target:
+    def target(self, ads: str, **settings: Any) -> CheckedTarget:
         """Return the target that drives the cases with a driver.
 
         Args:
@@ -133,7 +133,7 @@ class Suite:
             config |= first.setup.scene_config
         if ads == self.driver and self.stochastic:
             settings["stochastic"] = True
-        return Target(self.env, ads, env_config=config or None, traffic=self.traffic, **settings)
+        return CheckedTarget(self.env, ads, env_config=config or None, traffic=self.traffic, **settings)
 
     @classmethod
     def read(cls, folder: Path) -> Self:

@@ -10,7 +10,7 @@ from pydantic import ConfigDict
 
 from behavexplor.campaign.provenance import Claim, code_of
 from behavexplor.data.conventions import MOST_ENVS
-from behavexplor.data.drawn_scenario import DEFAULT
+from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.data.durable import write_durably
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
@@ -40,22 +40,23 @@ class RetrainingConfig:
     """The configuration of a retraining.
 
     Attributes:
-        env: functional scenario, or environment of highway-env.
-        policy: the policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
-        pool: scenarios that enter the pool: none; those in which the policy fails during the training ("own"); failures
-            that campaigns find ("found"); or both.
-        share: probability that the scenario of an episode is drawn from the pool.
-        rounds: number of rounds of training.
-        steps: number of decisions in a round, including those of the campaign. The decisions that train a new critic
-            or fill a replay buffer are not included.
-        seed: random seed.
-        envs: number of sub-environments in lock-step; None for the number in the model's file, or 64 for a network.
-        rate: learning rate of the first round; None for that in the model's file, or 2.5e-4 if the file has none.
-        method: search method of the campaigns.
-        budget: number of executions in each campaign.
-        validation: number of scenarios by which the best round is chosen.
-        env_config: configuration of the environment, as far as it differs from what the policy declares.
-        traffic: kind of traffic in an environment of highway-env.
+        env: Environment: S1 to S4, one of highway-env's own such as highway-fast-v0, or "module:id".
+        policy: The policy: "learned:NAME", the file of a network that `train` made, or a model of Stable-Baselines3.
+        pool: Scenarios in which the policy fails and which are mixed in: none; those of its own training; those that
+            campaigns find; or both.
+        share: Probability that the scenario of an episode comes from this pool.
+        rounds: Number of rounds. Each trains and validates, after a search if --pool is found or both.
+        steps: Number of decisions in a round, including those of the campaign, without those that train a new critic or
+            fill a replay buffer.
+        seed: Random seed. The same seed gives the same policy on the same kind of machine.
+        envs: Number of environments in lock-step.
+        rate: Learning rate of the first round.
+        method: Search method of the campaigns.
+        budget: Number of executions of each campaign.
+        validation: Number of scenarios in which each round is validated.
+        env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
+            policy declares: keys of highway-env (docs/highway-env.md).
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
 
     Raises:
         InputError: if a value is out of range.
@@ -76,7 +77,7 @@ class RetrainingConfig:
     budget: int = 250
     validation: int = 1000
     env_config: dict[str, Any] = field(default_factory=dict)
-    traffic: Literal["default", "wide"] = DEFAULT
+    traffic: Traffic = DEFAULT
 
     def __post_init__(self) -> None:
         ranges = {

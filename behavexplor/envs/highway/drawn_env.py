@@ -11,7 +11,7 @@ from gymnasium.wrappers import TimeLimit
 from highway_env.envs.common.abstract import AbstractEnv
 
 from behavexplor.data.drawn_logical import UNIFORM, Draw, DrawnLogicalScenario
-from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, config_text, sorted_draws
+from behavexplor.data.drawn_scenario import DEFAULT, WIDE, DrawnScenario, Setup, Traffic, config_text, sorted_draws
 from behavexplor.data.road_shape import RoadPlan, RoadShape
 from behavexplor.envs.engine.vehicle_parameters import VehicleClasses
 from behavexplor.envs.highway.course import road_plan, road_shape
@@ -43,7 +43,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         vehicle_classes: the parameters of highway-env's vehicle classes in this environment.
     """
 
-    def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: str = DEFAULT) -> None:
+    def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: Traffic = DEFAULT) -> None:
         self._env = env
         inner: Any = env.unwrapped
         self._inner: AbstractEnv = inner
