@@ -16,23 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any, Self
 
+from behavexplor.campaign import database
 from behavexplor.campaign.config import CONFIG
-from behavexplor.campaign.database import (
-    FORMAT,
-    READABLE,
-    DamagedError,
-    ExecutionTable,
-    Row,
-    begin,
-    insert,
-    is_empty,
-    is_whole,
-    read_format,
-    read_note,
-    rebuild,
-    upgrade,
-    written_format,
-)
 from behavexplor.campaign.database_file import LOCK, connect, lock_folder
 from behavexplor.campaign.progress import known_stages
 from behavexplor.campaign.record import DATABASE, FAILURES, Losses, Record
@@ -91,7 +76,7 @@ class Store:
         self.folder = folder
         self.repaired = repaired
         self._connection = connection
-        self._table = ExecutionTable(folder / DATABASE, connection, read_format(connection))
+        self._table = database.ExecutionTable(folder / DATABASE, connection, database.read_format(connection))
         self._lock = lock  # None for readers
         self._pending: list[Execution] = []
 
@@ -198,7 +183,9 @@ class Store:
     def stages(self) -> dict[str, float]:
         """Time of the campaign in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known."""
         try:
-            return known_stages(parse_json(read_note(self._connection, _STAGES).decode(), "the time in each stage"))
+            return known_stages(
+                parse_json(database.read_note(self._connection, _STAGES).decode(), "the time in each stage")
+            )
         except ValueError:
             return {}
 
@@ -229,10 +216,10 @@ class Store:
         rows = []
         for execution in self._pending:
             record = execution.record.to_json().encode()
-            rows.append(Row(execution.id, record, execution.trace, float(execution.elapsed)))
+            rows.append(database.Row(execution.id, record, execution.trace, float(execution.elapsed)))
             if execution.record.failed:
                 self._write_failure(execution)
-        insert(self._connection, rows, {_STAGES: json.dumps(dict(stages))} if stages else {})
+        database.insert(self._connection, rows, {_STAGES: json.dumps(dict(stages))} if stages else {})
         committed, self._pending = self._pending, []
         return committed
 
@@ -266,7 +253,7 @@ class Store:
         """
         for number, row in self._table.rows(traces=False):
             record = None
-            with suppress(DamagedError):
+            with suppress(database.DamagedError):
                 record = None if row is None else _record(row)
             if record is not None:
                 if losses is not None and record.failed and not self.failure_path(number).is_file():
@@ -304,16 +291,16 @@ class Store:
         """
         try:
             row = self._table.row(number) if abs(number) < 2**63 else None
-        except DamagedError:
+        except database.DamagedError:
             raise self._damaged(number) from None
         if row is None:
             raise InputError(f"{self.folder} has no execution {number}: it has {len(self)}, numbered from 0")
         return self._checked(row)
 
-    def _checked(self, row: Row) -> Execution:
+    def _checked(self, row: database.Row) -> Execution:
         try:
             return _execution(row)
-        except DamagedError:
+        except database.DamagedError:
             raise self._damaged(row.id) from None
 
     def recall(self, number: int) -> Execution | None:
@@ -326,7 +313,7 @@ class Store:
             if row is None:
                 return None
             execution = _execution(row)
-        except DamagedError:
+        except database.DamagedError:
             return None
         if execution.record.failed and not self.failure_path(number).is_file():
             self._write_failure(execution)
@@ -346,11 +333,11 @@ class Store:
         self._connection.close()
 
 
-def _execution(row: Row) -> Execution:
+def _execution(row: database.Row) -> Execution:
     return Execution(_record(row), row.trace, row.elapsed)
 
 
-def _record(row: Row) -> Record:
+def _record(row: database.Row) -> Record:
     """Return the record in a row.
 
     Raises:
@@ -359,9 +346,9 @@ def _record(row: Row) -> Record:
     try:
         record = Record.from_json(row.record)
     except ValueError as error:
-        raise DamagedError(str(error)) from None
+        raise database.DamagedError(str(error)) from None
     if record.id != row.id:
-        raise DamagedError("it is the record of another execution")
+        raise database.DamagedError("it is the record of another execution")
     return record
 
 
@@ -370,11 +357,11 @@ def _repaired(folder: Path) -> str | None:
     path = folder / DATABASE
     if not path.is_file():
         return None
-    if (found := written_format(path)) is not None:
+    if (found := database.written_format(path)) is not None:
         _check_format(path, found)  # must come before any change
-    if is_whole(path):
+    if database.is_whole(path):
         return None
-    count, kept = rebuild(path)
+    count, kept = database.rebuild(path)
     return f"{path} was damaged: {count} executions were saved, the rest run again; the damaged file is now {kept.name}"
 
 
@@ -383,12 +370,12 @@ def _prepared(folder: Path) -> sqlite3.Connection:
     path = folder / DATABASE
     connection = connect(path, "rwc")
     try:
-        if is_empty(connection):
-            begin(connection)
-        found = read_format(connection)
+        if database.is_empty(connection):
+            database.begin(connection)
+        found = database.read_format(connection)
         _check_format(path, found)
-        if found != str(FORMAT):
-            upgrade(connection, found)
+        if found != str(database.FORMAT):
+            database.upgrade(connection, found)
     except BaseException:
         connection.close()
         raise
@@ -396,16 +383,16 @@ def _prepared(folder: Path) -> sqlite3.Connection:
 
 
 def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
-    if is_empty(connection):
+    if database.is_empty(connection):
         raise InputError(f"{path} is empty because the run has not begun: fuzz --resume begins it")
-    _check_format(path, read_format(connection))
+    _check_format(path, database.read_format(connection))
 
 
 def _check_format(path: Path, found: str) -> None:
-    if found in map(str, READABLE):
+    if found in map(str, database.READABLE):
         return
-    known = f"{READABLE[0]} to {READABLE[-1]}"
-    newer = re.fullmatch(r"[1-9]\d{0,8}", found) and int(found) > FORMAT
+    known = f"{database.READABLE[0]} to {database.READABLE[-1]}"
+    newer = re.fullmatch(r"[1-9]\d{0,8}", found) and int(found) > database.FORMAT
     mend = "it was written by a newer behavexplor" if newer else "it is damaged, or not a campaign's database"
     raise InputError(f"{path} has format {found:.20}, but this version reads {known}: {mend}")
 

@@ -23,18 +23,7 @@ from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN
-from behavexplor.repair.pair_campaigns import (
-    DIFFERENCES,
-    FIRST,
-    PAGE,
-    SECOND,
-    SETTINGS,
-    check_search,
-    compared,
-    differences,
-    driven,
-    second_config,
-)
+from behavexplor.repair import pair_campaigns
 from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
@@ -83,16 +72,16 @@ def compare(
         check_name(name)
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
     env = named_env(given.get("env"), first) or CampaignConfig.env
-    config = campaign_config({**given, "env": env, "ads": first, **SETTINGS, "budget": str(scenarios)})
+    config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
     searching = replace(config, batch=CampaignConfig.batch, **of_search)
     if search:
-        check_search(searching)  # before the drivers drive, which may take hours
+        pair_campaigns.check_search(searching)  # before the drivers drive, which may take hours
     folder = out or stamped_folder("compare")
     try:
-        _drive(config, folder / FIRST, count, quiet=quiet)
-        other = second_config(config, second, folder / FIRST)
-        _drive(other, folder / SECOND, count, quiet=quiet)
-        pairs = compared(folder)
+        _drive(config, folder / pair_campaigns.FIRST, count, quiet=quiet)
+        other = pair_campaigns.second_config(config, second, folder / pair_campaigns.FIRST)
+        _drive(other, folder / pair_campaigns.SECOND, count, quiet=quiet)
+        pairs = pair_campaigns.compared(folder)
         say(table(pairs, config.env, first, second))
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
@@ -100,8 +89,9 @@ def compare(
     except (ExecutionError, RuntimeError) as error:
         say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
-    say(f"Page: {folder / PAGE}")
-    say(f"Replay a scenario that only one of them fails: {program()} replay {shlex.quote(str(folder / FIRST))} ID")
+    say(f"Page: {folder / pair_campaigns.PAGE}")
+    run = shlex.quote(str(folder / pair_campaigns.FIRST))
+    say(f"Replay a scenario that only one of them fails: {program()} replay {run} ID")
     return OK
 
 
@@ -113,7 +103,7 @@ def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -
             say(line, file=sys.stderr)
 
     with patience(tell), Meter(sys.stderr, int(config.budget), f"scenarios with {config.ads}", quiet=quiet) as meter:
-        warnings = driven(config, folder, workers, meter.show)
+        warnings = pair_campaigns.driven(config, folder, workers, meter.show)
     for warning in warnings:
         tell(f"Warning: {config.ads}: {warning}")
 
@@ -128,16 +118,16 @@ def searched(config: CampaignConfig, other: CampaignConfig, folder: Path, worker
             executed = done
             meter.show(done)
 
-        found = differences(config, other, folder, max(1, workers // 2) if workers else 0, observe)
+        found = pair_campaigns.differences(config, other, folder, max(1, workers // 2) if workers else 0, observe)
     early = "" if executed == int(config.budget) else f"; it ended before its budget of {config.budget} was used up"
     say(f"\nSearch with {config.method}: {len(found)} of {executed} scenarios in which only one driver fails{early}")
     if not found:
         return False
-    options: dict[str, Any] = {"file": str((folder / DIFFERENCES).resolve())}
-    for name, one in ((FIRST, config), (SECOND, other)):
+    options: dict[str, Any] = {"file": str((folder / pair_campaigns.DIFFERENCES).resolve())}
+    for name, one in ((pair_campaigns.FIRST, config), (pair_campaigns.SECOND, other)):
         again = replace(one, method=GIVEN, options=options, budget=str(len(found)))
         _drive(again, folder / name, workers, quiet=True)
-    fault = next(row for row in compared(folder) if row.outcome == AT_FAULT)
+    fault = next(row for row in pair_campaigns.compared(folder) if row.outcome == AT_FAULT)
     for name, numbers in ((config.ads, fault.only_first), (other.ads, fault.only_second)):
         say(f"  only {name} fails in {len(numbers)}" + (f": executions {_listed(numbers)}" if numbers else ""))
     return True
@@ -186,10 +176,10 @@ def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
     Raises:
         InputError: if the files cannot be written.
     """
-    runs = [read_run(place / name) for place in pages for name in (FIRST, SECOND)]
+    runs = [read_run(place / name) for place in pages for name in (pair_campaigns.FIRST, pair_campaigns.SECOND)]
     text = page(runs, _REPLAYS, (COLUMNS, rows(pairs)))
     try:
         write_durably(folder / TABLE, json.dumps(values(pairs), indent=1) + "\n")
-        write_durably(folder / PAGE, text)
+        write_durably(folder / pair_campaigns.PAGE, text)
     except OSError as error:
         raise InputError(f"{folder} cannot be written: {error.strerror}") from None

@@ -16,22 +16,7 @@ from scenariogeneration.helpers import prettify
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
-from behavexplor.exchange.axes import (
-    DIGITS,
-    ENV_CONFIG,
-    ENVIRONMENT,
-    REAR_AXLE,
-    RECORDED,
-    ROUTE,
-    SCENARIO,
-    VEHICLES,
-    WAYPOINTS,
-    mirrored,
-    mirrored_points,
-    shifted,
-    speed_profile,
-    waypoint_text,
-)
+from behavexplor.exchange import axes
 from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
 
 REVISION: Final = 2  # minor revision of OpenSCENARIO XML 1
@@ -60,7 +45,7 @@ def write_scene(scene: Scene, path: Path, date: datetime, *, as_routes: bool = F
     for mover in scene.movers:
         rows = _rows(mover)
         if as_routes and mover.script is not None:
-            profile = speed_profile(mover.script)
+            profile = axes.speed_profile(mover.script)
             rows, actions = rows[:1], _drive(mover, profile)
             digest = motion_digest(_first_speed(mover), rows, mover.route, profile)
         else:
@@ -91,11 +76,11 @@ def write_scene(scene: Scene, path: Path, date: datetime, *, as_routes: bool = F
 
 
 def _facts(scene: Scene) -> dict[str, str]:
-    facts = {ENVIRONMENT: scene.environment, VEHICLES: str(len(scene.movers))}
+    facts = {axes.ENVIRONMENT: scene.environment, axes.VEHICLES: str(len(scene.movers))}
     if scene.env_config:
-        facts[ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
+        facts[axes.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
     if scene.scenario is not None:
-        facts[SCENARIO] = scene.scenario.to_json()
+        facts[axes.SCENARIO] = scene.scenario.to_json()
     return facts
 
 
@@ -118,7 +103,7 @@ def _vehicle(mover: Mover, digest: str) -> Any:
     """Return a vehicle whose reference point is the middle of its rear axle."""
     length, width = mover.size
     height = _HEIGHT.get(mover.type, _CAR_HEIGHT)
-    ahead, track = _rounded(REAR_AXLE * length), _rounded(_TRACK * width)
+    ahead, track = _rounded(axes.REAR_AXLE * length), _rounded(_TRACK * width)
     category = xosc.VehicleCategory.bus if mover.type.endswith("bus") else xosc.VehicleCategory.car
     made = xosc.Vehicle(
         mover.type,
@@ -131,9 +116,9 @@ def _vehicle(mover: Mover, digest: str) -> Any:
         _MAX_DECELERATION,
     )
     if mover.script is not None:
-        made.add_property(ROUTE, mover.script.route)
-        made.add_property(WAYPOINTS, waypoint_text(mover.script))
-    made.add_property(RECORDED, digest)
+        made.add_property(axes.ROUTE, mover.script.route)
+        made.add_property(axes.WAYPOINTS, axes.waypoint_text(mover.script))
+    made.add_property(axes.RECORDED, digest)
     return made
 
 
@@ -142,11 +127,11 @@ def _rows(mover: Mover) -> Floats:
 
     The points between two equal ones, at which the vehicle stands, are left out.
     """
-    pose = mirrored(shifted(mover.pose, -REAR_AXLE * mover.size[0]))
+    pose = axes.mirrored(axes.shifted(mover.pose, -axes.REAR_AXLE * mover.size[0]))
     pose[:, 2] = (pose[:, 2] + np.pi) % (2 * np.pi) - np.pi
     same = (np.diff(mover.pose, axis=0) == 0).all(1)
     standing = np.concatenate([[False], same[:-1] & same[1:], [False]]) if len(same) else np.zeros(1, dtype=bool)
-    rows = np.round(np.column_stack([mover.time, pose]), DIGITS) + 0.0  # no negative zeros
+    rows = np.round(np.column_stack([mover.time, pose]), axes.DIGITS) + 0.0  # no negative zeros
     return np.asarray(rows[~standing])
 
 
@@ -246,9 +231,9 @@ def _place(row: Floats) -> Any:
 
 
 def _point(point: Floats) -> Any:
-    x, y = mirrored_points(point).tolist()
+    x, y = axes.mirrored_points(point).tolist()
     return xosc.WorldPosition(_rounded(x), _rounded(y))
 
 
 def _rounded(value: float) -> float:
-    return round(value, DIGITS) + 0.0  # no negative zero
+    return round(value, axes.DIGITS) + 0.0  # no negative zero

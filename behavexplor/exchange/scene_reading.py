@@ -16,18 +16,7 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
-from behavexplor.exchange.axes import (
-    ENV_CONFIG,
-    ENVIRONMENT,
-    RECORDED,
-    ROUTE,
-    SCENARIO,
-    VEHICLES,
-    WAYPOINTS,
-    mirrored,
-    read_script,
-    shifted,
-)
+from behavexplor.exchange import axes
 from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
 from behavexplor.exchange.xml_files import Element, read_xml
 
@@ -107,8 +96,8 @@ def read_scene(path: Path) -> Scene:
     """
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
-    if ENVIRONMENT not in facts:
-        raise InputError(f"{path} does not say its environment: its FileHeader needs the property {ENVIRONMENT}")
+    if axes.ENVIRONMENT not in facts:
+        raise InputError(f"{path} does not say its environment: its FileHeader needs the property {axes.ENVIRONMENT}")
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         _motion(motions, private.get("entityRef"), private).begin(private)
@@ -119,13 +108,13 @@ def read_scene(path: Path) -> Scene:
         raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
     return Scene(
         title=root.find("FileHeader").get("description", ""),
-        environment=facts[ENVIRONMENT],
-        env_config=_config(facts.get(ENV_CONFIG, "{}")),
+        environment=facts[axes.ENVIRONMENT],
+        env_config=_config(facts.get(axes.ENV_CONFIG, "{}")),
         road_file=_road_file(root),
         movers=movers,
         is_ego_free=len(movers[0].time) == 1,
         scenario=_scenario(facts),
-        n_vehicles=int(facts[VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(VEHICLES, "")) else 0,
+        n_vehicles=int(facts[axes.VEHICLES]) if re.fullmatch(r"\d{1,9}", facts.get(axes.VEHICLES, "")) else 0,
     )
 
 
@@ -202,12 +191,12 @@ def _motion(motions: dict[str, "_Motion"], name: str | None, element: Element) -
 def _config(text: str) -> dict[str, Any]:
     values = parse_json(text, "a configuration")
     if not isinstance(values, dict):
-        raise InputError(f"The property {ENV_CONFIG} must be an object in JSON, got {brief(values)}")
+        raise InputError(f"The property {axes.ENV_CONFIG} must be an object in JSON, got {brief(values)}")
     return values
 
 
 def _scenario(facts: dict[str, str]) -> Scenario | None:
-    return parse_scenario(facts[SCENARIO]) if SCENARIO in facts else None
+    return parse_scenario(facts[axes.SCENARIO]) if axes.SCENARIO in facts else None
 
 
 def _road_file(root: Element) -> str:
@@ -327,16 +316,20 @@ def _mover(entity: Element, motion: _Motion) -> Mover:
     center, box = (_one(vehicle, f"BoundingBox/{part}") for part in ("Center", "Dimensions"))
     facts, rows = _properties(vehicle), motion.rows
     kind = str(vehicle.get("name", ""))
-    script = read_script(motion.name, kind, facts[ROUTE], facts.get(WAYPOINTS, "")) if ROUTE in facts else None
+    script = (
+        axes.read_script(motion.name, kind, facts[axes.ROUTE], facts.get(axes.WAYPOINTS, ""))
+        if axes.ROUTE in facts
+        else None
+    )
     digest = motion_digest(motion.speed, rows, motion.route, motion.profile)
     return Mover(
         name=motion.name,
         type=kind,
         size=(_number(box, "length"), _number(box, "width")),
         time=rows[:, 0],
-        pose=shifted(mirrored(rows[:, 1:]), _number(center, "x")),
+        pose=axes.shifted(axes.mirrored(rows[:, 1:]), _number(center, "x")),
         speed=motion.speed,
         is_gone=motion.leaves,
         script=script,
-        is_changed=facts.get(RECORDED, "" if script is None else digest) != digest,
+        is_changed=facts.get(axes.RECORDED, "" if script is None else digest) != digest,
     )

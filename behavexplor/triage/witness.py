@@ -19,17 +19,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import ViolationEvent, first_line_touch
-from behavexplor.triage.evasion import (
-    ACTION,
-    OBSERVATION,
-    Evasion,
-    EvasionDriver,
-    Playback,
-    frequency,
-    path_beside_route,
-    path_straight_on,
-    recorded_commands,
-)
+from behavexplor.triage import evasion
 from behavexplor.triage.findings import Witness
 
 SURVIVED: Final = 4.0  # time after the recorded collision during which a witness touches no vehicle [s]
@@ -68,14 +58,14 @@ def find_witness(
     tried = 0
     for batch in range(1 + SAMPLES // BATCH):
         evasions = [drawn(trace, rng) for _ in range(BATCH)] if batch else modeled(trace, event)
-        path = path_beside_route(trace) if batch else path_straight_on(trace)
+        path = evasion.path_beside_route(trace) if batch else evasion.path_straight_on(trace)
         driven = drive(simulation, scenario, trace, evasions, path)
         tried += len(driven)
         good = [i for i, other in enumerate(driven) if avoids(other, trace, evasions[i].begin)]
         if good:
             best = good[0] if batch == 0 else min(good, key=lambda i: evasions[i].effort)
-            chosen, commands = evasions[best], recorded_commands(driven[best])
-            return Witness(chosen.name, chosen.begin, frequency(trace), commands), tried
+            chosen, commands = evasions[best], evasion.recorded_commands(driven[best])
+            return Witness(chosen.name, chosen.begin, evasion.frequency(trace), commands), tried
     return None, tried
 
 
@@ -99,24 +89,26 @@ def replay_witness(simulation: Simulation, scenario: Scenario, witness: Witness)
     envs = simulation.vector_env(1, **_config(witness.frequency, seconds))
     if envs is None:
         raise ValueError("this environment cannot run in lock-step")
-    (_, trace), *_ = rollout_all(envs, Playback(witness.commands), [scenario])
+    (_, trace), *_ = rollout_all(envs, evasion.Playback(witness.commands), [scenario])
     envs.close()
     return trace
 
 
 def drive(
-    simulation: Simulation, scenario: Scenario, trace: Trace, evasions: Sequence[Evasion], path: Floats
+    simulation: Simulation, scenario: Scenario, trace: Trace, evasions: Sequence[evasion.Evasion], path: Floats
 ) -> list[Trace]:
     """Drive evasions along a path, up to `SURVIVED` after the recorded end.
 
     Returns:
         The trace of each evasion; none if the environment cannot run in lock-step.
     """
-    rate = frequency(trace)
+    rate = evasion.frequency(trace)
     envs = simulation.vector_env(len(evasions), **_config(rate, trace.duration + SURVIVED))
     if envs is None:
         return []
-    driver = EvasionDriver(trace, evasions, path, scripted(simulation.logical, "An evasion").roadmap.speed_limit)
+    driver = evasion.EvasionDriver(
+        trace, evasions, path, scripted(simulation.logical, "An evasion").roadmap.speed_limit
+    )
     ended = dict(rollout_all(envs, driver, [scenario] * len(evasions)))
     envs.close()
     return [ended[row] for row in range(len(evasions))]
@@ -124,26 +116,26 @@ def drive(
 
 def _config(rate: int, seconds: float) -> dict[str, Any]:
     return {
-        "observation": dict(OBSERVATION),
-        "action": dict(ACTION),
+        "observation": dict(evasion.OBSERVATION),
+        "action": dict(evasion.ACTION),
         "policy_frequency": rate,
         "simulation_frequency": rate,
         "duration": round(seconds * rate) / rate,
     }
 
 
-def modeled(trace: Trace, event: ViolationEvent) -> list[Evasion]:
+def modeled(trace: Trace, event: ViolationEvent) -> list[evasion.Evasion]:
     """Return the evasions of driver models, the mildest first."""
     alarm, end = alarm_time(trace, event), float(trace.time[event.frame])
-    earlier = [Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
-    careful = Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
-    return [careful, Evasion(IDEAL, alarm, -IDEAL_BRAKING), *earlier]
+    earlier = [evasion.Evasion(ANTICIPATION, max(end - before, 0.0), -ANTICIPATING) for before in ANTICIPATED]
+    careful = evasion.Evasion(CAREFUL, min(alarm + DELAY, end), -CAREFUL_BRAKING, jerk=CAREFUL_JERK)
+    return [careful, evasion.Evasion(IDEAL, alarm, -IDEAL_BRAKING), *earlier]
 
 
-def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
+def drawn(trace: Trace, rng: np.random.Generator) -> evasion.Evasion:
     """Draw a random evasion: two accelerations in succession and, with probability 1/2, a lateral move."""
     end = trace.duration
-    return Evasion(
+    return evasion.Evasion(
         SAMPLED,
         begin=max(end - float(rng.uniform(LATEST, EARLIEST)), 0.0),
         acceleration=float(rng.uniform(-IDEAL_BRAKING, 3.0)),
@@ -156,7 +148,7 @@ def drawn(trace: Trace, rng: np.random.Generator) -> Evasion:
 
 def alarm_time(trace: Trace, event: ViolationEvent) -> float:
     """Return when the time to collision, at constant velocities and headings, first fell below `ALARM` [s]."""
-    frames = np.arange(max(event.frame - round(EARLIEST * frequency(trace)), 0), event.frame + 1)
+    frames = np.arange(max(event.frame - round(EARLIEST * evasion.frequency(trace)), 0), event.frame + 1)
     pair = [0, event.partner]
     position, velocity = trace.position[frames][:, pair], trace.velocity[frames][:, pair]
     ahead = np.arange(0.0, ALARM + 1e-9, 0.1)[:, None, None, None]  # too fine for boxes to pass each other unnoticed

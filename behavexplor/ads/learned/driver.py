@@ -8,21 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.learned.choosing import (
-    ACCELERATION_TABLE,
-    DRAWN,
-    MEAN,
-    MOST_PROBABLE,
-    N_ACTIONS,
-    N_MEMORIES,
-    PERIOD,
-    STARTED,
-    WANTED,
-    Decisions,
-    begin,
-    choose,
-    track,
-)
+from behavexplor.ads.learned import choosing
 from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.learned.observation import N_FEATURES, see
 from behavexplor.ads.learned.route_table import Course, make_course
@@ -34,7 +20,7 @@ from behavexplor.errors import InputError
 from behavexplor.jit import compiled_for, kernel_in_place, kernel_inner
 
 _CACHE_LINE: Final = 64  # bytes
-POLICY_FREQUENCY: Final = round(1 / PERIOD)
+POLICY_FREQUENCY: Final = round(1 / choosing.PERIOD)
 
 
 class DenseNetwork(NamedTuple):
@@ -161,14 +147,16 @@ class LearnedDriver:
         widths = [N_FEATURES, *(len(bias) for _, bias in network.layers)]
         shapes = [(weights.shape, bias.shape) for weights, bias in network.layers]
         expected = [((after, before), (after,)) for before, after in pairwise(widths)]
-        if shapes != expected or widths[-1] != N_ACTIONS:
-            raise InputError(f"Expected a network of {N_FEATURES} inputs and {N_ACTIONS} outputs, got {shapes}")
+        if shapes != expected or widths[-1] != choosing.N_ACTIONS:
+            raise InputError(
+                f"Expected a network of {N_FEATURES} inputs and {choosing.N_ACTIONS} outputs, got {shapes}"
+            )
         self._network = as_network(network.layers)
-        self._how = MEAN if network.rule == "mean" else MOST_PROBABLE
+        self._how = choosing.MEAN if network.rule == "mean" else choosing.MOST_PROBABLE
         self._widest = max(widths)
-        scenes, memory, shares = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros(1)
+        scenes, memory, shares = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, choosing.N_MEMORIES)), np.zeros(1)
         rooms, rows, actions = np.empty((2, 1, self._widest)), np.empty(1, dtype=np.int64), np.zeros((1, 2))
-        tables = (self._course, self._network, ACCELERATION_TABLE)
+        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
         self._drive_all: Any = compiled_for(
             _drive_all, *tables, scenes, memory, self._how, shares, rooms, rows, actions
         )
@@ -204,7 +192,7 @@ class LearnedDriver:
 
     def log(self, state: Floats) -> Mapping[str, Floats]:
         """Return the offset of the ego's wanted lane from the route [m], shape (B,)."""
-        return {"wanted_offset": state[:, WANTED]}
+        return {"wanted_offset": state[:, choosing.WANTED]}
 
     def _drive(
         self,
@@ -222,11 +210,11 @@ class LearnedDriver:
             shares: numbers in [0, 1) by which the actions are drawn, shape (B,); None for the network's own rule.
         """
         scenes = as_scenes(observation)
-        memory = as_memory(state, episode_start, (len(scenes), N_MEMORIES))
-        how, shares = (self._how, np.zeros(len(scenes))) if shares is None else (DRAWN, shares)
+        memory = as_memory(state, episode_start, (len(scenes), choosing.N_MEMORIES))
+        how, shares = (self._how, np.zeros(len(scenes))) if shares is None else (choosing.DRAWN, shares)
         rooms, rows = np.empty((2, len(scenes), self._widest)), np.empty(len(scenes), dtype=np.int64)
         actions = np.zeros((len(scenes), 2))
-        tables = (self._course, self._network, ACCELERATION_TABLE)
+        tables = (self._course, self._network, choosing.ACCELERATION_TABLE)
         self._drive_all(*tables, scenes, memory, how, shares, rooms, rows, actions)
         return actions, memory
 
@@ -240,8 +228,12 @@ class CourseKernels:
 
     def __init__(self, course: Course) -> None:
         self._course = course
-        scenes, memory, seen = np.zeros((1, 1, N_COLUMNS)), np.zeros((1, N_MEMORIES)), np.zeros((1, N_FEATURES))
-        decisions = Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
+        scenes, memory, seen = (
+            np.zeros((1, 1, N_COLUMNS)),
+            np.zeros((1, choosing.N_MEMORIES)),
+            np.zeros((1, N_FEATURES)),
+        )
+        decisions = choosing.Decisions(np.zeros(1), np.zeros(1, dtype=np.int64))
         self._see_all = compiled_for(_see_all, course, scenes, memory, seen)
         self._track_all = compiled_for(_track_all, course, scenes, decisions, memory, np.zeros((1, 2)))
 
@@ -257,7 +249,7 @@ class CourseKernels:
         self._see_all(self._course, scenes, memory, seen)
         return seen
 
-    def track(self, scenes: Floats, decisions: Decisions, memory: Floats) -> Floats:
+    def track(self, scenes: Floats, decisions: choosing.Decisions, memory: Floats) -> Floats:
         """Compute the commands for policies' decisions, shape (B, 2), each in [-1, 1] over its range.
 
         Args:
@@ -299,19 +291,19 @@ def _drive_all(  # noqa: PLR0913, PLR0917 - a tuple of them would be copied in e
             count += 1
     outputs = evaluate(network, rooms, rows[:count])
     for i in rows[:count]:
-        wanted, lane = choose(rooms[outputs, i, :N_ACTIONS], accelerations, how, shares[i])
+        wanted, lane = choosing.choose(rooms[outputs, i, : choosing.N_ACTIONS], accelerations, how, shares[i])
         _track(course, scenes[i], wanted, lane, memory[i], actions[i])
 
 
 @kernel_inner
 def _see(course: Course, scene: Floats, memory: Floats, seen: Floats) -> None:
-    if memory[STARTED] == 0.0:
-        begin(course, scene, memory)
-    see(course, scene, memory[WANTED], seen)
+    if memory[choosing.STARTED] == 0.0:
+        choosing.begin(course, scene, memory)
+    see(course, scene, memory[choosing.WANTED], seen)
 
 
 @kernel_in_place
-def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Floats, actions: Floats) -> None:
+def _track_all(course: Course, scenes: Floats, decisions: choosing.Decisions, memory: Floats, actions: Floats) -> None:
     for i in range(len(scenes)):
         if scenes[i, EGO, PRESENT] != 0.0:
             _track(course, scenes[i], decisions.accelerations[i], decisions.lanes[i], memory[i], actions[i])
@@ -319,5 +311,5 @@ def _track_all(course: Course, scenes: Floats, decisions: Decisions, memory: Flo
 
 @kernel_inner
 def _track(course: Course, scene: Floats, wanted: float, lane: int, memory: Floats, action: Floats) -> None:
-    acceleration, steering = track(course, scene, wanted, lane, memory)
+    acceleration, steering = choosing.track(course, scene, wanted, lane, memory)
     fill_action(acceleration, steering, action)

@@ -4,6 +4,7 @@ import math
 from typing import Final
 
 from behavexplor.ads.road.path import Path, pose_on_path, project_on_path
+from behavexplor.ads.rule import lane_choice
 from behavexplor.ads.rule.control import PERIOD, LateralProfile, accelerate, change_profile, keep_profile, steer
 from behavexplor.ads.rule.decision import (
     CREEP,
@@ -12,19 +13,6 @@ from behavexplor.ads.rule.decision import (
     YIELD,
     creep,
     decision_code,
-)
-from behavexplor.ads.rule.lane_choice import (
-    ABORT,
-    CHANGE,
-    KEEP,
-    OVERTAKE,
-    EgoState,
-    accepts_gap,
-    change_length,
-    choose_lane,
-    cuts_in,
-    gap_share,
-    wrong_side,
 )
 from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS
@@ -49,7 +37,9 @@ def plan_once(world: Surroundings, memory: Memory) -> None:
     path, scene, bits = world.path, world.scene, world.room.bits
     bits[:] = 0
     station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
-    ego = EgoState(station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2)
+    ego = lane_choice.EgoState(
+        station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2
+    )
     locate(path, scene, world.others)
     _remember(path, ego, memory)
     option = plan_option(world, ego, _present_profile(path, memory), int(memory.lane), memory)
@@ -62,7 +52,7 @@ def plan_once(world: Surroundings, memory: Memory) -> None:
 
 
 @kernel_inner
-def _remember(path: Path, ego: EgoState, memory: Memory) -> None:
+def _remember(path: Path, ego: lane_choice.EgoState, memory: Memory) -> None:
     """Update the memory with the ego's motion since the last decision."""
     if memory.started == 0.0:
         memory.started = 1.0
@@ -73,7 +63,7 @@ def _remember(path: Path, ego: EgoState, memory: Memory) -> None:
         ended = ended or abs(ego.offset - memory.lane * path.lane_width) < path.lane_width / 2
     if memory.change_length > 0.0 and ended:
         memory.change_length = memory.since = memory.ignores = 0.0
-        memory.maneuver = KEEP
+        memory.maneuver = lane_choice.KEEP
     if ego.station > memory.change_start + SHARP_WAY:
         memory.sharp = 0.0
     if memory.lane == 0.0 and memory.change_length == 0.0:
@@ -97,15 +87,15 @@ def _is_safe(option: Option) -> bool:
 
 
 @kernel_inner
-def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
+def _change_if_wanted(world: Surroundings, ego: lane_choice.EgoState, present: Option, memory: Memory) -> Option:
     """Begin a lane change if another lane is better and its gaps are accepted."""
     path, others, p, bits = world.path, world.others, world.p, world.room.bits
     lane = int(memory.lane)
     option, begun = present, False
-    wrong = wrong_side(path, others, ego, memory, bits, p)
+    wrong = lane_choice.wrong_side(path, others, ego, memory, bits, p)
     if wrong != lane:
         option, begun = _try_change(world, ego, present, wrong, memory)
-    wanted = lane if begun else choose_lane(path, others, ego, memory, bits, p)
+    wanted = lane if begun else lane_choice.choose_lane(path, others, ego, memory, bits, p)
     if bits[CHANGED] & R3_3:
         memory.overrun = 1.0
     if wanted != lane:
@@ -115,14 +105,14 @@ def _change_if_wanted(world: Surroundings, ego: EgoState, present: Option, memor
 
 @kernel_inner
 def _try_change(
-    world: Surroundings, ego: EgoState, present: Option, wanted: int, memory: Memory
+    world: Surroundings, ego: lane_choice.EgoState, present: Option, wanted: int, memory: Memory
 ) -> tuple[Option, bool]:
     """Return the change to a lane if it is safe, else the present option; and whether the change is begun."""
     path, p, bits = world.path, world.p, world.room.bits
     lane = int(memory.lane)
-    if not accepts_gap(path, world.others, ego, wanted, bits, p):
+    if not lane_choice.accepts_gap(path, world.others, ego, wanted, bits, p):
         return present, False
-    length = change_length(ego.speed, p)
+    length = lane_choice.change_length(ego.speed, p)
     sharp = p.short_change > 0.0 and ego.speed < p.short_change_below
     if sharp:
         note(bits, R2_2, True)
@@ -130,12 +120,12 @@ def _try_change(
     profile = change_profile(ego.station, ego.offset, _slope(world, ego), wanted * path.lane_width, length)
     option = plan_option(world, ego, profile, wanted, memory)
     if not _is_safe(option):
-        if not cuts_in(ego, p) or option.plan.survived < N_INTERVALS // 2:
+        if not lane_choice.cuts_in(ego, p) or option.plan.survived < N_INTERVALS // 2:
             return plan_option(world, ego, present.profile, lane, memory), False
         note(bits, R1_5, True)
-    memory.maneuver, memory.origin = CHANGE, lane
+    memory.maneuver, memory.origin = lane_choice.CHANGE, lane
     if abs(wanted) > abs(lane):
-        memory.maneuver = OVERTAKE
+        memory.maneuver = lane_choice.OVERTAKE
         memory.overtaking = 1.0
         memory.overrun = 1.0 if bits[CHANGED] & R3_2 else 0.0
     memory.sharp = 1.0 if sharp else 0.0
@@ -144,7 +134,7 @@ def _try_change(
 
 
 @kernel_inner
-def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory: Memory) -> Option:
+def _abort_if_needed(world: Surroundings, ego: lane_choice.EgoState, present: Option, memory: Memory) -> Option:
     """Return to the original lane if a vehicle comes close in the target lane, and returning is possible and helps.
 
     It is possible while the ego's center is still in the original lane.
@@ -152,9 +142,9 @@ def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory
     path, p, bits = world.path, world.p, world.room.bits
     lane, origin = int(memory.lane), int(memory.origin)
     inside = abs(ego.offset - origin * path.lane_width) < path.lane_width / 2
-    share = gap_share(path, world.others, ego, lane, p)
+    share = lane_choice.gap_share(path, world.others, ego, lane, p)
     alarm = present.plan.survived * INTERVAL < p.abort_time
-    if memory.maneuver == ABORT or not inside or not (alarm or share < p.abort_share):
+    if memory.maneuver == lane_choice.ABORT or not inside or not (alarm or share < p.abort_share):
         return present
     if p.no_abort > 0.0:
         goes_on = share >= (1.0 - p.no_abort) * p.abort_share
@@ -162,18 +152,18 @@ def _abort_if_needed(world: Surroundings, ego: EgoState, present: Option, memory
         if goes_on:
             memory.ignores = 1.0
             return present
-    length = change_length(ego.speed, p)
+    length = lane_choice.change_length(ego.speed, p)
     profile = change_profile(ego.station, ego.offset, _slope(world, ego), origin * path.lane_width, length)
     option = plan_option(world, ego, profile, origin, memory)
     if option.plan.survived < present.plan.survived:
         return plan_option(world, ego, present.profile, lane, memory)
-    memory.maneuver, memory.origin = ABORT, memory.lane
+    memory.maneuver, memory.origin = lane_choice.ABORT, memory.lane
     _adopt(profile, origin, memory)
     return option
 
 
 @kernel_inner
-def _slope(world: Surroundings, ego: EgoState) -> float:
+def _slope(world: Surroundings, ego: lane_choice.EgoState) -> float:
     """Return the slope of the ego's motion relative to its route."""
     _, _, along = pose_on_path(world.path, ego.station)
     return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
@@ -187,7 +177,7 @@ def _adopt(profile: LateralProfile, lane: int, memory: Memory) -> None:
 
 
 @kernel_inner
-def _settle(world: Surroundings, ego: EgoState, option: Option, memory: Memory) -> None:
+def _settle(world: Surroundings, ego: lane_choice.EgoState, option: Option, memory: Memory) -> None:
     """Store the decision and its commands in the memory."""
     path, p, bits, plan = world.path, world.p, world.room.bits, option.plan
     memory.clear = memory.clear + PERIOD if option.crosses else 0.0

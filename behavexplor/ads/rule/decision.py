@@ -5,19 +5,9 @@ from typing import Final
 import numpy as np
 
 from behavexplor.ads.road.path import Path
+from behavexplor.ads.rule import station_time
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.speed_search import SpeedPlan
-from behavexplor.ads.rule.station_time import (
-    HARD_HIGH,
-    HARD_LOW,
-    INTERVAL,
-    LEAD_SPEED,
-    LEADS,
-    N_COLUMNS,
-    N_INTERVALS,
-    SOFT_LOW,
-    StationTime,
-)
 from behavexplor.ads.rule.traffic import Memory
 from behavexplor.ads.rule.weaknesses import R1_3, R3_4, note
 from behavexplor.data.array_types import Ints
@@ -62,16 +52,19 @@ def waiting_station(path: Path, station: float, speed: float, half_length: float
 
 
 @kernel_inner
-def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length: float) -> bool:
+def crosses_freely(path: Path, graph: station_time.StationTime, plan: SpeedPlan, half_length: float) -> bool:
     """Return whether a plan stays before the junction, or crosses it without stopping or coming too close to a vehicle.
 
     There must be room beyond the junction: no vehicle ahead may end up where the ego would have to stop inside.
     """
     if plan.station <= path.junction_start - half_length:
         return True
-    spans, last = graph.spans, N_INTERVALS - 1
+    spans, last = graph.spans, station_time.N_INTERVALS - 1
     for i in range(graph.counts[last]):
-        if spans[last, i, LEADS] == 1.0 and spans[last, i, SOFT_LOW] < path.junction_end + half_length:
+        if (
+            spans[last, i, station_time.LEADS] == 1.0
+            and spans[last, i, station_time.SOFT_LOW] < path.junction_end + half_length
+        ):
             return False
     return plan.risk == 0.0 and plan.inside == 0.0
 
@@ -79,7 +72,7 @@ def crosses_freely(path: Path, graph: StationTime, plan: SpeedPlan, half_length:
 @kernel_inner
 def decision_code(path: Path, plan: SpeedPlan, station: float, half_length: float, yields: bool) -> int:
     """Return the code of a plan's decision for the decision log."""
-    if plan.survived * INTERVAL < ALARM:
+    if plan.survived * station_time.INTERVAL < ALARM:
         return EMERGENCY
     if yields:
         return YIELD
@@ -102,7 +95,7 @@ def restarts_hastily(crosses: bool, memory: Memory, bits: Ints, p: Numbers) -> b
 
 
 @kernel_inner
-def waits_for_ever(graph: StationTime, memory: Memory, bits: Ints, p: Numbers) -> bool:
+def waits_for_ever(graph: station_time.StationTime, memory: Memory, bits: Ints, p: Numbers) -> bool:
     """Return whether a standing ego waits for a vehicle that hardly moves across its way (weakness R3-4)."""
     if memory.waited == 0.0 or not _deadlocked(graph, memory, p):
         return False
@@ -111,44 +104,46 @@ def waits_for_ever(graph: StationTime, memory: Memory, bits: Ints, p: Numbers) -
 
 
 @kernel_inner
-def _deadlocked(graph: StationTime, memory: Memory, p: Numbers) -> bool:
+def _deadlocked(graph: station_time.StationTime, memory: Memory, p: Numbers) -> bool:
     """Return whether the gate of weakness R3-4 is open."""
     return bool(p.deadlock > 0.0 and memory.stood >= p.deadlock_after and _slowest(graph) < p.deadlock)
 
 
 @kernel_inner
-def _slowest(graph: StationTime) -> float:
+def _slowest(graph: station_time.StationTime) -> float:
     """Return the least speed of the vehicles that cross or lead [m/s], infinity without any."""
     slowest = np.inf
-    for k in range(N_INTERVALS):
+    for k in range(station_time.N_INTERVALS):
         for i in range(graph.counts[k]):
-            slowest = min(slowest, graph.spans[k, i, LEAD_SPEED])
+            slowest = min(slowest, graph.spans[k, i, station_time.LEAD_SPEED])
     return slowest
 
 
 @kernel_inner
-def shorten(graph: StationTime, outlook: float) -> None:
+def shorten(graph: station_time.StationTime, outlook: float) -> None:
     """Remove the vehicles that cross or merge later than an outlook [s]."""
-    for k in range(N_INTERVALS):
-        if k * INTERVAL < outlook:
+    for k in range(station_time.N_INTERVALS):
+        if k * station_time.INTERVAL < outlook:
             continue
         kept = 0
         for i in range(graph.counts[k]):
-            if graph.spans[k, i, LEADS] == 1.0:
-                for column in range(N_COLUMNS):
+            if graph.spans[k, i, station_time.LEADS] == 1.0:
+                for column in range(station_time.N_COLUMNS):
                     graph.spans[k, kept, column] = graph.spans[k, i, column]
                 kept += 1
         graph.counts[k] = kept
 
 
 @kernel_inner
-def may_creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
+def may_creep(
+    graph: station_time.StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers
+) -> bool:
     """Return whether an ego that has stood for long may move on a little: no vehicle is or comes close ahead of it."""
     if memory.stood < p.creep_after or station + CREEP_ROOM / 2 > limit:
         return False
     for k in range(CREEP_INTERVALS):
         for i in range(graph.counts[k]):
-            low, high = graph.spans[k, i, HARD_LOW], graph.spans[k, i, HARD_HIGH]
+            low, high = graph.spans[k, i, station_time.HARD_LOW], graph.spans[k, i, station_time.HARD_HIGH]
             if low < station + CREEP_ROOM and high > station:
                 return False
     if _deadlocked(graph, memory, p):
@@ -158,7 +153,9 @@ def may_creep(graph: StationTime, station: float, limit: float, memory: Memory, 
 
 
 @kernel_inner
-def creep(graph: StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers) -> bool:
+def creep(
+    graph: station_time.StationTime, station: float, limit: float, memory: Memory, bits: Ints, p: Numbers
+) -> bool:
     """Return whether the ego creeps now. Once begun, creeping goes on for `CREEP_TIME`."""
     if memory.creeps <= 0.0 and may_creep(graph, station, limit, memory, bits, p):
         memory.creeps = CREEP_TIME

@@ -4,18 +4,8 @@ import math
 from typing import NamedTuple
 
 from behavexplor.ads.road.path import Path
+from behavexplor.ads.rule import decision
 from behavexplor.ads.rule.control import PERIOD, LateralProfile
-from behavexplor.ads.rule.decision import (
-    RESTART_OUTLOOK,
-    YIELD,
-    can_wait,
-    crosses_freely,
-    passed,
-    restarts_hastily,
-    shorten,
-    waiting_station,
-    waits_for_ever,
-)
 from behavexplor.ads.rule.lane_choice import (
     EgoState,
     cuts_in,
@@ -85,28 +75,28 @@ def plan_option(world: Surroundings, ego: EgoState, profile: LateralProfile, lan
         blind = 0.0
     project_obstacles(path, profile, world.graph, world.scene, ego.station, blind, p, room)
     if memory.restarted > 0.0:
-        shorten(room, RESTART_OUTLOOK)
+        decision.shorten(room, decision.RESTART_OUTLOOK)
     wall = math.inf if memory.overrun == 1.0 else lane_wall(path, ego, lane, p)
-    waits = can_wait(path, ego.station, ego.speed, ego.half_length, p)
-    caution = 1.0 if waits or passed(path, ego.station, ego.half_length) else p.committed_caution
+    waits = decision.can_wait(path, ego.station, ego.speed, ego.half_length, p)
+    caution = 1.0 if waits or decision.passed(path, ego.station, ego.half_length) else p.committed_caution
     last = memory.last_acceleration
     situation = Situation(path, room, ego.half_length, wall, caution, memory.cost, p)
     plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
     memory.cost = plan.cost
     if not waits:
         return Option(profile, plan, False, True, wall)
-    crosses = crosses_freely(path, room, plan, ego.half_length)
-    if restarts_hastily(crosses, memory, room.bits, p):
-        shorten(room, RESTART_OUTLOOK)
+    crosses = decision.crosses_freely(path, room, plan, ego.half_length)
+    if decision.restarts_hastily(crosses, memory, room.bits, p):
+        decision.shorten(room, decision.RESTART_OUTLOOK)
         plan = plan_speed(situation, ego.station, ego.speed, last, world.nodes)
-        crosses = crosses_freely(path, room, plan, ego.half_length)
-    if crosses and waits_for_ever(room, memory, room.bits, p):
+        crosses = decision.crosses_freely(path, room, plan, ego.half_length)
+    if crosses and decision.waits_for_ever(room, memory, room.bits, p):
         crosses = False
     clear = memory.clear + PERIOD if crosses else 0.0
     limit = min(wall, path.junction_start - ego.half_length + p.line_overrun)
-    yields = not crosses or (memory.decision == YIELD and clear < p.clear_time)
+    yields = not crosses or (memory.decision == decision.YIELD and clear < p.clear_time)
     if yields:
-        line = min(wall, waiting_station(path, ego.station, ego.speed, ego.half_length, p))
+        line = min(wall, decision.waiting_station(path, ego.station, ego.speed, ego.half_length, p))
         waiting = Situation(path, room, ego.half_length, line, caution, memory.waiting_cost, p)
         wait = plan_speed(waiting, ego.station, ego.speed, last, world.nodes)
         memory.waiting_cost = wait.cost

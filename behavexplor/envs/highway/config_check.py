@@ -12,24 +12,13 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.utils import class_from_path
 from pydantic import StrictStr
 
+from behavexplor.envs import values
 from behavexplor.envs.engine.state import IDM, LINEAR
 from behavexplor.envs.engine.vehicle_parameters import kind_of
 from behavexplor.envs.env_config import ACTIONS, check_type
 from behavexplor.envs.source_gate import REWARDS, replaced
 from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
 from behavexplor.envs.tasks.task import TaskKind
-from behavexplor.envs.values import (
-    COUNT,
-    FLAG,
-    NOT_NEGATIVE,
-    NUMBER,
-    POSITIVE,
-    RANGE,
-    WHOLE,
-    Kind,
-    optional,
-    shown,
-)
 from behavexplor.errors import InputError, unknown_name
 
 OTHER_WAY = "use gymnasium.make_vec with vectorization_mode='sync' for highway-env's own"
@@ -46,21 +35,21 @@ DRAWING = frozenset(  # keys that change pictures only
     }
 )
 ONLY = MappingProxyType({"manual_control": False, "controlled_vehicles": 1})  # keys with one supported value
-READ: Mapping[str, Kind] = MappingProxyType(  # keys that are reproduced, besides observation, action and rewards
+READ: Mapping[str, values.Kind] = MappingProxyType(  # keys that are reproduced, besides observation, action and rewards
     {
-        "simulation_frequency": COUNT,
-        "policy_frequency": POSITIVE,
-        "neighbour_vehicles_connected_lanes": FLAG,
-        "other_vehicles_type": Kind("the path of a class of vehicles", StrictStr),
-        "lanes_count": COUNT,
-        "vehicles_count": WHOLE,
-        "initial_lane_id": optional(WHOLE),
-        "duration": POSITIVE,
-        "ego_spacing": NOT_NEGATIVE,
-        "vehicles_density": POSITIVE,
-        "reward_speed_range": RANGE,
-        "normalize_reward": FLAG,
-        "offroad_terminal": FLAG,
+        "simulation_frequency": values.COUNT,
+        "policy_frequency": values.POSITIVE,
+        "neighbour_vehicles_connected_lanes": values.FLAG,
+        "other_vehicles_type": values.Kind("the path of a class of vehicles", StrictStr),
+        "lanes_count": values.COUNT,
+        "vehicles_count": values.WHOLE,
+        "initial_lane_id": values.optional(values.WHOLE),
+        "duration": values.POSITIVE,
+        "ego_spacing": values.NOT_NEGATIVE,
+        "vehicles_density": values.POSITIVE,
+        "reward_speed_range": values.RANGE,
+        "normalize_reward": values.FLAG,
+        "offroad_terminal": values.FLAG,
     }
 )
 OBSERVATIONS = MappingProxyType(
@@ -87,7 +76,7 @@ def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], c
         InputError: if a key is unknown or not supported, or a value is out of range. The message names the key.
     """
     if changes is not None and not isinstance(changes, Mapping):
-        raise InputError(f"config: expected keys and values, got {shown(changes)}")
+        raise InputError(f"config: expected keys and values, got {values.shown(changes)}")
     default, kind = env_class.default_config(), KINDS[NUMBERS[known_class]]
     config = default | dict(changes or {})
     known = {*default, *kind.terms}
@@ -108,11 +97,13 @@ def _check_key(key: str, value: object, kind: TaskKind) -> None:
         return
     if key in ONLY:
         if value != ONLY[key]:
-            raise InputError(f"{key}: the compiled engine supports {ONLY[key]} only, not {shown(value)}; {OTHER_WAY}")
+            raise InputError(
+                f"{key}: the compiled engine supports {ONLY[key]} only, not {values.shown(value)}; {OTHER_WAY}"
+            )
     elif key in (read := {**READ, **kind.keys}):
         read[key].check(key, value)
     elif key in kind.terms:
-        NUMBER.check(key, value)
+        values.NUMBER.check(key, value)
     else:
         raise InputError(f"{key}: the compiled engine does not know this key; {OTHER_WAY}")
 
@@ -163,7 +154,7 @@ def _check_traffic(path: str) -> None:
     try:
         found = class_from_path(path)
     except (ValueError, ImportError, AttributeError) as error:
-        raise InputError(f"other_vehicles_type: there is no class {shown(path)}") from error
+        raise InputError(f"other_vehicles_type: there is no class {values.shown(path)}") from error
     if kind_of(found) not in (IDM, LINEAR):
         raise InputError(f"other_vehicles_type: the compiled engine knows vehicles that drive, not {path}; {OTHER_WAY}")
 

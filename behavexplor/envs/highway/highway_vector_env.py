@@ -23,32 +23,9 @@ from behavexplor.envs.engine.lock_step import LockStepVectorEnv
 from behavexplor.envs.engine.pcg64 import N_WORDS, generator_words, put_words
 from behavexplor.envs.engine.state import make_scratch, make_slots
 from behavexplor.envs.engine.vehicle_parameters import TRAFFIC, classes_of_vehicles, kept_parameters
+from behavexplor.envs.highway import engine_making, episodes
 from behavexplor.envs.highway.config_check import check_config, has_own_starts, known_class
 from behavexplor.envs.highway.conversion import SlotState, slot_state
-from behavexplor.envs.highway.engine_making import (
-    chosen_draws,
-    chosen_starts,
-    copy_start,
-    make_engine,
-    make_outcome,
-    most_at_start,
-    most_new,
-    with_draws,
-)
-from behavexplor.envs.highway.episodes import (
-    BEGINNING,
-    DECISION,
-    FULL,
-    LOOK,
-    REFUSED,
-    REWARD,
-    STEPPED,
-    TERMINATED,
-    TRUNCATED,
-    Actions,
-    advance,
-    infos_of,
-)
 from behavexplor.envs.source_gate import ChangedError, classes_of, guard_of
 from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
 from behavexplor.envs.values import COUNT, FLAG, optional
@@ -118,33 +95,33 @@ class HighwayVectorEnv(LockStepVectorEnv):
             self._single = env_class(dict(config or {}))
             classes = classes_of(self._single, classes_of_vehicles(self._single))
             guard = guard_of(classes, TRAFFIC, TRAFFIC if self.places_own else frozenset())
-            self._engine = make_engine(
+            self._engine = engine_making.make_engine(
                 self._single, number, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
         super().__init__(self._single, num_envs, autoreset_mode, guard)
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
-        self._most_at_start = most_at_start(self._single, self._engine.task, places_own=self.places_own)
-        n_places = self._most_at_start + most_new(self._single, self._engine.task)
+        self._most_at_start = engine_making.most_at_start(self._single, self._engine.task, places_own=self.places_own)
+        n_places = self._most_at_start + engine_making.most_new(self._single, self._engine.task)
         self._slots = make_slots(num_envs, n_places, n_steps)
         self._scratch = make_scratch(len(self._engine.world.network.lanes), n_places)
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
-        self._outcome = make_outcome(self._single, self._engine, num_envs, self.frame_log)
+        self._outcome = engine_making.make_outcome(self._single, self._engine, num_envs, self.frame_log)
         self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
         self._observations = self._outcome.observations.reshape(self.observation_space.shape)
         self._everywhere = np.ones(num_envs, dtype=bool)
         self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
         self._is_discrete = table is not None
-        self._actions = Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
+        self._actions = episodes.Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
         self._shown: NDArray[Any] = self._sampled_space.sample()  # the actions that infos show
         self._is_seeded = np.zeros(num_envs, dtype=bool)
         self._advance_slots = self._compile()
 
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
-        starts = chosen_starts(options.get("starts"), type(self._single), self.config, mask)
-        return starts, chosen_draws(options.get("draws"), mask), self.frame_log.frames.size > 0
+        starts = engine_making.chosen_starts(options.get("starts"), type(self._single), self.config, mask)
+        return starts, engine_making.chosen_draws(options.get("draws"), mask), self.frame_log.frames.size > 0
 
     def _seed(self, b: int, seed: int | None) -> None:
         if seed is not None or not self._is_seeded[b]:
@@ -152,14 +129,21 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._is_seeded[b] = True
 
     def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
-        self._advance(DECISION, self._everywhere, actions)
+        self._advance(episodes.DECISION, self._everywhere, actions)
         self._shown = actions.copy()
         flags = self._outcome.flags.copy()
-        return self._outcome.numbers[REWARD].copy(), flags[TERMINATED], flags[TRUNCATED], flags[STEPPED]
+        return (
+            self._outcome.numbers[episodes.REWARD].copy(),
+            flags[episodes.TERMINATED],
+            flags[episodes.TRUNCATED],
+            flags[episodes.STEPPED],
+        )
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
         numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
-        return infos_of(self._kind, numbers, flags, self._shown.copy(), stepped if begun is None else stepped | begun)
+        return episodes.infos_of(
+            self._kind, numbers, flags, self._shown.copy(), stepped if begun is None else stepped | begun
+        )
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""
@@ -185,17 +169,17 @@ class HighwayVectorEnv(LockStepVectorEnv):
         seen: dict[int, NDArray[Any]] = {}
         for b, env in starts.items():
             own[b] = False
-            copy_start(env, self._engine, self._slots, b, self._most_at_start)
-        self._engine = with_draws(self._engine, mask, draws)
+            engine_making.copy_start(env, self._engine, self._slots, b, self._most_at_start)
+        self._engine = engine_making.with_draws(self._engine, mask, draws)
         if self.places_own:
             seen = self._copy_starts(own)
         else:
-            self._advance(BEGINNING, own, actions, logs_start=logs_start)
+            self._advance(episodes.BEGINNING, own, actions, logs_start=logs_start)
         if starts or seen:
             copied = np.zeros(self.num_envs, dtype=bool)
             copied[[*starts, *seen]] = True
             words = self._engine.words[copied]
-            self._advance(LOOK, copied, actions, logs_start=logs_start)
+            self._advance(episodes.LOOK, copied, actions, logs_start=logs_start)
             self._engine.words[copied] = words  # highway-env has drawn the order of this observation already
         for b, observation in seen.items():
             self._observations[b] = observation
@@ -204,7 +188,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def _compile(self) -> Callable[..., int]:
         """Compile the kernel for the types of this environment's arrays, or read it from the cache."""
         state = (self._engine, self._slots, self._scratch, self._outcome)
-        return compiled_for(advance, *state, self._everywhere, self._actions, DECISION, False)
+        return compiled_for(episodes.advance, *state, self._everywhere, self._actions, episodes.DECISION, False)
 
     def _advance(self, stage: int, mask: Bools, actions: NDArray[Any], *, logs_start: bool = False) -> int:
         """Run a stage of `advance` in the chosen slots, and return the number of those whose episode has ended.
@@ -215,9 +199,9 @@ class HighwayVectorEnv(LockStepVectorEnv):
         self._put(actions)
         state = (self._engine, self._slots, self._scratch, self._outcome)
         n_ended = self._advance_slots(*state, mask, self._actions, stage, logs_start)
-        if n_ended == REFUSED:
+        if n_ended == episodes.REFUSED:
             check_actions(self.action_space, actions)
-        if n_ended == FULL:
+        if n_ended == episodes.FULL:
             raise InputError(f"An episode has more vehicles than the {self._slots.vehicles.shape[1]} that have room")
         return n_ended
 
@@ -242,7 +226,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
             for b in np.flatnonzero(mask).tolist():
                 put_words(self._engine.words[b], env.np_random)
                 seen[b], _ = env.reset()
-                copy_start(env, self._engine, self._slots, b, self._most_at_start)
+                engine_making.copy_start(env, self._engine, self._slots, b, self._most_at_start)
         return seen
 
 
