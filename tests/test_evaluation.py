@@ -13,7 +13,7 @@ from behavexplor import evaluation
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.data.target import Target
 from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
 from tests.confining import confines

@@ -11,8 +11,7 @@ from behavexplor.api.conducting import conduct
 from behavexplor.api.evaluating import environment_of, given_config
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run
-from behavexplor.campaign.config import CampaignConfig, campaign_config
-from behavexplor.campaign.run_names import run_folder
+from behavexplor.campaign.config import CampaignConfig, campaign_config, run_folder
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, brief
 

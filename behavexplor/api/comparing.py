@@ -14,8 +14,7 @@ from behavexplor.api.conducting import Interrupted, conduct, worker_count
 from behavexplor.api.dataframes import frame_of_pairs
 from behavexplor.api.observers import Observer
 from behavexplor.api.run import Run, written
-from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.run_names import stamped_folder
+from behavexplor.campaign.config import CampaignConfig, stamped_folder
 from behavexplor.errors import InputError
 from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, second_config
 from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows

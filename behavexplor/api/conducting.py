@@ -14,8 +14,7 @@ from behavexplor.ads.in_memory import GivenDriver
 from behavexplor.api.observers import Observer, observed
 from behavexplor.campaign.campaign import Campaign
 from behavexplor.campaign.config import Budget, CampaignConfig
-from behavexplor.campaign.interrupts import stopped_by_signals
-from behavexplor.campaign.opening import opened
+from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS

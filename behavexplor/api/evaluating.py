@@ -123,7 +123,7 @@ def evaluate(
 
     Raises:
         InputError: if an argument cannot be used.
-        behavexplor.execution.ads_error.ADSError: if the driver fails in a scenario.
+        behavexplor.execution.executor.ADSError: if the driver fails in a scenario.
     """
     if unused := sorted(_UNUSED & settings.keys()):
         raise InputError(

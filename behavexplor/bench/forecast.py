@@ -12,9 +12,8 @@ from behavexplor.bench.experiment import Experiment, PlannedRun
 from behavexplor.bench.runs import run_state
 from behavexplor.bench.timing import read_timing
 from behavexplor.data.target import Target
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.start import fewest_workers, logical_of_target, start_executor
 
 TRIAL: Final = 10  # number of timed executions

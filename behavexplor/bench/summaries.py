@@ -15,8 +15,8 @@ from behavexplor.bench.experiment import PlannedRun
 from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
-from behavexplor.data.decision_log import ENVIRONMENT
 from behavexplor.data.scripted_logical import ROUTES, WAYPOINTS
+from behavexplor.data.trace import ENVIRONMENT
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import NPC_CAUSED

@@ -24,9 +24,8 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.specs import SPECS, Spec

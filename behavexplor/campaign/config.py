@@ -1,7 +1,8 @@
-"""Configuration of a campaign: read from a file and flags, validated, and written to the run folder."""
+"""Configuration of a campaign: read from a file and flags, validated, and written to the run folder, which it names."""
 
 import math
 import re
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -18,6 +19,7 @@ from behavexplor.errors import InputError, brief, unknown_name
 CONFIG = "config.yaml"  # file in a run folder
 REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
+RUNS: Final = Path("runs")  # their parent folder
 
 
 @dataclass(frozen=True)
@@ -229,3 +231,18 @@ def preset_folder() -> Path:
     package = Path(__file__).parent.parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
+
+
+def run_folder(config: CampaignConfig, root: Path = RUNS) -> Path:
+    """Return an unused folder for a campaign, named after its configuration and the current time."""
+    names = [
+        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1]) for name in (config.env, config.ads, config.method)
+    ]
+    return stamped_folder("-".join([*names, str(config.seed)]), root)
+
+
+def stamped_folder(name: str, root: Path = RUNS) -> Path:
+    """Return an unused folder that is named after its contents and the current time."""
+    stamped = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    taken = sum(1 for _ in root.glob(f"{stamped}*"))
+    return root / (f"{stamped}-{taken + 1}" if taken else stamped)

@@ -8,9 +8,8 @@ from behavexplor.campaign.record import ERROR
 from behavexplor.campaign.store import Execution
 from behavexplor.data.trace import Trace
 from behavexplor.errors import sentence
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import collision_fault

@@ -1,10 +1,12 @@
 """Setup and teardown of a campaign: its search method, executor, ADS check and run folder."""
 
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 
@@ -183,3 +185,27 @@ def _pass_by() -> Trace:
         illegal_lines=np.array([[[0.0, -4.0], [100.0, -4.0]]]),
         end="timeout",
     )
+
+
+Handler = Callable[[int, FrameType | None], object] | signal.Handlers
+
+
+@contextmanager
+def stopped_by_signals(stop: Callable[[], None], again: Handler) -> Iterator[None]:
+    """Make the first Ctrl-C (or SIGTERM) stop the code in this context cleanly, and the second one at once.
+
+    Args:
+        stop: function that is called on the first signal.
+        again: handler of the second signal.
+    """
+
+    def first(number: int, _frame: FrameType | None) -> None:
+        stop()
+        signal.signal(number, again)
+
+    previous = {number: signal.signal(number, first) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

@@ -28,7 +28,7 @@ class Record:
         origin: origin of the scenario in the search, such as "initial" or the kind of a mutation.
         parent: number of the execution whose scenario was mutated; None without a parent.
         end: end of the episode, see `behavexplor.data.trace.ENDS`.
-        error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.ads_error.ADSError`; None if it
+        error: "kind" and "message" of the ADS's own failure, see `behavexplor.execution.executor.ADSError`; None if it
             drove.
         duration: simulated time [s].
         violated: names of the violated specs, the most severe first; ("error",) if the ADS itself failed.

@@ -18,9 +18,8 @@ from behavexplor.bench.summaries import Summary, summaries_csv, summarize
 from behavexplor.bench.table import Table, table_csv, table_latex, table_markdown
 from behavexplor.bench.tables import tables
 from behavexplor.campaign.campaign import search_method
-from behavexplor.campaign.config import check_said_twice
-from behavexplor.campaign.interrupts import stopped_by_signals
-from behavexplor.campaign.run_names import RUNS
+from behavexplor.campaign.config import RUNS, check_said_twice
+from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust

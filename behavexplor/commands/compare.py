@@ -14,8 +14,7 @@ from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
-from behavexplor.campaign.config import CampaignConfig, campaign_config
-from behavexplor.campaign.run_names import stamped_folder
+from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import chosen_workers, flag, patience, settings

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.run_names import stamped_folder
+from behavexplor.campaign.config import stamped_folder
 from behavexplor.commands import OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.fuzz import fuzz
@@ -36,7 +36,7 @@ def demo(
         browser: Open the report in a browser.
     """
     try:
-        from behavexplor.sb3.small_policy import train_small_policy  # noqa: PLC0415 - torch need not be installed
+        from behavexplor.sb3.fuzz_callback import train_small_policy  # noqa: PLC0415 - torch need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("The demo", error.name, "rl") from None
     folder = out or stamped_folder("demo")

@@ -26,8 +26,8 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import DRAWS
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
 
 MOST_SCENARIOS = 1_000_000

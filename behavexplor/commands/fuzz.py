@@ -18,13 +18,12 @@ from behavexplor.campaign.config import (
     campaign_config,
     check_said_twice,
     read_config,
+    run_folder,
     stored_config,
 )
-from behavexplor.campaign.interrupts import stopped_by_signals
-from behavexplor.campaign.opening import opened
+from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.provenance import Consent, accepted
-from behavexplor.campaign.run_names import run_folder
 from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program

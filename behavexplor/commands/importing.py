@@ -22,8 +22,8 @@ from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.exchange.restoring import restored
 from behavexplor.exchange.scenes import Scene
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import fewest_workers, start_executor
 from behavexplor.judge.specs import ERROR, SPECS
 from behavexplor.report.marks import outcome

@@ -20,7 +20,7 @@ from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from behavexplor.judge.specs import SPECS

@@ -10,9 +10,8 @@ import tyro
 
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import ExecutionError
-from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.config import RUNS, CampaignConfig
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
-from behavexplor.campaign.run_names import RUNS
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust, check_unchanged, flag, settings

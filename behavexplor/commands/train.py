@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import yaml
 
-from behavexplor.campaign.config import read_yaml
-from behavexplor.campaign.run_names import RUNS
+from behavexplor.campaign.config import RUNS, read_yaml
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.evaluate import table

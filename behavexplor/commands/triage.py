@@ -15,7 +15,7 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust, chosen_workers
 from behavexplor.commands.wording import class_count, grid, hanging, plain_text, say
-from behavexplor.data.decision_log import UNKNOWN
+from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Finding, Sighting, Triage, counted

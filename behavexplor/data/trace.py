@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from operator import gt
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,13 @@ _NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
 _ALL_PRESENT = np.ones((0, 0), dtype=bool)
 _NOTHING_MORE = {"decisions": _NO_ARRAYS, "signals": _NO_ARRAYS, "present": _ALL_PRESENT, "partner": -1}
 _OTHERS = ("end", "decisions", "signals", "present", "partner")
+WEAKNESS_NAMES: Final = (
+    *(f"R1-{i}" for i in range(1, 9)),
+    *(f"R2-{i}" for i in range(1, 5)),
+    *(f"R3-{i}" for i in range(1, 5)),
+)
+ENVIRONMENT: Final = "environment"  # cause of a failure that no weakness explains: the planner without any fails too
+UNKNOWN: Final = "unknown"  # cause of a failure for which no single weakness is to blame
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,3 +349,13 @@ def _check_shape(name: str, array: NDArray[np.generic], expected: tuple[int | No
         raise InputError(f"{name}: expected shape {wanted}, got {array.shape}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise InputError(f"{name}: every value must be finite")
+
+
+def bit_of(name: str) -> int:
+    """Return the bit of a weakness in an entry of the decision log."""
+    return 1 << WEAKNESS_NAMES.index(name)
+
+
+def weakness_names(bits: int) -> tuple[str, ...]:
+    """Return the weaknesses in an entry of the decision log, such as `trace.decisions["triggered"][i]`."""
+    return tuple(name for i, name in enumerate(WEAKNESS_NAMES) if int(bits) >> i & 1)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.observations import Observation
 from behavexplor.errors import brief, place_of
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 
 _asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import DIFFERS, SPECS
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.errors import place_of
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 
 _LEAST_ROOM: Final = 64  # rows
 

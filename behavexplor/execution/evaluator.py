@@ -15,10 +15,10 @@ from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import CheckedTarget, Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed, driven_compiled
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import LockStep

@@ -1,10 +1,17 @@
-"""Executor: calls the functions of a service, in this process, in worker processes or on a cluster."""
+"""Executor: calls the functions of a service, in this process, in worker processes or on a cluster; and its errors."""
 
 import os
 from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future
 from types import TracebackType
 from typing import ClassVar, Final, Self
+
+from behavexplor.judge.specs import DIFFERS
+
+MOST_WORKERS: Final = 64  # processes on one machine
+AHEAD: Final = 4  # calls under way for each worker
 
 
 class Executor(ABC):
@@ -48,11 +55,44 @@ class Executor(ABC):
         self.shutdown()
 
 
-MOST_WORKERS: Final = 64  # processes on one machine
-
-
 def available_cores() -> int:
     """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+class ADSError(Exception):
+    """An ADS failed instead of returning an action.
+
+    Attributes:
+        kind: kind of the failure: "raised" (it raised an exception), "invalid" (its answer is not a valid action),
+            "exit" (it called `sys.exit`), "memory" (it ran out of memory), "hang" (it did not answer in time),
+            "crash" (its process died), or "differs" (highway-env did not confirm what the compiled engine found; see
+            `behavexplor.execution.confirmation`).
+        message: details of the failure.
+        place: where the ADS raised an exception, see `behavexplor.errors.place_of`. It is no part of a record.
+    """
+
+    def __init__(self, kind: str, message: str, place: str = "") -> None:
+        what = "highway-env did not confirm it" if kind == DIFFERS else f"the ADS failed ({kind})"
+        super().__init__(f"{what}: {message}{place}")
+        self.kind = kind
+        self.message = message
+        self.place = place
+
+
+def in_order(executor: Executor, calls: Iterable[tuple[str, bytes]], ahead: int) -> Iterator["Future[bytes]"]:
+    """Call functions of a service, and yield the finished calls in order.
+
+    Args:
+        executor: the executor.
+        calls: name of the function and its argument, for each call.
+        ahead: greatest number of calls that are under way behind the one that is waited for.
+    """
+    pending: deque[Future[bytes]] = deque()
+    for function, data in calls:
+        pending.append(executor.submit(function, data))
+        if len(pending) > ahead:
+            yield pending.popleft()
+    yield from pending

@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from typing import Any, Final, NamedTuple, Self
 
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 
 STARTED: Final = b""  # the supervisor's first message: it has written all that a process is started with
 

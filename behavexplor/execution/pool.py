@@ -20,9 +20,8 @@ from threading import Lock, Thread
 from typing import Any, Final
 
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.demand import AwaitedFuture, Demand
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, settle, split_key
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.shared_imports import CAN_SHARE, GUARD, share_imports

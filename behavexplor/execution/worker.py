@@ -18,8 +18,8 @@ from typing import Any, Final
 from threadpoolctl import threadpool_limits
 
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.asking import share_asking
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.shared_imports import collections_off

@@ -10,9 +10,8 @@ from behavexplor.campaign.provenance import ADS, JUDGED, Consent, agreed
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.start import check_loading, logical_of_target, start_executor
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import own_violations

@@ -14,9 +14,8 @@ from behavexplor.campaign.record import ERROR
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE
-from behavexplor.execution.executor import Executor
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.fault import collision_fault, is_at_fault
 from behavexplor.judge.specs import DIFFERS, Spec, Verdict, judge

@@ -2,22 +2,31 @@
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import yaml
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
 
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.campaigns import find_failures
-from behavexplor.campaign.run_names import stamped_folder
+from behavexplor.campaign.config import stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
-from behavexplor.data.durable import folder_in, new_file
+from behavexplor.data.durable import folder_in, new_file, write_durably
+from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
 
 BEST: Final = "best_model.zip"  # file in the callback's folder
 MOST_STEPS: Final = 10**12
+ENV: Final = "highway-fast-v0"
+STEPS: Final = 20_000
+_CONFIG: Final = {"lanes_count": 3, "vehicles_count": 20, "duration": 30}  # highway-env's own, said in the model's file
+_ENVS: Final = 32
+_SETTINGS: Final = {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "gamma": 0.9, "learning_rate": 1e-3}
 
 
 @dataclass(frozen=True)
@@ -169,3 +178,36 @@ class FuzzCallback(BaseCallback):
                 f"{found.steps} steps: {found.summary.failed} of {found.summary.executions} scenarios failed, "
                 f"{found.summary.at_fault} at fault, in {len(found.summary.classes)} classes"
             )
+
+
+def train_small_policy(folder: Path, observe: Callable[[int], None], steps: int = STEPS) -> Path:
+    """Train a small policy with PPO on highway-fast-v0.
+
+    Args:
+        folder: folder for the model and the file that describes it.
+        observe: function that gets the number of steps so far.
+        steps: number of training steps.
+
+    Returns:
+        The model's file.
+    """
+    compiled: Any = HighwayVecEnv
+    envs = make_vec_env(ENV, _ENVS, seed=0, env_kwargs={"config": _CONFIG}, vec_env_cls=compiled)
+    model = PPO("MlpPolicy", envs, seed=0, device="cpu", **_SETTINGS)  # type: ignore[arg-type]
+    model.learn(steps, callback=_Watch(observe))
+    envs.close()
+    path = folder / "model.zip"
+    with new_file(path) as file:
+        model.save(file)
+    write_durably(path.with_suffix(".yaml"), yaml.safe_dump({"env": ENV, "config": _CONFIG}))
+    return path
+
+
+class _Watch(BaseCallback):
+    def __init__(self, observe: Callable[[int], None]) -> None:
+        super().__init__()
+        self._observe = observe
+
+    def _on_step(self) -> bool:
+        self._observe(self.num_timesteps)
+        return True

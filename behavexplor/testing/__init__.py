@@ -13,11 +13,8 @@ which promise is broken::
 
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import opened_driver
-from behavexplor.testing.contract import ContractError
-from behavexplor.testing.driving_system import check_ads
-from behavexplor.testing.environment import check_env
+from behavexplor.testing.contracts import ContractError, check_ads, check_env, check_spec
 from behavexplor.testing.search_method import check_search_method
-from behavexplor.testing.spec import check_spec
 from behavexplor.testing.synthetic import synthetic_trace
 
 __all__ = [

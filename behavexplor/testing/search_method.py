@@ -15,7 +15,7 @@ from behavexplor.execution.simulation import logical_scenario
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
 from behavexplor.judge.specs import Verdict, judge
-from behavexplor.testing.contract import ContractError, promise
+from behavexplor.testing.contracts import ContractError, promise
 from behavexplor.testing.synthetic import synthetic_trace
 
 IN_FLIGHT: Final = (1, 8)  # tested numbers of candidates in flight

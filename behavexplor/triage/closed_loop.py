@@ -18,7 +18,7 @@ from behavexplor.data.drawn_scenario import DrawnScenario, config_text
 from behavexplor.data.trace import CRASHED, Trace
 from behavexplor.envs.making import make_recorded, make_vector_env
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout, rollout_all
 from behavexplor.triage.findings import OtherDriver
 

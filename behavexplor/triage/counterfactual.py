@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from behavexplor.ads.rule import Parameters, RulePlanner
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.data.array_types import Floats
-from behavexplor.data.decision_log import ENVIRONMENT, UNKNOWN, weakness_names
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import ENVIRONMENT, UNKNOWN, Trace, weakness_names
 from behavexplor.execution.rollout import rollout, rollout_all
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import R3, REQUIREMENTS, ViolationEvent, recent_decisions, violation_event

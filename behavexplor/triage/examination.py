@@ -10,8 +10,8 @@ import numpy as np
 from behavexplor.campaign.record import Record
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import Evaluator
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec, judge

@@ -15,9 +15,8 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import LOCK_STEP, recipe_for
-from behavexplor.execution.lookahead import AHEAD, in_order
+from behavexplor.execution.executor import AHEAD, ADSError, in_order
 from behavexplor.execution.rollout import LockStep
 from behavexplor.execution.start import logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs

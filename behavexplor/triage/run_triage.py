@@ -13,14 +13,11 @@ from behavexplor.ads.interface import ADS
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import ads_failure
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.decision_log import WEAKNESS_NAMES, weakness_names
 from behavexplor.data.durable import folder_in, write_durably
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import WEAKNESS_NAMES, Trace, weakness_names
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE, recipe_for
-from behavexplor.execution.executor import Executor
-from behavexplor.execution.lookahead import AHEAD, in_order
+from behavexplor.execution.executor import AHEAD, ADSError, Executor, in_order
 from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.triage.examination import EXAMINE, Examiner, examination
 from behavexplor.triage.findings import (

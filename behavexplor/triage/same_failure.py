@@ -10,7 +10,7 @@ from behavexplor.data.logical import Parts
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.classes import violation_class

@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 
 from behavexplor.data.conventions import STANDING_SPEED, wrapped
-from behavexplor.data.decision_log import ENVIRONMENT, weakness_names
-from behavexplor.data.trace import Trace
+from behavexplor.data.trace import ENVIRONMENT, Trace, weakness_names
 from behavexplor.judge.classes import LARGE
 from behavexplor.judge.events import R1, R3, ViolationEvent, recent, recent_decisions, violation_event
 from behavexplor.judge.fault import contact_fault

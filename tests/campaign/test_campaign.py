@@ -16,7 +16,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.fuzz.methods import METHODS
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.fault import contact_fault

@@ -16,8 +16,7 @@ import pytest
 from PIL import Image
 
 from behavexplor import commands
-from behavexplor.campaign.config import CampaignConfig, stored_config
-from behavexplor.campaign.run_names import run_folder
+from behavexplor.campaign.config import CampaignConfig, run_folder, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, INTERNAL_ERROR, main
 from behavexplor.errors import InputError

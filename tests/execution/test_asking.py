@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.asking import ask
+from behavexplor.execution.executor import ADSError
 
 SECOND_IS_UNUSED = np.array([True, False, True])
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from behavexplor.data.target import Target
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
 from behavexplor.judge.specs import DIFFERS

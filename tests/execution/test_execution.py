@@ -12,8 +12,8 @@ from behavexplor.data.trace import Trace
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.in_process import InProcessExecutor
 from behavexplor.execution.rollout import rollout
 from behavexplor.execution.simulation import Simulation

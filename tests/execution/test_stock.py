@@ -12,9 +12,9 @@ from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.evaluation import start_judge
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.confirmation import confirmed
 from behavexplor.execution.evaluator import EXECUTE, PREFLIGHT
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target, start_executor
 from behavexplor.judge.specs import DIFFERS

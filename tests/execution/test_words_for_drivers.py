@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.loading import FunctionDriver
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.simulation import Simulation
 

@@ -13,7 +13,7 @@ from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.logical import Size
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import SPECS
 from behavexplor.triage.blame import blame

@@ -1,5 +1,6 @@
 """The rule planner: prediction, decision, path, speed and control for a batch of egos."""
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
@@ -7,23 +8,209 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.ads.road.path import Path, ego_path
-from behavexplor.ads.rule.control import PERIOD
-from behavexplor.ads.rule.cycle import plan_once
-from behavexplor.ads.rule.option import Surroundings
+from behavexplor.ads.road.path import Path, ego_path, pose_on_path, project_on_path
+from behavexplor.ads.rule import lane_choice
+from behavexplor.ads.rule.control import PERIOD, LateralProfile, accelerate, change_profile, keep_profile, steer
+from behavexplor.ads.rule.decision import (
+    CREEP,
+    EMERGENCY,
+    STANDING,
+    YIELD,
+    creep,
+    decision_code,
+)
+from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph
 from behavexplor.ads.rule.speed_search import empty_nodes
-from behavexplor.ads.rule.station_time import empty_station_time
-from behavexplor.ads.rule.traffic import N_MEMORIES, N_OTHER_COLUMNS, as_records
+from behavexplor.ads.rule.station_time import INTERVAL, N_INTERVALS, empty_station_time
+from behavexplor.ads.rule.traffic import N_MEMORIES, N_OTHER_COLUMNS, Memory, as_records, locate
+from behavexplor.ads.rule.weaknesses import R1_4, R1_5, R1_6, R2_2, R3_2, R3_3, note
+from behavexplor.ads.rule.weaknesses import TRIGGERED as CHANGED
 from behavexplor.ads.scene_io import ACTION, OBSERVATION, as_memory, as_scenes, fill_action
 from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import RoadMap
-from behavexplor.data.scene import EGO, N_COLUMNS, PRESENT
-from behavexplor.jit import compiled_for, kernel
+from behavexplor.data.scene import EGO, HEADING, N_COLUMNS, PRESENT, SPEED, WIDTH, X, Y
+from behavexplor.data.scene import LENGTH as EGO_LENGTH
+from behavexplor.jit import compiled_for, kernel, kernel_inner
 
+HARD_LIMIT: Final = 8.0  # full braking [m/s2]
+SUDDEN_TIME: Final = 3.0  # time of weak braking after another vehicle's sudden change of speed (R1-4) [s]
+STRONGER: Final = 2.0  # additional acceleration of short lane changes at severity 1 (R2-2) [m/s2]
+SHARP_WAY: Final = 20.0  # distance from the start of a short lane change to usual steering and acceleration (R2-2) [m]
+STUCK: Final = 1.0  # time of standing in a lane change after which the ego decides anew [s]
+CREEP_ACCELERATION: Final = 1.2  # acceleration while creeping [m/s2]
 _LOGGED: Final = ("decision", "maneuver", "lane", "survived", "reached", "triggered")
 _STORED_NAMES: Final = MappingProxyType({"maneuver": "manoeuvre"})  # the key in stored traces
+
+
+@kernel_inner
+def plan_once(world: Surroundings, memory: Memory) -> None:
+    """Make one decision, and leave its commands in the memory."""
+    path, scene, bits = world.path, world.scene, world.room.bits
+    bits[:] = 0
+    station, offset = project_on_path(path, scene[EGO, X], scene[EGO, Y])
+    ego = lane_choice.EgoState(
+        station, offset, max(scene[EGO, SPEED], 0.0), scene[EGO, EGO_LENGTH] / 2, scene[EGO, WIDTH] / 2
+    )
+    locate(path, scene, world.others)
+    _remember(path, ego, memory)
+    option = plan_option(world, ego, _present_profile(path, memory), int(memory.lane), memory)
+    if memory.change_length > 0.0:
+        option = _abort_if_needed(world, ego, option, memory)
+    else:
+        option = _change_if_wanted(world, ego, option, memory)
+    _settle(world, ego, option, memory)
+    memory.reached, memory.triggered = bits[0], bits[1]
+
+
+@kernel_inner
+def _remember(path: Path, ego: lane_choice.EgoState, memory: Memory) -> None:
+    """Update the memory with the ego's motion since the last decision."""
+    if memory.started == 0.0:
+        memory.started = 1.0
+        memory.lane = memory.origin = round(ego.offset / path.lane_width)
+    memory.since += PERIOD
+    ended = ego.station >= memory.change_start + memory.change_length
+    if memory.stood > STUCK:  # it may stand in the target lane before the end of the change
+        ended = ended or abs(ego.offset - memory.lane * path.lane_width) < path.lane_width / 2
+    if memory.change_length > 0.0 and ended:
+        memory.change_length = memory.since = memory.ignores = 0.0
+        memory.maneuver = lane_choice.KEEP
+    if ego.station > memory.change_start + SHARP_WAY:
+        memory.sharp = 0.0
+    if memory.lane == 0.0 and memory.change_length == 0.0:
+        memory.overrun = memory.overtaking = 0.0
+    memory.stood = memory.stood + PERIOD if ego.speed < STANDING else 0.0
+    memory.waited = memory.waited + PERIOD if ego.speed < STANDING and memory.decision == YIELD else 0.0
+    memory.restarted = max(memory.restarted - PERIOD, 0.0)
+
+
+@kernel_inner
+def _present_profile(path: Path, memory: Memory) -> LateralProfile:
+    last = memory.lane * path.lane_width
+    if memory.change_length == 0.0:
+        return keep_profile(last)
+    return LateralProfile(memory.change_start, memory.change_length, memory.change_offset, memory.change_slope, last)
+
+
+@kernel_inner
+def _is_safe(option: Option) -> bool:
+    return option.plan.survived == N_INTERVALS and option.plan.risk == 0.0
+
+
+@kernel_inner
+def _change_if_wanted(world: Surroundings, ego: lane_choice.EgoState, present: Option, memory: Memory) -> Option:
+    """Begin a lane change if another lane is better and its gaps are accepted."""
+    path, others, p, bits = world.path, world.others, world.p, world.room.bits
+    lane = int(memory.lane)
+    option, begun = present, False
+    wrong = lane_choice.wrong_side(path, others, ego, memory, bits, p)
+    if wrong != lane:
+        option, begun = _try_change(world, ego, present, wrong, memory)
+    wanted = lane if begun else lane_choice.choose_lane(path, others, ego, memory, bits, p)
+    if bits[CHANGED] & R3_3:
+        memory.overrun = 1.0
+    if wanted != lane:
+        option, begun = _try_change(world, ego, present, wanted, memory)
+    return option
+
+
+@kernel_inner
+def _try_change(
+    world: Surroundings, ego: lane_choice.EgoState, present: Option, wanted: int, memory: Memory
+) -> tuple[Option, bool]:
+    """Return the change to a lane if it is safe, else the present option; and whether the change is begun."""
+    path, p, bits = world.path, world.p, world.room.bits
+    lane = int(memory.lane)
+    if not lane_choice.accepts_gap(path, world.others, ego, wanted, bits, p):
+        return present, False
+    length = lane_choice.change_length(ego.speed, p)
+    sharp = p.short_change > 0.0 and ego.speed < p.short_change_below
+    if sharp:
+        note(bits, R2_2, True)
+        length *= 1.0 - p.short_change
+    profile = change_profile(ego.station, ego.offset, _slope(world, ego), wanted * path.lane_width, length)
+    option = plan_option(world, ego, profile, wanted, memory)
+    if not _is_safe(option):
+        if not lane_choice.cuts_in(ego, p) or option.plan.survived < N_INTERVALS // 2:
+            return plan_option(world, ego, present.profile, lane, memory), False
+        note(bits, R1_5, True)
+    memory.maneuver, memory.origin = lane_choice.CHANGE, lane
+    if abs(wanted) > abs(lane):
+        memory.maneuver = lane_choice.OVERTAKE
+        memory.overtaking = 1.0
+        memory.overrun = 1.0 if bits[CHANGED] & R3_2 else 0.0
+    memory.sharp = 1.0 if sharp else 0.0
+    _adopt(profile, wanted, memory)
+    return option, True
+
+
+@kernel_inner
+def _abort_if_needed(world: Surroundings, ego: lane_choice.EgoState, present: Option, memory: Memory) -> Option:
+    """Return to the original lane if a vehicle comes close in the target lane, and returning is possible and helps.
+
+    It is possible while the ego's center is still in the original lane.
+    """
+    path, p, bits = world.path, world.p, world.room.bits
+    lane, origin = int(memory.lane), int(memory.origin)
+    inside = abs(ego.offset - origin * path.lane_width) < path.lane_width / 2
+    share = lane_choice.gap_share(path, world.others, ego, lane, p)
+    alarm = present.plan.survived * INTERVAL < p.abort_time
+    if memory.maneuver == lane_choice.ABORT or not inside or not (alarm or share < p.abort_share):
+        return present
+    if p.no_abort > 0.0:
+        goes_on = share >= (1.0 - p.no_abort) * p.abort_share
+        note(bits, R1_6, goes_on)
+        if goes_on:
+            memory.ignores = 1.0
+            return present
+    length = lane_choice.change_length(ego.speed, p)
+    profile = change_profile(ego.station, ego.offset, _slope(world, ego), origin * path.lane_width, length)
+    option = plan_option(world, ego, profile, origin, memory)
+    if option.plan.survived < present.plan.survived:
+        return plan_option(world, ego, present.profile, lane, memory)
+    memory.maneuver, memory.origin = lane_choice.ABORT, memory.lane
+    _adopt(profile, origin, memory)
+    return option
+
+
+@kernel_inner
+def _slope(world: Surroundings, ego: lane_choice.EgoState) -> float:
+    """Return the slope of the ego's motion relative to its route."""
+    _, _, along = pose_on_path(world.path, ego.station)
+    return math.tan(min(max(math.sin(world.scene[EGO, HEADING] - along), -0.5), 0.5))
+
+
+@kernel_inner
+def _adopt(profile: LateralProfile, lane: int, memory: Memory) -> None:
+    memory.lane = lane
+    memory.change_start, memory.change_length = profile.start, profile.length
+    memory.change_offset, memory.change_slope = profile.first, profile.slope
+
+
+@kernel_inner
+def _settle(world: Surroundings, ego: lane_choice.EgoState, option: Option, memory: Memory) -> None:
+    """Store the decision and its commands in the memory."""
+    path, p, bits, plan = world.path, world.p, world.room.bits, option.plan
+    memory.clear = memory.clear + PERIOD if option.crosses else 0.0
+    memory.decision = decision_code(path, plan, ego.station, ego.half_length, option.yields)
+    memory.survived = plan.survived * INTERVAL
+    acceleration = plan.acceleration
+    if creep(world.room, ego.station, option.limit, memory, bits, p) and memory.decision != EMERGENCY:
+        memory.creeps -= PERIOD
+        memory.decision = CREEP
+        acceleration = CREEP_ACCELERATION
+    if p.weak_braking > 0.0:
+        memory.weakened = SUDDEN_TIME if bits[CHANGED] & R1_4 else max(memory.weakened - PERIOD, 0.0)
+        if memory.weakened > 0.0:
+            acceleration = max(acceleration, p.weak_braking - HARD_LIMIT)
+    if memory.sharp == 1.0 and acceleration > 0.0:
+        note(bits, R2_2, True)
+        acceleration = p.comfortable_acceleration + STRONGER * p.short_change
+    at_once = memory.decision == EMERGENCY or acceleration < -p.firm_braking
+    memory.last_acceleration = accelerate(acceleration, memory.last_acceleration, ego.speed, at_once, p)
+    memory.last_steering = steer(path, option.profile, world.scene, ego.station, memory, bits, p)
 
 
 class RulePlanner:
@@ -89,7 +276,7 @@ class RulePlanner:
             Arrays of shape (B,): `decision`, the code of `behavexplor.ads.rule.decision`; `manoeuvre`, the code of
             `behavexplor.ads.rule.lane_choice`; `lane`, where 0 is the route's lane and 1 the next to the right;
             `survived`, the time for which the plan was free of contact [s]; `reached` and `triggered`, bits of the
-            weaknesses, see `behavexplor.data.decision_log.weakness_names`.
+            weaknesses, see `behavexplor.data.trace.weakness_names`.
         """
         memories = as_records(np.ascontiguousarray(state))
         return {_STORED_NAMES.get(name, name): memories[name] for name in _LOGGED}

@@ -88,6 +88,7 @@ _HELD_BACK = MappingProxyType(
         for i, (name, severity) in enumerate(APOLLO_LIKE.items())
     }
 )
+DEFAULT: Final = "apollo-easy"
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,6 @@ PROFILES = MappingProxyType(
         "apollo-easy": Profile(APOLLO_EASY, _NONE),
     }
 )
-DEFAULT: Final = "apollo-easy"
 
 
 def rule_planner(roadmap: RoadMap, variant: str = "") -> RulePlanner:

@@ -101,7 +101,7 @@ def empty_nodes() -> Nodes:
 def search(situation: Situation, station: float, speed: float, acceleration: float, nodes: Nodes) -> SpeedPlan:
     """Find the cheapest way to each (station, speed) stage by stage, and return the cheapest of the last stage.
 
-    The arguments are those of `behavexplor.ads.rule.speed.plan_speed`.
+    The arguments are those of `behavexplor.ads.rule.option.plan_speed`.
     """
     p, expected = situation.p, situation.expected
     if p.overspeed_cost < MOST_HURRY * p.delay_cost:  # then driving above the limit lowers the cost

@@ -5,7 +5,6 @@ import pytest
 
 from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule import Parameters, RulePlanner
-from behavexplor.ads.rule.cycle import SHARP_WAY, STUCK, _remember
 from behavexplor.ads.rule.decision import (
     CRUISE,
     EMERGENCY,
@@ -20,6 +19,7 @@ from behavexplor.ads.rule.decision import (
 )
 from behavexplor.ads.rule.lane_choice import ABORT, CHANGE, KEEP, EgoState
 from behavexplor.ads.rule.parameters import numbers
+from behavexplor.ads.rule.planner import SHARP_WAY, STUCK, _remember
 from behavexplor.ads.rule.speed_search import SpeedPlan
 from behavexplor.ads.rule.station_time import N_INTERVALS
 from behavexplor.ads.rule.traffic import as_records

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from behavexplor.ads.rule.motion import bearings, hidden_share
+from behavexplor.ads.rule.station_time import bearings, hidden_share
 from tests.ads.rule.world import scene
 from tests.kernel_calls import called_alone
 

@@ -12,8 +12,8 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, rule_planner
 from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES
-from behavexplor.data.decision_log import weakness_names
 from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.trace import weakness_names
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation

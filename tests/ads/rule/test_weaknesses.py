@@ -7,8 +7,8 @@ from behavexplor.ads.road.path import ego_path
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.control import change_profile, keep_profile, steer
 from behavexplor.ads.rule.lane_choice import EgoState, accepts_gap, choose_lane, gap_share, wrong_side
-from behavexplor.ads.rule.motion import false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.parameters import numbers
+from behavexplor.ads.rule.station_time import false_motion, true_motion, weaknesses_of_motion
 from behavexplor.ads.rule.traffic import locate
 from behavexplor.ads.rule.weaknesses import (
     R1_1,

@@ -9,8 +9,8 @@ from behavexplor.campaign.campaign import Campaign, ExecutionError, search_metho
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.errors import InputError
-from behavexplor.execution.ads_error import ADSError
 from behavexplor.execution.cluster.supervisor import LOSSES, ClusterError, ClusterExecutor
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.messages import ADS_FAILED, FAILED, RESULT
 from behavexplor.execution.simulation import logical_scenario

@@ -1,0 +1,211 @@
+"""Contracts of driving systems (`behavexplor.ads.interface.ADS`), environments and specs."""
+
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+
+from behavexplor.data.logical import LogicalScenario
+from behavexplor.data.scenario import Scenario, parse_scenario
+from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.trace import ENDS, Trace
+from behavexplor.envs.making import make_env
+from behavexplor.errors import InputError
+from behavexplor.execution.executor import ADSError
+from behavexplor.execution.preflight import preflight_warnings
+from behavexplor.execution.simulation import Simulation, logical_scenario
+from behavexplor.judge.robustness import as_spec, load_spec
+from behavexplor.judge.specs import judge
+from behavexplor.testing.synthetic import synthetic_trace
+
+ADS_SCENARIOS: Final = 4
+ENV_SCENARIOS: Final = 3
+MOST_STEPS: Final = 100_000  # in which every episode must have ended
+TRACES: Final = 20
+_ACTIONS: Final = 10  # random actions in an executed episode; the last one lasts to its end
+
+
+class ContractError(AssertionError):
+    """An implementation breaks a promise of its interface; the message says which one, and how."""
+
+
+def promise(kept: object, sentence: str) -> None:
+    """Raise a `ContractError` unless a promise is kept.
+
+    Args:
+        kept: whether the promise is kept.
+        sentence: what is wrong, and what the interface asks for.
+    """
+    if not kept:
+        raise ContractError(sentence)
+
+
+def check_ads(ads: Any, *, env: str = "intersection-straight", scenarios: int = ADS_SCENARIOS) -> list[str]:
+    """Check that a driving system keeps the promises of `behavexplor.ads.interface.ADS`.
+
+    Args:
+        ads: the driving system, or its name as for `--ads`.
+        env: the environment in which it drives.
+        scenarios: number of scenarios that it drives, at least 2.
+
+    Returns:
+        Warnings, a sentence each: the system always answers the same, or never moves.
+
+    Raises:
+        ContractError: if a promise is broken.
+        InputError: if there is no such system or environment, or they do not fit each other.
+    """
+    simulation = Simulation(env, ads)
+    try:
+        generator = np.random.default_rng(0)
+        chosen = [simulation.logical.sample(generator) for _ in range(max(scenarios, 2))]
+        alone = [_driven(simulation, scenario) for scenario in chosen]
+        again = [_driven(simulation, scenario) for scenario in reversed(chosen)]
+        promise(
+            alone == again[::-1],
+            "The same scenario gave another trace when it was driven again after other scenarios: decide "
+            "deterministically, and keep nothing from one episode to the next",
+        )
+        if getattr(simulation.ads, "vectorized", False):
+            together = dict(simulation.run_all(chosen, len(chosen)))
+            promise(
+                [together[i].to_bytes() for i in range(len(chosen))] == alone,
+                "`vectorized` is true, but an episode in a batch is not the episode alone: decide each row from "
+                "its own observation and state",
+            )
+        return preflight_warnings(simulation)
+    finally:
+        simulation.close()
+
+
+def _driven(simulation: Simulation, scenario: Scenario) -> bytes:
+    try:
+        return simulation.run(scenario).to_bytes()
+    except ADSError as error:
+        raise ContractError(f"In a valid scenario {error}") from error
+
+
+def check_env(env: str, *, scenarios: int = ENV_SCENARIOS) -> None:
+    """Check that an environment executes concrete scenarios as a campaign asks it to.
+
+    `gymnasium.utils.env_checker.check_env` checks the rest of an environment.
+
+    Args:
+        env: a functional scenario, or a gymnasium id.
+        scenarios: number of scenarios that are executed.
+
+    Raises:
+        ContractError: if a promise is broken.
+        InputError: if there is no such environment, or it has no `logical`.
+    """
+    logical = logical_scenario(env)
+    made = make_env(env, {})
+    made.action_space.seed(0)
+    generator = np.random.default_rng(0)
+    try:
+        for _ in range(scenarios):
+            scenario = _sampled(logical, generator)
+            actions = [made.action_space.sample() for _ in range(10)]
+            first, again = (executed(made, scenario, actions) for _ in range(2))
+            promise(
+                first.to_bytes() == again.to_bytes(),
+                "The same scenario and actions gave another trace: nothing but the scenario may decide an episode",
+            )
+            _check_trace(first, scenario)
+        _, info = made.reset(seed=0)
+        promise("scenario" in info, 'reset without options must sample a scenario and return it as info["scenario"]')
+    finally:
+        made.close()
+
+
+def _sampled(logical: LogicalScenario, generator: np.random.Generator) -> Scenario:
+    scenario = logical.sample(generator)
+    try:
+        logical.check(scenario)
+    except InputError as error:
+        raise ContractError(f"`logical` sampled a scenario that it refuses: {error}") from error
+    promise(parse_scenario(scenario.to_json()) == scenario, "A scenario must be the same after to_json and from_json")
+    return scenario
+
+
+def executed(env: gymnasium.Env[Any, Any], scenario: Scenario, actions: list[Any]) -> Trace:
+    """Run a scenario to its end, with the last action again and again after the others, and return the trace.
+
+    Raises:
+        ContractError: if the environment breaks a promise.
+    """
+    _, info = env.reset(options={"scenario": scenario})
+    promise(info.get("scenario") == scenario, 'reset must return the scenario that runs as info["scenario"]')
+    for step in range(MOST_STEPS):
+        _, _, terminated, truncated, info = env.step(actions[min(step, len(actions) - 1)])
+        if terminated or truncated:
+            break
+    else:
+        raise ContractError(f"The episode has not ended after {MOST_STEPS} steps")
+    promise(isinstance(info.get("trace"), Trace), 'The last step must return the trace as info["trace"]')
+    trace: Trace = info["trace"]
+    return trace
+
+
+def _check_trace(trace: Trace, scenario: Scenario) -> None:
+    promise(
+        not isinstance(scenario, ScriptedScenario) or len(trace.size) == 1 + len(scenario.npcs),
+        f"The trace has {len(trace.size) - 1} vehicles beside the ego, which is not the scenario's number of NPCs",
+    )
+    promise(trace.end in ENDS, f"The trace ended with {trace.end!r}, which is none of {', '.join(ENDS)}")
+    promise(Trace.from_bytes(trace.to_bytes()).to_bytes() == trace.to_bytes(), "The trace must survive to_bytes")
+
+
+def check_spec(spec: Any, *, env: str = "intersection-straight", traces: int = TRACES) -> None:
+    """Check that a spec gives a number for every trace, and the same number each time.
+
+    Args:
+        spec: a callable on a trace, or its name as for `--spec`.
+        env: the environment whose scenarios give the traces. In an environment of highway-env, the traces are those of
+            episodes with random actions, so they take some time.
+        traces: number of traces, at least 1. In addition, the spec is called on a trace without NPCs, and on one of a
+            single frame, as an ADS leaves it that fails in its first decision.
+
+    Raises:
+        ContractError: if a promise is broken.
+        InputError: if there is no such spec or environment.
+    """
+    made = load_spec(spec) if isinstance(spec, str) else as_spec(spec)
+    for trace in _traces(env, max(traces, 1)):
+        _check(made, trace, "a trace")
+    _check(made, _alone(trace), "a trace without NPCs")
+    _check(made, trace.until(1, "error"), "a trace of a single frame")
+
+
+def _traces(env: str, count: int) -> Iterator[Trace]:
+    logical = logical_scenario(env)
+    generator = np.random.default_rng(0)
+    if isinstance(logical, ScriptedLogicalScenario):
+        yield from (synthetic_trace(logical.sample(generator), logical) for _ in range(count))
+        return
+    with closing(make_env(env, {})) as made:
+        made.action_space.seed(0)
+        for _ in range(count):
+            actions = [made.action_space.sample() for _ in range(_ACTIONS)]
+            yield executed(made, logical.sample(generator), actions)
+
+
+def _alone(trace: Trace) -> Trace:
+    """Return a trace as if the ego had driven alone."""
+    motion = {name: getattr(trace, name)[:, :1] for name in ("position", "heading", "velocity")}
+    return replace(trace, **motion, size=trace.size[:1], present=trace.present[:, :1], partner=-1)
+
+
+def _check(spec: Any, trace: Trace, what: str) -> None:
+    try:
+        first, again = (judge(trace, [spec]) for _ in range(2))
+    except InputError as error:
+        raise ContractError(f"On {what}: {error}") from error
+    promise(
+        dict(first.degrees) == dict(again.degrees) and first.violated == again.violated,
+        f"{spec.name} gave another robustness when it was called on {what} again",
+    )
