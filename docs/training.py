@@ -48,13 +48,7 @@ def trained(seconds: float, method: str) -> tuple[FuzzCallback, dict[str, Any]]:
     envs = make_vec_env(ENV, 64, seed=SEED, vec_env_cls=HighwayVecEnv)
     seen = make_vec_env(ENV, 20, seed=SEED + 1, vec_env_cls=HighwayVecEnv)
     fuzzing = FuzzCallback(
-        every=20_000,
-        budget=100,
-        share=STATED_SHARE,
-        method=method,
-        confirm=False,
-        out=str(OUT / "fuzzing"),
-        verbose=1,
+        every=20_000, budget=100, share=STATED_SHARE, method=method, confirm=False, out=str(OUT / "fuzzing"), verbose=1
     )
     returns = EvalCallback(
         seen, n_eval_episodes=100, eval_freq=20_000 // 64, best_model_save_path=str(OUT), log_path=str(OUT), verbose=0

@@ -96,11 +96,7 @@ def test_what_is_suspicious_in_a_policys_file_is_printed_before_anything_else(co
         ((15, 7), gymnasium.spaces.Discrete(3), "highway-env's intersection-v0"),
         ((5, 8), gymnasium.spaces.Box(-1, 1, (2,)), "highway-env's intersection-v1"),
         ((5, 5), gymnasium.spaces.Discrete(5), "highway-env's highway-v0"),
-        (
-            (9, 7),
-            gymnasium.spaces.Discrete(5),
-            "vehicles_count: 9, features: [presence, x, y, vx, vy, cos_h, sin_h]",
-        ),
+        ((9, 7), gymnasium.spaces.Discrete(5), "vehicles_count: 9, features: [presence, x, y, vx, vy, cos_h, sin_h]"),
         ((4, 4, 4, 4), gymnasium.spaces.Discrete(17), "Give highway-env's `observation` and `action` configuration"),
     ],
 )

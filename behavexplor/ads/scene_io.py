@@ -20,11 +20,7 @@ RESOLUTION: Final = 1e-9  # step to which observations are rounded: last bits of
 
 OBSERVATION: Final[Mapping[str, Any]] = MappingProxyType({"type": "Scene"})  # see `behavexplor.data.scene`
 ACTION: Final[Mapping[str, Any]] = MappingProxyType(
-    {
-        "type": "ContinuousAction",
-        "acceleration_range": list(ACCELERATION_RANGE),
-        "steering_range": list(STEERING_RANGE),
-    }
+    {"type": "ContinuousAction", "acceleration_range": list(ACCELERATION_RANGE), "steering_range": list(STEERING_RANGE)}
 )
 
 

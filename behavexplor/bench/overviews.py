@@ -90,11 +90,7 @@ def _range(counts: set[int]) -> str:
 
 
 def _effects(
-    name: str,
-    title: str,
-    pairs: Sequence[tuple[str, str]],
-    experiment: Experiment,
-    summaries: Sequence[Summary],
+    name: str, title: str, pairs: Sequence[tuple[str, str]], experiment: Experiment, summaries: Sequence[Summary]
 ) -> Table:
     """Return the table of the effect sizes of a family of comparisons with one method."""
     figures = compared_figures(summaries)

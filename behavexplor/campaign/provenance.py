@@ -153,11 +153,7 @@ def agreed(claim: Claim, consent: Consent = Consent(), runs: Collection[str] = A
     return Permission(digests=tuple(digests))
 
 
-def accepted(
-    stored: StoredConfig,
-    consent: Consent = Consent(),
-    runs: Collection[str] = ALL,
-) -> AcceptedConfig:
+def accepted(stored: StoredConfig, consent: Consent = Consent(), runs: Collection[str] = ALL) -> AcceptedConfig:
     """Return the configuration of a run folder, by which something may be executed.
 
     What the folder says of trust and confinement counts only if this machine has made it, or if the user trusts it.

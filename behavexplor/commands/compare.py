@@ -138,11 +138,7 @@ def table(pairs: Sequence[Pairs], env: str, first: str, second: str) -> str:
     for cells in rows(pairs):
         made.add_row(*cells)
     fault = next(row for row in pairs if row.outcome == AT_FAULT)
-    lines = [
-        f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:",
-        plain_text(made),
-        LEGEND,
-    ]
+    lines = [f"{fault.n} scenarios of {env}, the same for both; A is {first}, B is {second}:", plain_text(made), LEGEND]
     for name, numbers in (("Fixed", fault.only_first), ("Broken", fault.only_second)):
         lines += [f"{name} failures at fault: executions {_listed(numbers)}"] if numbers else []
     return "\n".join(lines)

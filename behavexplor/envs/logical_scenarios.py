@@ -196,10 +196,7 @@ INTERSECTION_STRAIGHT: Final = ScriptedLogicalScenario(
     waypoints_per_lane=2,
 )
 INTERSECTION_LEFT: Final = ScriptedLogicalScenario(
-    name="intersection-left",
-    roadmap=crossing("left", ego_start=10.0, destination=60.0),
-    n_npcs=5,
-    waypoints_per_lane=2,
+    name="intersection-left", roadmap=crossing("left", ego_start=10.0, destination=60.0), n_npcs=5, waypoints_per_lane=2
 )
 LANE_FOLLOW: Final = ScriptedLogicalScenario(
     name="lane-follow",

@@ -161,11 +161,7 @@ def _simulator_lane(lane: Lane, roadmap: RoadMap) -> AbstractLane:
     """Return highway-env's lane. It draws dividing lines; the viewer draws double yellow lines and curbs."""
     group = [other for other in roadmap.lanes if (other.origin, other.target) == (lane.origin, lane.target)]
     dividing = LineType.STRIPED if lane is not group[-1] and not lane.junction else LineType.NONE
-    style = {
-        "width": lane.width,
-        "line_types": (LineType.NONE, dividing),
-        "speed_limit": roadmap.speed_limit,
-    }
+    style = {"width": lane.width, "line_types": (LineType.NONE, dividing), "speed_limit": roadmap.speed_limit}
     if lane.curvature == 0.0:
         return _Straight(lane.pose(0.0)[:2], lane.pose(lane.length)[:2], **style)
     side = math.copysign(math.pi / 2, lane.curvature)

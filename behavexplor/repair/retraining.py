@@ -23,14 +23,7 @@ from behavexplor.data.untrusted import read_file
 from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.finding import found_failures, search_config
-from behavexplor.repair.retraining_rounds import (
-    ROUNDS,
-    RetrainingConfig,
-    Round,
-    append_round,
-    best,
-    finished_rounds,
-)
+from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
 from behavexplor.repair.scenario_pool import Pool, PoolWatch, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
 from behavexplor.training import Learned, log_folder, log_formats, restore_model, save_model

@@ -137,10 +137,7 @@ def _table(table: Table) -> dict[str, object]:
     best = marked(table)
     last = set(np.cumsum(table.blocks).tolist())
     rows = [
-        {
-            "cells": [(shown(row[i], table.columns[i]), (number, i) in best) for i in columns],
-            "ends": number + 1 in last,
-        }
+        {"cells": [(shown(row[i], table.columns[i]), (number, i) in best) for i in columns], "ends": number + 1 in last}
         for number, row in enumerate(table.rows)
     ]
     heads = [table.columns[i].name for i in columns]

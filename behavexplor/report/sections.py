@@ -178,10 +178,7 @@ def section(number: int, run: Run, limit: int) -> Section:
         places=_places(run, found, records),
         has_road=shape is not None,
         left_out=len(traces) < len(wanted) or shown != list(gallery),
-        values={
-            "road": road_values(shape, next(iter(traces.values()))),
-            "replays": replays,
-        },
+        values={"road": road_values(shape, next(iter(traces.values()))), "replays": replays},
     )
 
 

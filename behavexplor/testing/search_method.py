@@ -35,11 +35,7 @@ class _Told:
 
 
 def check_search_method(
-    method: str | type[SearchMethod],
-    options: Any = None,
-    *,
-    env: str = "intersection-straight",
-    executions: int = 60,
+    method: str | type[SearchMethod], options: Any = None, *, env: str = "intersection-straight", executions: int = 60
 ) -> None:
     """Check that a search method keeps the promises of `behavexplor.fuzz.search.SearchMethod`.
 

@@ -171,10 +171,7 @@ def agreement(true: Sequence[str], given: Sequence[str]) -> Agreement:
     Raises:
         InputError: if there are no labels, or the sequences differ in length.
     """
-    from sklearn.metrics import (  # noqa: PLC0415 - slow to import
-        adjusted_rand_score,
-        precision_recall_fscore_support,
-    )
+    from sklearn.metrics import adjusted_rand_score, precision_recall_fscore_support  # noqa: PLC0415 - slow to import
 
     if not true or len(true) != len(given):
         raise InputError(f"Labels are compared one by one, so {len(true)} and {len(given)} labels do not match")

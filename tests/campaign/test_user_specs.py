@@ -199,10 +199,7 @@ def test_the_tables_of_an_experiment_have_a_column_for_it(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        (
-            "raising",
-            "The spec 'raising' (own_specs:raising) raised ZeroDivisionError: division by zero (own_specs.py",
-        ),
+        ("raising", "The spec 'raising' (own_specs:raising) raised ZeroDivisionError: division by zero (own_specs.py"),
         ("vague", "The spec 'vague' (own_specs:vague) returned nan: it must return a number"),
         ("wordy", "returned 'far away': it must return a number, negative if the trace violates the requirement"),
         ("Taken", "cannot be named 'collision'"),

@@ -233,10 +233,7 @@ def test_the_files_beside_a_policy_bring_none(command, theirs, capsys):
 def test_traffic_that_the_files_beside_a_policy_name_is_not_loaded(theirs, capsys):
     make_model("PPO").save(theirs / "model")
     (theirs / "model.yaml").write_text("env: highway-fast-v0\nconfig: {other_vehicles_type: evil.Vehicle}\n")
-    for arguments in (
-        ["evaluate", "--workers", "1", "--ads", "model.zip"],
-        ["retrain", "model.zip"],
-    ):
+    for arguments in (["evaluate", "--workers", "1", "--ads", "model.zip"], ["retrain", "model.zip"]):
         assert main(arguments) == BAD_INPUT
         assert "evil.Vehicle for the traffic, which was not loaded" in capsys.readouterr().err
     assert not (theirs / "canary").exists()

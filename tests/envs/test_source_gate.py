@@ -30,14 +30,7 @@ from behavexplor.envs.engine.vehicle_parameters import TRAFFIC
 from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from behavexplor.envs.making import make_env, make_vector_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
-from behavexplor.envs.source_gate import (
-    MODULES,
-    ChangeGuard,
-    changes,
-    ported_sources,
-    replaced,
-    replaced_in,
-)
+from behavexplor.envs.source_gate import MODULES, ChangeGuard, changes, ported_sources, replaced, replaced_in
 from behavexplor.errors import InputError
 from tests.envs.patches import MOMENTS, classes_of_engines, in_child, other, patches
 

@@ -25,14 +25,7 @@ from behavexplor.envs.road_objects import MetaEgoVehicle, place_ego, road_networ
 from behavexplor.envs.tasks import scripted_slots as slots
 from behavexplor.envs.tasks import scripted_step as step
 from behavexplor.envs.tasks.scripted_outcome import POSE
-from behavexplor.envs.tasks.scripted_slots import (
-    RUN,
-    RUNNING,
-    begin_episodes,
-    make_slots,
-    move_npcs,
-    npc_arrays,
-)
+from behavexplor.envs.tasks.scripted_slots import RUN, RUNNING, begin_episodes, make_slots, move_npcs, npc_arrays
 from behavexplor.envs.tasks.scripted_world import make_world
 from tests.kernel_calls import called_alone
 

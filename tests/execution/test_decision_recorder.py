@@ -72,10 +72,7 @@ def test_without_a_log_the_trace_is_the_same():
     ("states", "message"),
     [
         (({"a": np.zeros(2)}, {"b": np.zeros(2)}), r"the same names at every decision: first \['a'\], now \['b'\]$"),
-        (
-            ({"a": np.zeros(2)}, {"a": np.zeros((2, 1))}),
-            r"of shape \(2,\) as 'a', got float64 of shape \(2, 1\)$",
-        ),
+        (({"a": np.zeros(2)}, {"a": np.zeros((2, 1))}), r"of shape \(2,\) as 'a', got float64 of shape \(2, 1\)$"),
         (({"a": np.zeros(3)},), r"numbers of shape \(2,\) as 'a', got float64 of shape \(3,\)$"),
         (({"a": 5.0},), r"numbers of shape \(2,\) as 'a', got float64 of shape \(\)$"),
         (({"a": ["left", "right"]},), r"numbers of shape \(2,\) as 'a', got <U5 of shape \(2,\)$"),

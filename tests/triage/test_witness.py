@@ -10,16 +10,7 @@ from behavexplor.judge.events import violation_event
 from behavexplor.judge.specs import judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.evasion import Evasion, path_straight_on, recorded_commands
-from behavexplor.triage.witness import (
-    CAREFUL,
-    SAMPLES,
-    SURVIVED,
-    Witness,
-    alarm_time,
-    avoids,
-    drive,
-    replay_witness,
-)
+from behavexplor.triage.witness import CAREFUL, SAMPLES, SURVIVED, Witness, alarm_time, avoids, drive, replay_witness
 from tests.triage.scenes import boxed_in, cut_off, rear_ended, slow_leader, struck_standing
 
 

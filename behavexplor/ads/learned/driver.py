@@ -195,11 +195,7 @@ class LearnedDriver:
         return {"wanted_offset": state[:, choosing.WANTED]}
 
     def _drive(
-        self,
-        observation: Floats,
-        state: Floats | None,
-        episode_start: NDArray[np.bool_] | None,
-        shares: Floats | None,
+        self, observation: Floats, state: Floats | None, episode_start: NDArray[np.bool_] | None, shares: Floats | None
     ) -> tuple[Floats, Floats]:
         """Return the actions, shape (B, 2), and the memory. The action of an absent ego is 0.
 

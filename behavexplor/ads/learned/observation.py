@@ -3,13 +3,7 @@
 import math
 from typing import Final
 
-from behavexplor.ads.learned.route_table import (
-    END,
-    IN,
-    OUT,
-    START,
-    Course,
-)
+from behavexplor.ads.learned.route_table import END, IN, OUT, START, Course
 from behavexplor.ads.road.lane_arrays import CURVATURE as LANE_CURVATURE
 from behavexplor.ads.road.lane_arrays import HEADING as LANE_HEADING
 from behavexplor.ads.road.lane_arrays import LENGTH as LANE_LENGTH

@@ -57,9 +57,7 @@ class Path(NamedTuple):
 
 
 def ego_path(
-    roadmap: RoadMap,
-    lateral_acceleration: float = LATERAL_ACCELERATION,
-    approach_braking: float = APPROACH_BRAKING,
+    roadmap: RoadMap, lateral_acceleration: float = LATERAL_ACCELERATION, approach_braking: float = APPROACH_BRAKING
 ) -> Path:
     """Make the ego's path from its route and the lanes beside it.
 

@@ -6,11 +6,7 @@ from typing import Final, NamedTuple
 from behavexplor.ads.road.path import Path, limit_at
 from behavexplor.ads.rule import decision
 from behavexplor.ads.rule.control import PERIOD, LateralProfile
-from behavexplor.ads.rule.lane_choice import (
-    EgoState,
-    cuts_in,
-    lane_wall,
-)
+from behavexplor.ads.rule.lane_choice import EgoState, cuts_in, lane_wall
 from behavexplor.ads.rule.parameters import Numbers
 from behavexplor.ads.rule.prediction import LaneGraph
 from behavexplor.ads.rule.speed_motions import ACCELERATIONS, Situation, moved, stops_inside

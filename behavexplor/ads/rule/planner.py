@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.road.path import Path, ego_path, pose_on_path, project_on_path
 from behavexplor.ads.rule import lane_choice
 from behavexplor.ads.rule.control import PERIOD, LateralProfile, accelerate, change_profile, keep_profile, steer
-from behavexplor.ads.rule.decision import (
-    CREEP,
-    EMERGENCY,
-    STANDING,
-    YIELD,
-    creep,
-    decision_code,
-)
+from behavexplor.ads.rule.decision import CREEP, EMERGENCY, STANDING, YIELD, creep, decision_code
 from behavexplor.ads.rule.option import Option, Surroundings, plan_option
 from behavexplor.ads.rule.parameters import Numbers, Parameters, numbers
 from behavexplor.ads.rule.prediction import LaneGraph, lane_graph

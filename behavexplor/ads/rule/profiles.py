@@ -71,16 +71,7 @@ APOLLO_EASY = MappingProxyType(
     }
 )
 _MOST: Final = MappingProxyType(  # greatest severities of the weaknesses whose severity is a share
-    {
-        "R1-1": 1.0,
-        "R1-5": 1.0,
-        "R1-6": 1.0,
-        "R1-7": 1.0,
-        "R2-1": 1.0,
-        "R2-2": 0.9,
-        "R3-2": 1.0,
-        "R3-3": 1.0,
-    }
+    {"R1-1": 1.0, "R1-5": 1.0, "R1-6": 1.0, "R1-7": 1.0, "R2-1": 1.0, "R2-2": 0.9, "R3-2": 1.0, "R3-3": 1.0}
 )
 _HELD_BACK = MappingProxyType(
     {

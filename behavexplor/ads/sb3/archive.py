@@ -23,15 +23,7 @@ MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large fi
 LARGE: Final = 10_000_000
 
 DATA, WEIGHTS, OPTIMIZER = "data", "policy.pth", "policy.optimizer.pth"
-SETTINGS = (
-    "policy_class",
-    "policy_kwargs",
-    "observation_space",
-    "action_space",
-    "use_sde",
-    "_last_obs",
-    "train_freq",
-)
+SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs", "train_freq")
 
 # Names that pickles in a saved model ordinarily contain.
 _ORDINARY: Final = re.compile(

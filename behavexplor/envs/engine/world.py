@@ -92,9 +92,7 @@ def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _
     _check_road(env)
     return World(
         network=make_network(
-            env.road.network,
-            connected_lanes=config["neighbour_vehicles_connected_lanes"],
-            is_goal=is_goal,
+            env.road.network, connected_lanes=config["neighbour_vehicles_connected_lanes"], is_goal=is_goal
         ),
         rules=_make_rules(env),
         speeds=_target_speeds(env),

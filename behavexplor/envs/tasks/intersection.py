@@ -64,11 +64,7 @@ KIND = TaskKind(
     start_numbers=_gaps,
     put_starts=_put_starts,
     keys=MappingProxyType(
-        {
-            "destination": optional(one_of(_DESTINATIONS)),
-            "initial_vehicle_count": COUNT,
-            "spawn_probability": NUMBER,
-        }
+        {"destination": optional(one_of(_DESTINATIONS)), "initial_vehicle_count": COUNT, "spawn_probability": NUMBER}
     ),
 )
 

@@ -23,10 +23,7 @@ pose_on_path = called_alone(pose_on_path)
 steer = called_alone(steer)
 
 AT_ONCE = Parameters(steering_rate=1e3)  # no limit of the change
-PATHS = {
-    "road": ego_path(straight_road(2, 2, 10, 230)),
-    "turn": ego_path(crossing("left", 10, 60)),
-}
+PATHS = {"road": ego_path(straight_road(2, 2, 10, 230)), "turn": ego_path(crossing("left", 10, 60))}
 
 
 def command(path, profile, pose, speed, station, parameters=AT_ONCE, last=0.0):

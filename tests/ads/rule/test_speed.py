@@ -64,10 +64,7 @@ def test_on_a_free_road_it_drives_towards_the_limit(path, station, speed):
 
 
 def test_it_stops_before_one_who_stands_and_before_a_wall_and_does_not_give_up_room_for_ever():
-    for world, line in (
-        (situation((0, N_INTERVALS - 1, 80.0, 90.0, LEADS, 0.0)), 80.0),
-        (situation(wall=80.0), 80.0),
-    ):
+    for world, line in ((situation((0, N_INTERVALS - 1, 80.0, 90.0, LEADS, 0.0)), 80.0), (situation(wall=80.0), 80.0)):
         driven = drive(lambda _, world=world: world, 30.0, 10.0)
         assert driven[-1, 1] < 0.05
         assert line - 6.0 < driven[-1, 0] <= line
