@@ -1,0 +1,134 @@
+"""Measures of the package's structure, and their limits. `python -m tests.house` prints them.
+
+Lines of code are neither blank nor comments nor docstrings. `__init__` and `__main__` do not count as modules.
+"""
+
+import ast
+import sys
+import tempfile
+import warnings
+from collections import defaultdict
+from pathlib import Path
+
+import behavexplor
+
+ROOT = Path(behavexplor.__file__).parent
+LIMITS = {  # with room for what is to come
+    "modules": 330,
+    "lines": 51_000,
+    "import lines, % of code": 13.5,
+    "modules with one importer, %": 25,
+    "modules under 40 lines of code, %": 17,
+    "lines of code of the longest function": 50,
+    "modules that define Floats": 1,
+    "class names that stand twice": 8,
+    "files that one candidate runs through": 50,
+}
+
+
+class Module:
+    """A module's source, with the numbers of its lines of code."""
+
+    def __init__(self, path):
+        self.path, self.name = path, ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
+        source = path.read_text(encoding="utf-8")
+        self.n_lines, self.tree = len(source.splitlines()), ast.parse(source)
+        numbered = enumerate(source.splitlines(), 1)
+        self.code = {i for i, line in numbered if line.strip() and not line.strip().startswith("#")}
+        for node in ast.walk(self.tree):
+            body = getattr(node, "body", None)
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and body and is_text(body[0]):
+                self.code -= lines_of(body[0])
+        self.counts = path.name not in ("__init__.py", "__main__.py")
+        self.functions = [node for node in ast.walk(self.tree) if isinstance(node, ast.FunctionDef)]
+        self.imports = [node for node in ast.walk(self.tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+    def imported(self):
+        """The names of the modules that it may import."""
+        names = {alias.name for node in self.imports if isinstance(node, ast.Import) for alias in node.names}
+        origins = [node for node in self.imports if isinstance(node, ast.ImportFrom)]
+        return names | {
+            one for node in origins for one in (node.module, *(f"{node.module}.{a.name}" for a in node.names))
+        }
+
+
+def is_text(node):
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+
+def lines_of(node):
+    return set(range(node.lineno, node.end_lineno + 1))
+
+
+def measures():
+    """Each measure with what counts for it: a number, and the places."""
+    everything = [Module(path) for path in sorted(ROOT.rglob("*.py"))]
+    modules = [one for one in everything if one.counts]
+    importers = defaultdict(set)
+    for one in everything:
+        for name in one.imported() - {one.name}:
+            importers[name].add(one.name)
+    alone = [one.name for one in modules if len(importers[one.name]) == 1]
+    small = [one.name for one in modules if len(one.code) < 40]
+    code = sum(len(one.code) for one in everything)
+    imports = sum(len(one.code & lines_of(node)) for one in everything for node in one.imports)
+    longest = max(
+        (len(one.code & lines_of(node)), f"{one.name}.{node.name}") for one in everything for node in one.functions
+    )
+    floats = [one.name for one in everything if any("Floats" in stored(node) for node in one.tree.body)]
+    twice = names_that_stand_twice(everything)
+    path = files_of_a_candidate()
+    return {
+        "modules": (len(modules), []),
+        "lines": (sum(one.n_lines for one in everything), []),
+        "import lines, % of code": (100 * imports / code, []),
+        "modules with one importer, %": (100 * len(alone) / len(modules), alone),
+        "modules under 40 lines of code, %": (100 * len(small) / len(modules), small),
+        "lines of code of the longest function": (longest[0], [longest[1]]),
+        "modules that define Floats": (len(floats), floats),
+        "class names that stand twice": (len(twice), twice),
+        "files that one candidate runs through": (len(path), path),
+    }
+
+
+def stored(node):
+    return {name.id for name in ast.walk(node) if isinstance(name, ast.Name) and isinstance(name.ctx, ast.Store)}
+
+
+def names_that_stand_twice(everything):
+    places = defaultdict(list)
+    for one in everything:
+        for node in one.tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(one.name)
+    return sorted(name for name, modules in places.items() if len(modules) > 1)
+
+
+def files_of_a_candidate():
+    """The files of the package that run from one report of progress to the next, kernels left out."""
+    seen, reports = set(), []
+
+    def note(frame, *_):
+        seen.add(frame.f_code.co_filename)
+
+    def between(progress):
+        sys.setprofile(None if reports else note)
+        reports.append(progress.executions)
+
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that the driver is constant
+        run = Path(folder) / "run"
+        behavexplor.find_failures("constant", "intersection-straight", budget=20, out=run, progress=between)
+    sys.setprofile(None)
+    assert len(reports) == 2
+    return sorted(str(Path(name).relative_to(ROOT)) for name in seen if name.startswith(f"{ROOT}/"))
+
+
+def table(found):
+    lines = [f"{'':<42}{'now':>8}{'limit':>8}"]
+    lines += [f"{name:<42}{round(value, 1):>8}{LIMITS[name]:>8}" for name, (value, _) in found.items()]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table(measures()) + "\n")
