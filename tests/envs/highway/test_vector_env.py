@@ -10,7 +10,6 @@ import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from highway_env.envs import HighwayEnvFast, IntersectionEnv, MergeEnv, ParkingEnv, TwoWayEnv
-from highway_env.envs.merge_env import MergeGenericEnv
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 from hypothesis import given, settings
@@ -29,7 +28,7 @@ from tests.envs.highway.side_by_side import IDS, assert_equal, compare, compare_
 
 MODES = ("NextStep", "SameStep")
 SHORT = {"highway-v0": 3}  # decisions, which take ten times as long in highway-env
-DURATIONS = {"merge-v0": {}, "merge-v1": {}, "two-way-v0": {}}  # [s]
+DURATIONS = dict.fromkeys(("merge-v0", "merge-v1", "merge-generic-v0", "merge-generic-v1", "two-way-v0"), {})  # [s]
 CONFIGS = {
     "many lanes": ("highway-fast-v0", {"lanes_count": 5, "vehicles_count": 9, "vehicles_density": 2.5}),
     "one lane": ("highway-fast-v0", {"lanes_count": 1, "initial_lane_id": 0, "vehicles_count": 0}),
@@ -189,7 +188,6 @@ def test_an_environment_may_make_its_own_vehicles():
     ("env_class", "message"),
     [
         (DoublyRewardedEnv, "does not know the method DoublyRewardedEnv._reward"),
-        (MergeGenericEnv, "does not know the method MergeGenericEnv._is_terminated"),
         (ParkingEnv, "does not know ParkingEnv; it knows ExitEnv, HighwayEnv"),
     ],
 )
