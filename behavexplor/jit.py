@@ -12,94 +12,29 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from threading import Lock
-from types import SimpleNamespace
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import llvmlite
 import numba
 import numpy as np
-from numba.core import caching, codegen, event
-from numba.core.compiler import Compiler
-from numba.core.registry import cpu_target
+from numba.core import event
+from platformdirs import user_cache_path
+
+from behavexplor.numba_internals import IN_PLACE, INNER, WHOLE, Options
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
+_INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
-_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls no kernels
-
-
-_Code: Any = codegen.JITCodeLibrary  # numba's stubs leave its methods out
-_Compiler: Any = Compiler
-
-
-class _Part(_Code):  # type: ignore[misc]
-    """The code of a function that only other kernels call: it is optimized with each of them, not on its own."""
-
-    @property
-    def codegen(self) -> Any:
-        """Where numba says at which address a function's constants are. A part has no address."""
-        return SimpleNamespace(set_env=lambda *_: None)
-
-    def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout  # noqa: SLF001 - all that is left of numba's own
-
-    def finalize(self) -> None:
-        """Leave the code as it is."""
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def get_pointer_to_function(self, _: str) -> int:
-        """Return 0: there is no machine code."""
-        self._ensure_finalized()
-        return 0
-
-    def parts(self) -> list[Any]:
-        """Return what the code itself calls."""
-        return list(self._linking_libraries)
-
-
-class _Whole(_Code):  # type: ignore[misc]
-    """The code of a kernel with all its parts, each of them once."""
-
-    _linking_libraries: list[Any]
-
-    def finalize(self) -> None:
-        """Collect the parts, optimize the code and make machine code of it."""
-        waiting = self._linking_libraries
-        self._linking_libraries = []
-        while waiting:
-            library = waiting.pop()
-            if library not in self._linking_libraries:
-                self._linking_libraries.append(library)
-                waiting += library.parts() if isinstance(library, _Part) else []
-        super().finalize()
-
-    def _optimize_final_module(self) -> None:
-        """Optimize. No other kernel uses these parts, so they can be changed, or left out where they are called."""
-        for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage.name == "linkonce_odr":
-                function.linkage = "internal"
-        super()._optimize_final_module()
-
-
-class _PartCompiler(_Compiler):  # type: ignore[misc]
-    def __init__(self, typing_context: Any, target_context: Any, _: Any, *arguments: Any) -> None:
-        super().__init__(typing_context, target_context, _Part(target_context.codegen(), "part"), *arguments)
-
-
-class _WholeCompiler(_Compiler):  # type: ignore[misc]
-    def __init__(self, typing_context: Any, target_context: Any, _: Any, *arguments: Any) -> None:
-        library = _Whole(target_context.codegen(), "kernel")
-        library.enable_object_caching()
-        super().__init__(typing_context, target_context, library, *arguments)
+_OPTIONS: Final = {"nogil": True, "error_model": "numpy"}
 
 
 def kernel(function: Function) -> Function:
@@ -107,7 +42,7 @@ def kernel(function: Function) -> Function:
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return _kept_by_digest(function)
+    return _kept(function, WHOLE)
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -117,18 +52,15 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    return _kept_by_digest(function, _nrt=False)
+    return _kept(function, IN_PLACE)
 
 
 def kernel_inner(function: Function) -> Function:
     """Compile a function as a part of the kernels that call it, directly or not; otherwise as `kernel_in_place`.
 
-    Python cannot call it. Numba would optimize each function once more with every function that calls it, and make
-    machine code of it every time. A kernel with its parts is compiled in half of the time or less, and runs up to a
-    fifth faster, because the compiler sees that nothing else calls them.
+    Python cannot call it.
     """
-    options = {"_nrt": False, "no_cpython_wrapper": True, **_OPTIONS}
-    return cast("Function", _njit(pipeline_class=_PartCompiler, **options)(function))
+    return cast("Function", _njit(**_OPTIONS, **INNER)(function))
 
 
 def compiled_for(function: Function, *arguments: object) -> Function:
@@ -140,12 +72,6 @@ def compiled_for(function: Function, *arguments: object) -> Function:
     """
     types = tuple(numba.typeof(argument) for argument in arguments)  # type: ignore[no-untyped-call]
     return cast("Function", _MachineCode(function, types))
-
-
-def load_compiler() -> None:
-    """Load the parts of numba that the first compiled function of a process needs, which takes 0.2 s."""
-    cpu_target.typing_context.refresh()
-    cpu_target.target_context.refresh()
 
 
 class _MachineCode:
@@ -190,38 +116,47 @@ class _Notice(event.Listener):
 event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 
-def keep_no_code() -> None:
-    """Let numba work without the right to write: it uses cached code, but caches nothing from now on.
+def keep_code_in(folder: Path) -> None:
+    """Let numba keep machine code in a folder from now on, which begins with a copy of what is kept so far.
 
-    By default, numba raises an error if it cannot write to the cache folder.
+    It is for a process that is about to lose its right to write anywhere else. Numba raises an error if it cannot write
+    to the folder that it has found.
     """
+    global _PLACE  # noqa: PLW0603 - as numba, this module has one setting for all threads
+    for kept in _PLACE.glob(f"*-{_TOOLS}-*"):
+        with suppress(OSError):  # another process is changing it
+            shutil.copytree(kept, folder / kept.name)
+    os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    _PLACE = folder
+    for made in _KEPT:
+        _place(made)
 
-    @contextmanager
-    def unkept(_: object) -> Iterator[None]:
-        with suppress(OSError):
-            yield
 
-    caching._CacheLocator.ensure_cache_path = lambda _: None  # type: ignore[method-assign] # noqa: SLF001
-    caching.Cache._guard_against_spurious_io_errors = unkept  # type: ignore[assignment] # noqa: SLF001
-
-
-def _kept_by_digest(function: Function, **options: bool) -> Function:
-    """Compile a function, and let numba keep its code in the folder for all that it depends on.
-
-    What was kept for earlier sources of its module is deleted.
-    """
+def _kept(function: Function, options: Options) -> Function:
+    """Compile a function, and let numba keep its code. What was kept for earlier sources of its module is deleted."""
+    made = _njit(**_OPTIONS, **options)(function)
     module = function.__module__
-    folder = _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
-    if not folder.exists():
+    if not _folder(module).exists():
         for stale in _PLACE.glob(f"{module}-{_TOOLS}-*"):
             shutil.rmtree(stale, ignore_errors=True)
+    _place(made)
+    _KEPT.append(made)
+    return cast("Function", made)
+
+
+def _place(made: Any) -> None:
+    """Let numba keep the code of a kernel in the folder for all that it depends on, or nowhere if it cannot write."""
     with _placing:
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)  # type: ignore[attr-defined]
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(_folder(made.__module__))  # type: ignore[attr-defined]
         try:
-            compiling = _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS, **options)
-            return cast("Function", compiling(function))
+            with suppress(RuntimeError):  # it finds no place
+                made.enable_caching()
         finally:
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+
+
+def _folder(module: str) -> Path:
+    return _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
 
 
 def _tools() -> str:
@@ -285,17 +220,23 @@ def _numbers(value: object) -> object:
 def place_for_code() -> Path:
     """Return the folder for machine code.
 
-    It is where numba would keep that of this file: in `NUMBA_CACHE_DIR` if that is set, beside the source, or in the
-    user's cache; else a temporary folder. If this process can write nowhere, such as in a container whose root is
-    read-only, it compiles again.
+    It is the first one where this process can write: `NUMBA_CACHE_DIR` if that is set, beside the source, in the user's
+    cache, or a temporary folder. If there is none, such as in a container whose root is read-only, it compiles again.
     """
-    locating: Any = caching.CompileResultCacheImpl
-    with suppress(RuntimeError):  # there is no place
-        return Path(locating(place_for_code).locator.get_cache_path())
-    folder = _own_temporary_folder()
-    if folder is None:
-        keep_no_code()
-    return folder or _PACKAGE / "__pycache__"
+    named = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    beside = _PACKAGE / "__pycache__"
+    places = [*([Path(named) / _INSTALLATION] if named else []), beside, user_cache_path() / _INSTALLATION]
+    writable = next(filter(_is_writable, places), None)
+    return writable or _own_temporary_folder() or beside
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
 
 
 def _own_temporary_folder() -> Path | None:
@@ -304,9 +245,8 @@ def _own_temporary_folder() -> Path | None:
     Numba executes what it finds in its cache, so the folder must not be another user's.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
-    name = f"behavexplor-{user}-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
     try:
-        folder = Path(tempfile.gettempdir()) / name
+        folder = Path(tempfile.gettempdir()) / f"{_INSTALLATION}-{user}"
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.stat(follow_symlinks=False)
     except OSError:
@@ -318,3 +258,4 @@ def _own_temporary_folder() -> Path | None:
 _PLACE = place_for_code()
 _TOOLS = _tools()
 _placing = Lock()  # numba has one setting for all threads
+_KEPT: list[Any] = []  # kernels whose code is kept

@@ -69,7 +69,8 @@ PART_ADDS_1 = ("parts/inner.py", SOURCES["parts/inner.py"].replace("min(x", "1.0
 
 def installed(folder, *changes):
     """An installation with three modules of kernels, and with changes of its sources, which have the same times."""
-    sources = {**SOURCES, "jit.py": Path(compiled.__file__).read_text(), **dict(changes)}
+    own = {name: (compiled._PACKAGE / name).read_text() for name in ("jit.py", "numba_internals.py")}
+    sources = {**SOURCES, **own, **dict(changes)}
     for name, text in sources.items():
         file = folder / "behavexplor" / name
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from behavexplor.errors import InputError, missing_library, unknown_name
 SYSTEMS = MappingProxyType(
     {
         "rule": "behavexplor.ads.rule:rule_planner",
-        "learned": "behavexplor.ads.learned.network_file:learned_driver",
+        "learned": "behavexplor.ads.learned.shipped:learned_driver",
         "idm": "behavexplor.ads.idm:idm_driver",
         "constant": "behavexplor.ads.constant:constant_driver",
         "careful": "behavexplor.ads.careful:careful_driver",

@@ -24,7 +24,7 @@ from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
-from behavexplor.execution.shared_imports import collections_off, share_imports
+from behavexplor.execution.forkserver import share_imports
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
@@ -94,7 +94,7 @@ def opened(
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
     with ExitStack() as stack:
-        with patience or nullcontext(), collections_off():
+        with patience or nullcontext():
             executor = (
                 start_executor(config.target, workers, cluster, recipe)
                 if driver is None
