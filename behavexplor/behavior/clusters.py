@@ -36,11 +36,6 @@ def clusters_of(centers: Floats, mean: Floats, scale: Floats) -> Clusters:
     return Clusters(centers, (centers**2).sum(1), mean, scale)
 
 
-def load_clustering() -> None:
-    """Import the library that finds the clusters, which takes a second."""
-    import sklearn.cluster  # noqa: F401, PLC0415 - slow to import, needed only once a campaign runs
-
-
 def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:
     """Find the best centers by K-means from several starts, shape (clusters, features).
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.clusters import load_clustering
+from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
@@ -158,7 +158,7 @@ def load_analysis() -> None:
 
     The first campaign on a machine compiles that code here. Otherwise, its first execution would wait for it.
     """
-    load_clustering()
+    k_means(np.eye(2), 1, ["random"], 0)
     unpack_motion(np.zeros((1, 2, _FRAMES), dtype=np.uint8), _FRAMES, RESOLUTION)
     trace = _pass_by()
     judge(trace)
