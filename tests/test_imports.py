@@ -8,10 +8,8 @@ import pytest
 HEAVY = {
     "highway_env",
     "matplotlib",
-    "numba",
     "pandas",
     "pygame",
-    "scipy",
     "sklearn",
     "stable_baselines3",
     "torch",

@@ -3,8 +3,10 @@
 import ast
 import os
 import pickle
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -69,8 +71,7 @@ PART_ADDS_1 = ("parts/inner.py", SOURCES["parts/inner.py"].replace("min(x", "1.0
 
 def installed(folder, *changes):
     """An installation with three modules of kernels, and with changes of its sources, which have the same times."""
-    own = {name: (compiled._PACKAGE / name).read_text() for name in ("jit.py", "numba_internals.py")}
-    sources = {**SOURCES, **own, **dict(changes)}
+    sources = {**SOURCES, "jit.py": Path(compiled.__file__).read_text(), **dict(changes)}
     for name, text in sources.items():
         file = folder / "behavexplor" / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -79,11 +80,11 @@ def installed(folder, *changes):
     return folder
 
 
-def computed(folder, **environment):
+def computed(folder, code=CALLS, **environment):
     """What the kernels return, and how many of them were kept by an earlier process."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **environment}
     done = subprocess.run(
-        [sys.executable, "-c", CALLS], env=environment, cwd=folder, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True, check=True
     )
     return done.stdout.strip()
 
@@ -142,6 +143,34 @@ def test_two_installations_share_a_folder_and_no_code(tmp_path):
     assert computed(first, **environment) == "2.0 4.5 0 0"
     assert computed(second, **environment) == "4.0 4.5 0 0"
     assert computed(first, **environment) == KEPT
+
+
+def test_kernels_are_compiled_by_any_other_version_of_numba_too(tmp_path):
+    folder = installed(tmp_path)
+    other = 'import numba\nnumba.__version__ = "99.0"\n'
+    options = "from behavexplor.jit import IN_PLACE, INNER, WHOLE\nprint(IN_PLACE, INNER, WHOLE)\n"
+    assert computed(folder, code=other + options + CALLS) == "{} {} {}\n2.0 4.5 0 0"
+    assert computed(folder, code=other + CALLS) == KEPT
+    assert computed(folder) == "2.0 4.5 0 0"  # what one version keeps is of no use to another
+
+
+@pytest.mark.slow
+def test_any_other_version_of_numba_computes_the_same(tmp_path):
+    def campaign(version):
+        run = tmp_path / version
+        code = f"""
+import numba
+numba.__version__ = "{version}"
+from behavexplor.commands import main
+main("fuzz --env highway-fast-v0 --ads careful --budget 3 --workers 0 --out {run}".split())
+"""
+        subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True)
+        with closing(sqlite3.connect(run / "campaign.db")) as database:
+            return database.execute("SELECT record, trace FROM executions").fetchall()
+
+    executions = campaign("99.0")
+    assert len(executions) == 3
+    assert executions == campaign(numba.__version__)
 
 
 def test_code_of_another_compiler_or_other_settings_is_not_used(tmp_path, monkeypatch):
