@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
+from numpy.typing import NDArray
 
 from behavexplor import jit as compiled
 from behavexplor.ads.rule.control import LateralProfile
@@ -282,7 +283,7 @@ def test_what_holds_machine_code_can_be_pickled():
 
 def holds_arrays(annotation):
     fields = getattr(annotation, "__annotations__", None) or dict(enumerate(get_args(annotation)))
-    return get_origin(annotation) is np.ndarray or any(map(holds_arrays, fields.values()))
+    return get_origin(annotation) in (np.ndarray, NDArray) or any(map(holds_arrays, fields.values()))
 
 
 def test_no_kernel_in_place_returns_an_array_whose_reference_nobody_counts():
