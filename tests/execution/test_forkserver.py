@@ -37,6 +37,15 @@ from highway_env.vehicle import dynamics
 print(observation.pd.DataFrame({{"a": [1, 2]}}).a.sum(), observation.pd is pandas, dynamics.plt is pyplot)
 print(callable(dynamics.plt.subplots), sys.modules["pandas"] is pandas)
 """
+UNGUARDED = """
+from multiprocessing import get_context
+from behavexplor.execution.forkserver import share_imports
+
+share_imports(["json"])
+process = get_context("forkserver").Process(target=print)
+process.start()
+process.join()
+"""
 
 
 def ran(code):
@@ -66,3 +75,10 @@ def test_workers_load_neither_tables_nor_plots():
 
 def test_a_module_that_was_not_loaded_is_loaded_at_its_first_use():
     assert ran(FIRST_USE) == ["[True, False, False]", "3 True True", "True True"]
+
+
+def test_a_script_whose_import_starts_workers_is_told_so(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    result = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
+    assert 'put what it does under `if __name__ == "__main__":`' in result.stderr
