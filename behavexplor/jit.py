@@ -12,32 +12,45 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from threading import Lock
 from types import SimpleNamespace
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import llvmlite
 import numba
 import numpy as np
-from numba.core import caching, codegen, event
-from numba.core.compiler import Compiler
-from numba.core.registry import cpu_target
+from numba.core import event
+from platformdirs import user_cache_path
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent
+_INSTALLATION = f"behavexplor-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
 _IMPORT = re.compile(r"^(?:from|import) ([.\w]+)(?: import (?:\(([^)]*)\)|(.*)))?", re.MULTILINE)
 _njit = cast("Any", numba.njit)  # its stubs leave some options out
-_OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # C calls no kernels
+_COMPILING: Final = "Compiling to machine code; this takes some seconds, and the result is cached for next time ..."
+_COMPILING_SLOWLY: Final = (
+    "Compiling to machine code; this takes minutes, and driving takes several times as long as usual, with numba "
+    f"{numba.__version__}, which is not one of the versions that this package knows ..."
+)
+_OPTIONS: Final = {"nogil": True, "error_model": "numpy"}
 
+# Kernels are fast by options and classes that numba keeps to itself, in the versions with which they were tested. With
+# any other version there are none: the results are the same, but compilation takes more than twice as long, and a step
+# of an environment up to eight times.
+TESTED: Final = ("0.61.", "0.62.", "0.63.", "0.64.", "0.65.", "0.66.", "0.67.", "0.68.")
+IS_TESTED: Final = numba.__version__.startswith(TESTED)
 
-_Code: Any = codegen.JITCodeLibrary  # numba's stubs leave its methods out
-_Compiler: Any = Compiler
+_Code: Any = object
+_Compiler: Any = object
+if IS_TESTED:
+    from numba.core.codegen import JITCodeLibrary as _Code
+    from numba.core.compiler import Compiler as _Compiler
 
 
 class _Part(_Code):  # type: ignore[misc]
@@ -102,12 +115,20 @@ class _WholeCompiler(_Compiler):  # type: ignore[misc]
         super().__init__(typing_context, target_context, library, *arguments)
 
 
+Options = Mapping[str, object]
+WHOLE: Options = {"pipeline_class": _WholeCompiler, "no_cfunc_wrapper": True}  # C calls no kernels
+IN_PLACE: Options = {**WHOLE, "_nrt": False}
+INNER: Options = {**IN_PLACE, "pipeline_class": _PartCompiler, "no_cpython_wrapper": True}
+if not IS_TESTED:
+    WHOLE = IN_PLACE = INNER = {}
+
+
 def kernel(function: Function) -> Function:
     """Compile a function on plain arrays. The machine code is cached, see `place_for_code`.
 
     Neither `fastmath` nor parallel loops are used, because results must not depend on the machine.
     """
-    return _kept_by_digest(function)
+    return _kept(function, WHOLE)
 
 
 def kernel_in_place(function: Function) -> Function:
@@ -117,18 +138,17 @@ def kernel_in_place(function: Function) -> Function:
     counting took more than half of their time. Numba refuses to compile a function that creates an array. A test
     checks that none of these functions returns one.
     """
-    return _kept_by_digest(function, _nrt=False)
+    return _kept(function, IN_PLACE)
 
 
 def kernel_inner(function: Function) -> Function:
     """Compile a function as a part of the kernels that call it, directly or not; otherwise as `kernel_in_place`.
 
     Python cannot call it. Numba would optimize each function once more with every function that calls it, and make
-    machine code of it every time. A kernel with its parts is compiled in half of the time or less, and runs up to a
-    fifth faster, because the compiler sees that nothing else calls them.
+    machine code of it every time. A kernel with its parts is compiled in half of the time or less, and runs up to twice
+    as fast, because the compiler sees that nothing else calls them.
     """
-    options = {"_nrt": False, "no_cpython_wrapper": True, **_OPTIONS}
-    return cast("Function", _njit(pipeline_class=_PartCompiler, **options)(function))
+    return cast("Function", _njit(**_OPTIONS, **INNER)(function))
 
 
 def compiled_for(function: Function, *arguments: object) -> Function:
@@ -140,12 +160,6 @@ def compiled_for(function: Function, *arguments: object) -> Function:
     """
     types = tuple(numba.typeof(argument) for argument in arguments)  # type: ignore[no-untyped-call]
     return cast("Function", _MachineCode(function, types))
-
-
-def load_compiler() -> None:
-    """Load the parts of numba that the first compiled function of a process needs, which takes 0.2 s."""
-    cpu_target.typing_context.refresh()
-    cpu_target.target_context.refresh()
 
 
 class _MachineCode:
@@ -179,9 +193,7 @@ class _Notice(event.Listener):
         if self._is_said or not module.startswith(__package__):
             return
         self._is_said = True
-        logging.getLogger(__name__).warning(
-            "Compiling to machine code; this takes some seconds, and the result is cached for next time ..."
-        )
+        logging.getLogger(__name__).warning(_COMPILING if IS_TESTED else _COMPILING_SLOWLY)
 
     def on_end(self, event: event.Event) -> None:
         """Do nothing; numba requires this method."""
@@ -190,38 +202,47 @@ class _Notice(event.Listener):
 event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 
-def keep_no_code() -> None:
-    """Let numba work without the right to write: it uses cached code, but caches nothing from now on.
+def keep_code_in(folder: Path) -> None:
+    """Let numba keep machine code in a folder from now on, which begins with a copy of what is kept so far.
 
-    By default, numba raises an error if it cannot write to the cache folder.
+    It is for a process that is about to lose its right to write anywhere else. Numba raises an error if it cannot write
+    to the folder that it has found.
     """
+    global _PLACE  # noqa: PLW0603 - as numba, this module has one setting for all threads
+    for kept in _PLACE.glob(f"*-{_TOOLS}-*"):
+        with suppress(OSError):  # another process is changing it
+            shutil.copytree(kept, folder / kept.name)
+    os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    _PLACE = folder
+    for made in _KEPT:
+        _place(made)
 
-    @contextmanager
-    def unkept(_: object) -> Iterator[None]:
-        with suppress(OSError):
-            yield
 
-    caching._CacheLocator.ensure_cache_path = lambda _: None  # type: ignore[method-assign] # noqa: SLF001
-    caching.Cache._guard_against_spurious_io_errors = unkept  # type: ignore[assignment] # noqa: SLF001
-
-
-def _kept_by_digest(function: Function, **options: bool) -> Function:
-    """Compile a function, and let numba keep its code in the folder for all that it depends on.
-
-    What was kept for earlier sources of its module is deleted.
-    """
+def _kept(function: Function, options: Options) -> Function:
+    """Compile a function, and let numba keep its code. What was kept for earlier sources of its module is deleted."""
+    made = _njit(**_OPTIONS, **options)(function)
     module = function.__module__
-    folder = _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
-    if not folder.exists():
+    if not _folder(module).exists():
         for stale in _PLACE.glob(f"{module}-{_TOOLS}-*"):
             shutil.rmtree(stale, ignore_errors=True)
+    _place(made)
+    _KEPT.append(made)
+    return cast("Function", made)
+
+
+def _place(made: Any) -> None:
+    """Let numba keep the code of a kernel in the folder for all that it depends on, or nowhere if it cannot write."""
     with _placing:
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)  # type: ignore[attr-defined]
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(_folder(made.__module__))  # type: ignore[attr-defined]
         try:
-            compiling = _njit(cache=True, pipeline_class=_WholeCompiler, **_OPTIONS, **options)
-            return cast("Function", compiling(function))
+            with suppress(RuntimeError):  # it finds no place
+                made.enable_caching()
         finally:
             numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+
+
+def _folder(module: str) -> Path:
+    return _PLACE / f"{module}-{_TOOLS}-{_digest(module)}"
 
 
 def _tools() -> str:
@@ -285,17 +306,23 @@ def _numbers(value: object) -> object:
 def place_for_code() -> Path:
     """Return the folder for machine code.
 
-    It is where numba would keep that of this file: in `NUMBA_CACHE_DIR` if that is set, beside the source, or in the
-    user's cache; else a temporary folder. If this process can write nowhere, such as in a container whose root is
-    read-only, it compiles again.
+    It is the first one where this process can write: `NUMBA_CACHE_DIR` if that is set, beside the source, in the user's
+    cache, or a temporary folder. If there is none, such as in a container whose root is read-only, it compiles again.
     """
-    locating: Any = caching.CompileResultCacheImpl
-    with suppress(RuntimeError):  # there is no place
-        return Path(locating(place_for_code).locator.get_cache_path())
-    folder = _own_temporary_folder()
-    if folder is None:
-        keep_no_code()
-    return folder or _PACKAGE / "__pycache__"
+    named = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    beside = _PACKAGE / "__pycache__"
+    places = [*([Path(named) / _INSTALLATION] if named else []), beside, user_cache_path() / _INSTALLATION]
+    writable = next(filter(_is_writable, places), None)
+    return writable or _own_temporary_folder() or beside
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
 
 
 def _own_temporary_folder() -> Path | None:
@@ -304,9 +331,8 @@ def _own_temporary_folder() -> Path | None:
     Numba executes what it finds in its cache, so the folder must not be another user's.
     """
     user = os.getuid() if hasattr(os, "getuid") else 0
-    name = f"behavexplor-{user}-{hashlib.sha256(str(_PACKAGE).encode()).hexdigest()[:16]}"
     try:
-        folder = Path(tempfile.gettempdir()) / name
+        folder = Path(tempfile.gettempdir()) / f"{_INSTALLATION}-{user}"
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.stat(follow_symlinks=False)
     except OSError:
@@ -318,3 +344,4 @@ def _own_temporary_folder() -> Path | None:
 _PLACE = place_for_code()
 _TOOLS = _tools()
 _placing = Lock()  # numba has one setting for all threads
+_KEPT: list[Any] = []  # kernels whose code is kept

@@ -19,7 +19,7 @@ VEHICLES = parameters()
 def imports_of_workers():
     """Let the workers of all tests share what any of them imports; the process that they are forked from is one."""
     with pytest.MonkeyPatch.context() as patch:
-        preload = "behavexplor.execution.shared_imports.set_forkserver_preload"
+        preload = "behavexplor.execution.forkserver.set_forkserver_preload"
         patch.setattr(preload, lambda names: set_forkserver_preload([*names, *SLOW_IMPORTS]))
         yield
 

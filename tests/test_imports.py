@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-HEAVY = {"highway_env", "matplotlib", "numba", "pandas", "pygame", "scipy", "sklearn", "stable_baselines3", "torch"}
+HEAVY = {"highway_env", "matplotlib", "pandas", "pygame", "sklearn", "stable_baselines3", "torch"}
 
 
 @pytest.mark.parametrize(

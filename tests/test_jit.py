@@ -3,8 +3,10 @@
 import ast
 import os
 import pickle
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
+from numpy.typing import NDArray
 
 from behavexplor import jit as compiled
 from behavexplor.ads.rule.control import LateralProfile
@@ -78,11 +81,11 @@ def installed(folder, *changes):
     return folder
 
 
-def computed(folder, **environment):
+def computed(folder, code=CALLS, **environment):
     """What the kernels return, and how many of them were kept by an earlier process."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **environment}
     done = subprocess.run(
-        [sys.executable, "-c", CALLS], env=environment, cwd=folder, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code], env=environment, cwd=folder, capture_output=True, text=True, check=True
     )
     return done.stdout.strip()
 
@@ -141,6 +144,34 @@ def test_two_installations_share_a_folder_and_no_code(tmp_path):
     assert computed(first, **environment) == "2.0 4.5 0 0"
     assert computed(second, **environment) == "4.0 4.5 0 0"
     assert computed(first, **environment) == KEPT
+
+
+def test_kernels_are_compiled_by_any_other_version_of_numba_too(tmp_path):
+    folder = installed(tmp_path)
+    other = 'import numba\nnumba.__version__ = "99.0"\n'
+    options = "from behavexplor.jit import IN_PLACE, INNER, WHOLE\nprint(IN_PLACE, INNER, WHOLE)\n"
+    assert computed(folder, code=other + options + CALLS) == "{} {} {}\n2.0 4.5 0 0"
+    assert computed(folder, code=other + CALLS) == KEPT
+    assert computed(folder) == "2.0 4.5 0 0"  # what one version keeps is of no use to another
+
+
+@pytest.mark.slow
+def test_any_other_version_of_numba_computes_the_same(tmp_path):
+    def campaign(version):
+        run = tmp_path / version
+        code = f"""
+import numba
+numba.__version__ = "{version}"
+from behavexplor.commands import main
+main("fuzz --env highway-fast-v0 --ads careful --budget 3 --workers 0 --out {run}".split())
+"""
+        subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True)
+        with closing(sqlite3.connect(run / "campaign.db")) as database:
+            return database.execute("SELECT record, trace FROM executions").fetchall()
+
+    executions = campaign("99.0")
+    assert len(executions) == 3
+    assert executions == campaign(numba.__version__)
 
 
 def test_code_of_another_compiler_or_other_settings_is_not_used(tmp_path, monkeypatch):
@@ -252,7 +283,7 @@ def test_what_holds_machine_code_can_be_pickled():
 
 def holds_arrays(annotation):
     fields = getattr(annotation, "__annotations__", None) or dict(enumerate(get_args(annotation)))
-    return get_origin(annotation) is np.ndarray or any(map(holds_arrays, fields.values()))
+    return get_origin(annotation) in (np.ndarray, NDArray) or any(map(holds_arrays, fields.values()))
 
 
 def test_no_kernel_in_place_returns_an_array_whose_reference_nobody_counts():

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
+from behavexplor.ads.learned.driver import LearnedDriver
+from behavexplor.ads.learned.network_file import TrainedNetwork
 from behavexplor.ads.loading import IN_MEMORY, as_driver, check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.errors import InputError, brief
@@ -96,8 +98,6 @@ def _learned(model: Any) -> GivenDriver | None:
             f"The model sees the features of learning_env through {changing[0]}, without which it cannot drive: train "
             f"it without this wrapper"
         )
-    from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - numba is slow to import
-    from behavexplor.ads.learned.network_file import TrainedNetwork  # noqa: PLC0415
     from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - imports torch
     from behavexplor.ads.sb3.model import training_env  # noqa: PLC0415
 

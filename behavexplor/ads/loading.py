@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.ads.interface import ADS
+from behavexplor.ads.learned.driver import LearnedDriver
 from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
+from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.roadmap import RoadMap
@@ -100,8 +102,6 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
 def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
-        from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - numba is slow to import
-
         driver: Any = LearnedDriver
         learned: ADS = driver(roadmap, read_network(path))
         return learned
@@ -136,9 +136,7 @@ def _learned(model: Path, rule: Rule, roadmap: RoadMap | None, trust: Collection
     Raises:
         InputError: if it cannot drive here.
     """
-    from behavexplor.ads.learned.driver import LearnedDriver  # noqa: PLC0415 - see `_policy`
-    from behavexplor.ads.sb3.archive import read_archive  # noqa: PLC0415
-    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415
+    from behavexplor.ads.sb3.dense_layers import dense_layers, layer_arrays  # noqa: PLC0415 - see `_policy`
     from behavexplor.ads.sb3.policy import load_network  # noqa: PLC0415
 
     if roadmap is None:

@@ -8,6 +8,8 @@ from importlib import import_module
 from typing import Any
 
 from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 from rich.text import Text
 
 from behavexplor.campaign.config import Budget
@@ -85,11 +87,6 @@ def _notebook_line(budget: Budget) -> Observer:
 @contextmanager
 def _bar(budget: Budget) -> Iterator[Observer]:
     """Show a bar on standard error."""
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn  # noqa: PLC0415 - only where it was asked for
-    from rich.progress import Progress as Bar  # noqa: PLC0415
-
-    from behavexplor.api.observers import PlainConsole  # noqa: PLC0415
-
     console = PlainConsole(stderr=True)
     with Bar(BarColumn(), TextColumn("{task.description}"), TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task("", total=budget.executions or budget.seconds)

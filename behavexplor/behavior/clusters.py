@@ -1,7 +1,6 @@
 """Clusters of merged states, found by K-means."""
 
 from functools import cache
-from importlib import import_module
 from typing import NamedTuple
 from warnings import catch_warnings, simplefilter
 
@@ -9,7 +8,6 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from behavexplor.data.array_types import Floats
-from behavexplor.data.first_use import functions_loaded_late, hidden
 
 
 class Clusters(NamedTuple):
@@ -38,15 +36,6 @@ def clusters_of(centers: Floats, mean: Floats, scale: Floats) -> Clusters:
     return Clusters(centers, (centers**2).sum(1), mean, scale)
 
 
-def load_clustering() -> None:
-    """Import the library that finds the clusters, without pandas, and in commands also without scipy.stats.
-
-    Clustering needs neither, and importing both takes as long as importing the rest.
-    """
-    with hidden("pandas"), functions_loaded_late("scipy.stats"):
-        import_module("sklearn.cluster")
-
-
 def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_state: int) -> Floats:
     """Find the best centers by K-means from several starts, shape (clusters, features).
 
@@ -64,7 +53,7 @@ def k_means(rows: Floats, clusters: int, starts: list[Floats | str], random_stat
     from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
 
     checked_once = config_context(assume_finite=bool(np.isfinite(rows).all()))
-    with _thread_pools().limit(limits=1), checked_once, catch_warnings(), hidden("pandas"):  # for tables only
+    with _thread_pools().limit(limits=1), checked_once, catch_warnings():
         simplefilter("ignore", ConvergenceWarning)  # too few distinct rows
         fits = [
             KMeans(clusters, init=start, n_init=1, random_state=random_state, copy_x=False).fit(rows)

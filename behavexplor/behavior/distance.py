@@ -56,8 +56,6 @@ class AbstractTraces:
         Returns:
             Distances, shape (len(self),). The distance of two empty traces is 0.
         """
-        from behavexplor.behavior.distance import count_differing  # noqa: PLC0415 - numba is slow to import
-
         starts = self._starts[: self._count + 1]
         differing = np.empty(self._count, dtype=np.int64)
         count_differing(self._labels, starts, labels, differing)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from behavexplor.behavior.clusters import Clusters
 from behavexplor.behavior.distance import Labels
+from behavexplor.behavior.window_statistics import fill_labels, fill_statistics
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import project_on_polyline
 from behavexplor.data.trace import Trace
@@ -61,8 +62,6 @@ def state_matrix(trace: Trace, heading_frame: HeadingFrame = "route") -> NDArray
     Returns:
         Read-only matrix with the columns of `ATTRIBUTES`, shape (N', 8). N' = 0 if the trace has a single frame.
     """
-    from behavexplor.behavior.features import fill_states  # noqa: PLC0415 - numba is slow to import
-
     if len(trace.time) < 2:
         return np.zeros((0, len(ATTRIBUTES)), dtype=np.float32)
     heading = _without_jumps(trace.heading[:, 0])
@@ -105,8 +104,6 @@ def merged_states(states: NDArray[np.floating], window: int, tail: Tail = "padde
     Returns:
         The eight statistics of the first attribute, then of the second, and so on; shape (windows, 64).
     """
-    from behavexplor.behavior.window_statistics import fill_statistics  # noqa: PLC0415 - numba is slow to import
-
     columns = _padded_columns(states, window, tail)
     merged = np.empty((_n_windows(columns, window), N_FEATURES))
     fill_statistics(columns, window, STILL, merged)
@@ -127,8 +124,6 @@ def nearest_clusters(states: NDArray[np.floating], window: int, tail: Tail, clus
     Returns:
         Indices of clusters, the first of several that are equally near; shape (windows,).
     """
-    from behavexplor.behavior.window_statistics import fill_labels  # noqa: PLC0415 - numba is slow to import
-
     columns = _padded_columns(states, window, tail)
     labels = np.empty(_n_windows(columns, window), dtype=np.uint8)
     fill_labels(columns, window, STILL, clusters, labels)

@@ -175,8 +175,6 @@ def _scaled(sample: NDArray[np.float32], scaling: Scaling) -> tuple[Floats, Floa
     """Return scaled rows, and the mean and the scale of each feature, see `behavexplor.behavior.clusters.Clusters`."""
     if scaling == "none":
         return sample.astype(np.float64), np.zeros(N_FEATURES), np.ones(N_FEATURES)
-    from behavexplor.behavior.miner import standardize  # noqa: PLC0415 - numba is slow to import
-
     rows, mean, scale = np.empty(sample.shape), np.zeros(N_FEATURES), np.zeros(N_FEATURES)
     standardize(sample, NEGLIGIBLE, mean, scale, rows)
     return rows, mean, scale

@@ -11,7 +11,7 @@ from types import FrameType
 import numpy as np
 
 from behavexplor.ads.interface import ADS
-from behavexplor.behavior.clusters import load_clustering
+from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.novelty import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
@@ -26,7 +26,7 @@ from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
-from behavexplor.execution.shared_imports import collections_off, share_imports
+from behavexplor.execution.forkserver import share_imports
 from behavexplor.execution.simulation import logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
@@ -96,7 +96,7 @@ def opened(
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
     with ExitStack() as stack:
-        with patience or nullcontext(), collections_off():
+        with patience or nullcontext():
             executor = (
                 start_executor(config.target, workers, cluster, recipe)
                 if driver is None
@@ -160,7 +160,7 @@ def load_analysis() -> None:
 
     The first campaign on a machine compiles that code here. Otherwise, its first execution would wait for it.
     """
-    load_clustering()
+    k_means(np.eye(2), 1, ["random"], 0)
     unpack_motion(np.zeros((1, 2, _FRAMES), dtype=np.uint8), _FRAMES, RESOLUTION)
     trace = _pass_by()
     judge(trace)

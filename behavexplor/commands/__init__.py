@@ -18,12 +18,11 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any
 
-from behavexplor.commands.early_imports import begin_imports
+import tyro
+
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.commands.wording import say
-from behavexplor.data.first_use import loaded_at_first_use
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.shared_imports import collections_off
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
@@ -68,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
-    with _notices(quiet="--quiet" in given), folder_for_matplotlib(), loaded_at_first_use():
+    with _notices(quiet="--quiet" in given), folder_for_matplotlib():
         return _run(given)
 
 
@@ -91,9 +90,6 @@ def _run(given: Sequence[str]) -> int:
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory
         sys.path.append("")  # last, so that no file in a foreign folder takes the place of a library
     try:
-        begin_imports(given)
-        import tyro  # noqa: PLC0415 - only the command line needs it
-
         if given and given[0] in COMMANDS:  # importing only this command is faster
             code: int = tyro.cli(_command(given[0]), prog=f"{program()} {given[0]}", args=given[1:])
         else:
@@ -111,8 +107,7 @@ def _run(given: Sequence[str]) -> int:
 
 def _command(name: str) -> Callable[..., Any]:
     module = _MODULES.get(name, name)
-    with collections_off():
-        command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
+    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
     return command
 
 

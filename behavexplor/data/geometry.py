@@ -10,6 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats, Ints
+from behavexplor.data.box_kernels import (
+    BLOCK,
+    fill_box_distances,
+    fill_changed_frames,
+    fill_distances_from_first,
+    fill_distances_from_segments,
+    fill_gap_bounds,
+    fill_gaps_from_lines,
+    fill_near_segments,
+    fill_point_segment_distances,
+    fill_stations,
+)
 
 _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
@@ -57,8 +69,6 @@ def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
 
 def point_segment_distances(points: Floats, segments: Floats) -> Floats:
     """Compute the distances of points, shape (n, 2), from segments, shape (m, 2, 2); distances of shape (n, m)."""
-    from behavexplor.data.box_kernels import fill_point_segment_distances  # noqa: PLC0415 - numba is slow to import
-
     gaps = np.empty((len(points), len(segments)))
     fill_point_segment_distances(np.array(points, order="C"), np.array(segments, order="C"), gaps)
     return gaps
@@ -93,8 +103,6 @@ def box_distance(a: Floats, b: Floats) -> Floats:
     Returns:
         Distances, shape (...).
     """
-    from behavexplor.data.box_kernels import fill_box_distances  # noqa: PLC0415 - numba is slow to import
-
     if a.shape != b.shape:
         a, b = np.broadcast_arrays(a, b)
     gaps = np.empty(a.shape[:-2])
@@ -115,8 +123,6 @@ def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) 
         Lower bounds, infinite in a frame that equals the one before, shape (T, N - 1); and an upper bound of the least
         distance [m].
     """
-    from behavexplor.data.box_kernels import fill_gap_bounds  # noqa: PLC0415 - numba is slow to import
-
     lower = np.empty((len(position), len(outer) - 1))
     upper = fill_gap_bounds(np.ascontiguousarray(position), np.ascontiguousarray(heading), outer, inner, lower)
     return lower, upper
@@ -129,8 +135,6 @@ def changed_frames(position: Floats, heading: Floats) -> Ints:
         position: centers, shape (T, N, 2) [m].
         heading: headings, shape (T, N) [rad].
     """
-    from behavexplor.data.box_kernels import fill_changed_frames  # noqa: PLC0415 - numba is slow to import
-
     frames = np.empty(len(heading), dtype=np.intp)
     return frames[: fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)]
 
@@ -148,8 +152,6 @@ def distances_from_first(position: Floats, heading: Floats, size: Floats, frame:
     Returns:
         Distances, shape (n,) [m].
     """
-    from behavexplor.data.box_kernels import fill_distances_from_first  # noqa: PLC0415 - numba is slow to import
-
     turned, gaps = np.empty((2, len(frame))), np.empty(len(frame))
     turned[0], turned[1] = heading[frame, 0], heading[frame, vehicle]
     directions = np.cos(turned), np.sin(turned)  # numpy's own functions, whose last bits differ from C's
@@ -170,8 +172,6 @@ def distances_from_segments(position: Floats, heading: Floats, size: Floats, seg
     Returns:
         Distances, shape (n,) [m].
     """
-    from behavexplor.data.box_kernels import fill_distances_from_segments  # noqa: PLC0415 - numba is slow to import
-
     gaps = np.empty(len(position))
     directions = np.cos(heading), np.sin(heading)
     fill_distances_from_segments(np.ascontiguousarray(position), *directions, size, segments, segment, _room(), gaps)
@@ -190,8 +190,6 @@ def near_segments(points: Floats, segments: Floats, reach: float, within: float)
     Returns:
         Indices of the points and of the segments of the pairs, and an upper bound of the least distance [m].
     """
-    from behavexplor.data.box_kernels import BLOCK, fill_near_segments  # noqa: PLC0415 - numba is slow to import
-
     blocks = -(-len(points) // BLOCK)
     gaps = np.empty((blocks, len(segments)))
     point, segment = np.empty((2, blocks * BLOCK * len(segments)), dtype=np.intp)
@@ -204,8 +202,6 @@ def gaps_from_lines(position: Floats, heading: Floats, size: Floats, segments: F
 
     They are never greater than the distances that `distances_from_segments` computes from the same arguments.
     """
-    from behavexplor.data.box_kernels import fill_gaps_from_lines  # noqa: PLC0415 - numba is slow to import
-
     along = segments[:, 1] - segments[:, 0]
     angle = np.arctan2(along[:, 1], along[:, 0])
     turned, gaps = heading - angle[segment], np.empty(len(heading))
@@ -260,8 +256,6 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
         Station of each projected point [m], and the polyline's heading at that station [rad], each of shape (T,). The
         heading is interpolated between the headings at the middles of the segments.
     """
-    from behavexplor.data.box_kernels import fill_stations  # noqa: PLC0415 - numba is slow to import
-
     vertices = np.array(polyline, dtype=np.float64, order="C")
     pieces, ends, heading = _pieces(vertices.tobytes())
     station = np.empty(len(points))

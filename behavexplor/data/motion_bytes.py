@@ -28,8 +28,6 @@ def pack_motion(motion: Floats, resolution: float) -> Bytes:
     Returns:
         Bytes, shape (b, ..., T), of which each difference needs b.
     """
-    from behavexplor.data.motion_bytes import fill_bytes, fill_changes  # noqa: PLC0415 - numba is slow to import
-
     frames, *rest = motion.shape
     rows = np.ascontiguousarray(motion).reshape(frames, -1)
     changes = np.empty(rows.shape[::-1], dtype=np.int64)
@@ -49,8 +47,6 @@ def unpack_motion(planes: Bytes, frames: int, resolution: float) -> Floats:
     Raises:
         InputError: if the bytes have another shape.
     """
-    from behavexplor.data.motion_bytes import fill_values  # noqa: PLC0415 - numba is slow to import
-
     if planes.dtype != np.uint8 or planes.ndim < 2 or not 1 <= len(planes) <= 8 or planes.shape[-1] != frames:
         raise InputError("Not a trace, or a damaged one: its motion has a wrong shape")
     if planes[0].size > MOST_VALUES:

@@ -2,9 +2,11 @@
 
 import json
 import logging
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
@@ -20,12 +22,12 @@ from behavexplor.execution.confinement import confine
 from behavexplor.execution.confirmation import confirmed, driven_compiled
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
+from behavexplor.execution.forkserver import slow_modules
 from behavexplor.execution.preflight import preflight_warnings
 from behavexplor.execution.rollout import LockStep
 from behavexplor.execution.service import Recipe, Service
-from behavexplor.execution.shared_imports import slow_modules
 from behavexplor.execution.simulation import Simulation, compile_kernels
-from behavexplor.jit import keep_no_code
+from behavexplor.jit import keep_code_in
 
 LOCK_STEP: Final = 32  # greatest number of episodes that run in lock-step in one process
 
@@ -80,7 +82,7 @@ class Evaluator(Service):
     def confine(self) -> None:
         """Confine this process if the ADS is third-party code; see `behavexplor.execution.confinement`."""
         if self.is_confined:
-            keep_no_code()
+            keep_code_in(Path(tempfile.mkdtemp()))
             self._unprevented = confine()
 
     def begin(self) -> None:

@@ -22,9 +22,9 @@ from typing import Any, Final
 from behavexplor.errors import InputError
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import ADSError, Executor
+from behavexplor.execution.forkserver import CAN_SHARE, GUARD, share_imports
 from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, settle, split_key
 from behavexplor.execution.service import Recipe
-from behavexplor.execution.shared_imports import CAN_SHARE, GUARD, share_imports
 from behavexplor.execution.worker import CLOSED, serve
 from behavexplor.execution.worker_output import CAN_LEAVE, WorkerOutput
 

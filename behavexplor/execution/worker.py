@@ -22,7 +22,6 @@ from behavexplor.execution.asking import share_asking
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
 from behavexplor.execution.service import Batch, Recipe, Service
-from behavexplor.execution.shared_imports import collections_off
 from behavexplor.execution.worker_output import leave_terminal
 
 try:
@@ -76,8 +75,7 @@ def serve(
     try:
         service.confine()
         Thread(target=_end_with_supervisor, daemon=True).start()
-        with collections_off():
-            service.begin()
+        service.begin()
         threadpool_limits(1)  # includes libraries that the ADS has loaded
         gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     except InputError as error:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.conventions import REAR_END_ANGLE, STANDING_SPEED
+from behavexplor.data.npc_motion import motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
 from behavexplor.data.scripted import NPC, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
@@ -102,8 +103,6 @@ class Aiming:
     def __init__(
         self, logical: ScriptedLogicalScenario, options: AimingOptions, predict: Predict | None = None
     ) -> None:
-        from behavexplor.data.npc_motion import motion_on_route  # noqa: PLC0415 - slow to import
-
         self._logical, self._options, self._predict = logical, options, predict or motion_on_route
 
     def aim(self, rng: np.random.Generator, drive: Drive, others: Sequence[NPC]) -> NPC | None:

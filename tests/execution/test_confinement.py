@@ -113,19 +113,54 @@ def test_it_may_read_compute_and_have_temporary_files(tmp_path):
     assert confined(code, tmp_path) == ["untouched", *["done"] * 4, "27000000.0"]
 
 
+FRESH = "from behavexplor.jit import kernel\n\n\n@kernel\ndef doubled(x):\n    return x + x\n"
+FOREIGN = "import numba\n\n\n@numba.njit(cache=True)\ndef tripled(x):\n    return 3 * x\n"
+
+
 def test_kernels_can_be_compiled_though_nothing_can_be_kept(tmp_path):
-    (tmp_path / "fresh.py").write_text(
-        "from behavexplor.jit import kernel\n\n\n@kernel\ndef doubled(x: float) -> float:\n    return 2.0 * x\n"
-    )
+    (tmp_path / "fresh.py").write_text(FRESH)
     code = f"""
-        from behavexplor.jit import keep_no_code
-        keep_no_code()
+        tempfile.tempdir = "/"
         sys.path.insert(0, {str(tmp_path)!r})
         import fresh
         print(fresh.doubled(21.0))
     """
     assert confined(code, tmp_path) == ["42.0"]
     assert not list(tmp_path.rglob("*.nbi"))
+
+
+def test_a_confined_process_uses_machine_code_that_is_kept_and_keeps_more_for_itself(tmp_path):
+    (tmp_path / "fresh.py").write_text(FRESH)
+    (tmp_path / "foreign.py").write_text(FOREIGN)
+    own, kept = tmp_path / "own", tmp_path / "kept"
+    program = f"""
+import sys, tempfile
+from pathlib import Path
+import fresh
+from behavexplor.execution.confinement import confine
+from behavexplor.jit import keep_code_in
+
+if "confined" in sys.argv:
+    tempfile.tempdir = {str(own)!r}
+    keep_code_in(Path(tempfile.mkdtemp()))
+    assert confine() == ()
+    from foreign import tripled
+
+    print(fresh.doubled(1), tripled(2))
+print(fresh.doubled(21.0), sum(fresh.doubled.stats.cache_hits.values()))
+"""
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}", "NUMBA_CACHE_DIR": str(kept)}
+
+    def ran(*arguments):
+        command = [sys.executable, "-c", program, *arguments]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    own.mkdir()
+    assert ran() == ["42.0", "0"]
+    files = sorted(kept.rglob("*"))
+    assert ran("confined") == ["2", "6", "42.0", "1"]
+    assert sorted(kept.rglob("*")) == files
+    assert {file.name.partition("-")[0] for file in own.rglob("*.nbi")} == {"fresh.doubled", "foreign.tripled"}
 
 
 def test_an_ads_that_writes_is_stopped_unless_it_may(tmp_path, monkeypatch):
@@ -154,7 +189,7 @@ def test_what_a_system_cannot_prevent_is_said(monkeypatch):
         monkeypatch.setitem(sys.modules, library, None)
     assert confine() == ("write files", "use the network")
     monkeypatch.setattr(evaluator, "confine", lambda: ("write files",))
-    monkeypatch.setattr(evaluator, "keep_no_code", lambda: None)
+    monkeypatch.setattr(evaluator, "keep_code_in", lambda _: None)
     monkeypatch.setattr(evaluator, "preflight_warnings", lambda _: [])
     service = Evaluator(env="lane-follow", ads="tests.drivers:cruiser")
     service.confine()

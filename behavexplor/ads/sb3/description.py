@@ -11,6 +11,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
+from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.highway_fit import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.named_code import env_code
 from behavexplor.data.untrusted import parse_yaml, read_file
@@ -121,8 +122,6 @@ def trained_in(ads: str) -> str | None:
     """
     try:
         if ads.startswith("learned:") or ads.endswith(".npz"):
-            from behavexplor.ads.learned.shipped import policy_file  # noqa: PLC0415 - imports numba, for no other driver
-
             return env_in_card(policy_file(ads))
         return describe(find_model(Path(ads))).env if ads.endswith(".zip") or Path(ads).is_dir() else None
     except InputError:  # which is said when the policy is loaded

@@ -10,14 +10,14 @@ standard forms as the bits of floating-point numbers: the position u of a unifor
 [0, 1); the distance z of a normal number from the mean. When all of them are used, the generator draws again.
 
 The draws are those of numpy's `distributions.c` and `_generator.pyx` (BSD-3-Clause). The tables of the normal
-distribution are numpy's, as numba ships them.
+distribution in `ziggurat.npz` are those of numpy's `ziggurat_constants.h`, as numba has them (BSD-2-Clause).
 """
 
 import math
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numba.np.random import _constants as numpy_tables
 from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
@@ -42,11 +42,12 @@ _NONE: Final = np.uint64(0)
 _MANTISSA: Final = np.uint64(0x000FFFFFFFFFFFFF)
 _UNIT: Final = 1.0 / 9007199254740992.0  # 2^-53
 
-_KI: Words = numpy_tables.ki_double.astype(np.uint64)
-_WI: Floats = numpy_tables.wi_double.astype(np.float64)
-_FI: Floats = numpy_tables.fi_double.astype(np.float64)
-_TAIL: Final = float(numpy_tables.ziggurat_nor_r)
-_INVERSE_TAIL: Final = float(numpy_tables.ziggurat_nor_inv_r)
+with np.load(Path(__file__).with_name("ziggurat.npz")) as _tables:
+    _KI: Words = _tables["ki"]
+    _WI: Floats = _tables["wi"]
+    _FI: Floats = _tables["fi"]
+_TAIL: Final = 3.654152885361009
+_INVERSE_TAIL: Final = 0.2736612373297583
 
 
 def generator_words(generator: np.random.Generator) -> Words:
