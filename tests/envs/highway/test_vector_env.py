@@ -28,7 +28,7 @@ from tests.envs.highway.side_by_side import IDS, assert_equal, compare, compare_
 
 MODES = ("NextStep", "SameStep")
 SHORT = {"highway-v0": 3}  # decisions, which take ten times as long in highway-env
-DURATIONS = dict.fromkeys(("merge-v0", "merge-v1", "merge-generic-v0", "merge-generic-v1", "two-way-v0"), {})  # [s]
+ENDLESS = ("merge-v0", "merge-v1", "merge-generic-v0", "merge-generic-v1", "two-way-v0")  # without a duration
 CONFIGS = {
     "many lanes": ("highway-fast-v0", {"lanes_count": 5, "vehicles_count": 9, "vehicles_density": 2.5}),
     "one lane": ("highway-fast-v0", {"lanes_count": 1, "initial_lane_id": 0, "vehicles_count": 0}),
@@ -93,7 +93,7 @@ def results():
             "env_id": env_id,
             "mode": mode,
             "decisions": SHORT.get(env_id, 5),
-            "config": DURATIONS.get(env_id, {"duration": 2}),
+            "config": {} if env_id in ENDLESS else {"duration": 2},
         }
         for env_id in IDS
         for mode in MODES
