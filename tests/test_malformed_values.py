@@ -1,10 +1,12 @@
 """Input of the right form with wrong values in it, made by hypothesis: what changing bytes hardly reaches."""
 
+import atexit
 import io
 import json
 import pickle
 import shutil
 import sqlite3
+import tempfile
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable
@@ -34,7 +36,7 @@ from behavexplor.campaign.database import Row, insert
 from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
-from behavexplor.commands import BAD_INPUT, OK
+from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.motion_bytes import unpack_arrays
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
@@ -49,7 +51,6 @@ from tests.ads.sb3.models import make_model
 from tests.malformed import is_sentence, limited, refuse, write
 from tests.strategies import changed, changed_arrays, command_lines, random_trace, scenarios, values
 
-STORED = Path(__file__).parent / "stored" / "format-1"
 LOGICALS = {name: Simulation(name, "constant").logical for name in sorted(FUNCTIONAL_SCENARIOS)}
 EXPERIMENT = {
     "name": "small",
@@ -263,7 +264,7 @@ def pickled(value):
 
 
 def of_record(value, folder, capfd):
-    run = stored_run(folder)
+    run = copied_run(folder)
     with connect(run / DATABASE, "rw") as connection:
         trace = connection.execute("SELECT trace FROM executions WHERE id = 0").fetchone()[0]
         with suppress(sqlite3.OperationalError):  # nested too deeply for SQLite: nobody can have written that
@@ -275,28 +276,36 @@ def of_record(value, folder, capfd):
 
 
 def first_record():
-    store = Store.read(STORED)
+    store = Store.read(small_run())
     record = store.execution(0).record.to_dict()
     store.close()
     return record
 
 
 def of_triage(value, folder, capfd):
-    run = stored_run(folder)
+    run = copied_run(folder)
     (run / TRIAGE).write_text(json.dumps(value))
     page([read_run(run)], 10)
 
 
-def triage_values(folder=STORED):
-    found = read_run(folder)
+def triage_values():
+    found = read_run(small_run())
     return json.loads(json.dumps({"format": 1, **asdict(Triage("lane-follow", "constant:1", 6, found.findings))}))
 
 
-def stored_run(folder):
-    """A copy of a run, brought to the newest format."""
+@cache
+def small_run():
+    """The folder of a run of six executions, some of which failed."""
+    folder = Path(tempfile.mkdtemp()) / "run"
+    atexit.register(shutil.rmtree, folder.parent)
+    flags = ["--ads", "constant:1", "--env", "lane-follow", "--method", "uniform", "--budget", "6", "--seed", "7"]
+    assert main(["fuzz", *flags, "--workers", "0", "--quiet", "--out", str(folder)]) == OK
+    return folder
+
+
+def copied_run(folder):
     if not (folder / "run").is_dir():
-        shutil.copytree(STORED, folder / "run")
-        Store.reopen(folder / "run").close()
+        shutil.copytree(small_run(), folder / "run")
     return folder / "run"
 
 

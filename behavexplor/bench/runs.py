@@ -94,8 +94,7 @@ def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> N
         InputError: if the campaign has another configuration or another revision.
     """
     check_revision(stored, what)
-    scene = stored.env_config or run.config.env_config  # earlier versions stored an unknown one as an empty one
-    if replace(stored, budget=run.config.budget, env_config=scene) != run.config:
+    if replace(stored, budget=run.config.budget) != run.config:
         raise InputError(f"{what} holds a campaign with a different configuration: choose another --out")
 
 

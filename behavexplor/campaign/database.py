@@ -14,17 +14,16 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from behavexplor.campaign.database_file import ADD_CHECKSUM, AUXILIARY, SCHEMA, UNREADABLE, connect, wal_of
+from behavexplor.campaign.database_file import AUXILIARY, SCHEMA, UNREADABLE, connect, wal_of
 
-FORMAT = 3  # in format 2, traces were npz files; in format 1, rows also had a single checksum of record and trace
-READABLE = (1, 2, 3)
+FORMAT = "3"
 _LEAST_ROW = 64  # least size of a row [bytes]
 _ROWS_AT_ONCE = 500
 _DAMAGED = (*UNREADABLE, sqlite3.SQLITE_ERROR)  # the last for invalid JSON
 
 _BEGINNING = f"BEGIN IMMEDIATE; {SCHEMA} INSERT INTO meta VALUES ('format', '{FORMAT}'); COMMIT;"  # noqa: S608
-_SET_FORMAT = f"UPDATE meta SET value = '{FORMAT}' WHERE key = 'format'; "  # noqa: S608 - constants
-_SELECT = "SELECT id, record, {trace}, elapsed, checksum, {record_checksum} FROM executions"
+_WHOLE = "SELECT id, record, trace, elapsed, checksum, record_checksum FROM executions"
+_BRIEF = "SELECT id, record, NULL, elapsed, checksum, record_checksum FROM executions"
 _INSERT = (
     "INSERT OR REPLACE INTO executions (id, record, trace, elapsed, checksum, record_checksum) "
     "VALUES (?, ?, ?, ?, ?, ?)"
@@ -89,11 +88,6 @@ def written_format(path: Path) -> str | None:
     return None if found == "none" else found
 
 
-def upgrade(connection: sqlite3.Connection, found: str) -> None:
-    """Upgrade a database of an earlier format to this version's format in one transaction."""
-    connection.executescript(f"BEGIN IMMEDIATE; {ADD_CHECKSUM if found == '1' else ''}{_SET_FORMAT}COMMIT;")
-
-
 def insert(connection: sqlite3.Connection, rows: list[Row], notes: Mapping[str, str] = MappingProxyType({})) -> None:
     """Write rows and notes to disk in one transaction, replacing rows with the same number and notes of the same name.
 
@@ -128,15 +122,11 @@ class ExecutionTable:
     Args:
         path: path of the file.
         connection: connection to the database.
-        stored_format: format of the database.
     """
 
-    def __init__(self, path: Path, connection: sqlite3.Connection, stored_format: str) -> None:
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self._path = path
         self._connection = connection
-        extra = "record_checksum" if stored_format != "1" else "NULL"
-        self._whole = _SELECT.format(trace="trace", record_checksum=extra)
-        self._brief = _SELECT.format(trace="NULL", record_checksum=extra)
 
     def row(self, number: int) -> Row | None:
         """Return a row with its trace; None if there is no such row.
@@ -145,7 +135,7 @@ class ExecutionTable:
             DamagedError: if the row is damaged.
         """
         try:
-            found = self._connection.execute(f"{self._whole} WHERE id = ?", (number,)).fetchone()
+            found = self._connection.execute(f"{_WHOLE} WHERE id = ?", (number,)).fetchone()
         except sqlite3.DatabaseError as error:
             raise DamagedError(str(error)) from None
         return None if found is None else _checked(found)
@@ -159,7 +149,7 @@ class ExecutionTable:
             traces: whether to read the traces, too.
         """
         lost: list[int] = []
-        for number, found in self._found(self._whole if traces else self._brief):
+        for number, found in self._found(_WHOLE if traces else _BRIEF):
             row = self._row(found)
             if row is None:
                 lost.append(number)
@@ -180,8 +170,6 @@ class ExecutionTable:
 
     def _row(self, found: tuple[Any, ...] | None) -> Row | None:
         try:
-            if found is not None and found[2] is None and found[5] is None:  # format 1: the checksum needs the trace
-                return self.row(found[0])
             return None if found is None else _checked(found)
         except DamagedError:
             return None
@@ -267,17 +255,7 @@ def _readable(path: Path) -> Iterator[Row]:
     except sqlite3.DatabaseError:
         return
     with closing(connection):
-        try:
-            stored_format = read_format(connection)
-        except sqlite3.DatabaseError:
-            stored_format = str(FORMAT)
-        try:
-            connection.execute("SELECT record_checksum FROM executions LIMIT 0")
-        except sqlite3.DatabaseError:
-            stored_format = "1"
-        yield from (
-            row for _, row in ExecutionTable(path, connection, stored_format).rows(traces=True) if row is not None
-        )
+        yield from (row for _, row in ExecutionTable(path, connection).rows(traces=True) if row is not None)
 
 
 def _free_name(path: Path) -> Path:
@@ -297,7 +275,7 @@ def _checked(found: tuple[Any, ...]) -> Row:
         raise DamagedError("a value is of a wrong type")
     row = Row(number, record, trace or b"", elapsed)
     whole = trace is None or _checksum(row) == checksum
-    if not whole or record_checksum not in (None, _record_checksum(row)):
+    if not whole or record_checksum != _record_checksum(row):
         raise DamagedError("its checksum is wrong")
     return row
 

@@ -21,7 +21,9 @@ MAX_VALUE: Final = 100_000_000  # greatest size of a stored value [bytes]; a tra
 AUXILIARY: Final = ("-wal", "-shm", "-journal")  # endings of the files that SQLite keeps beside a database
 UNREADABLE: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)  # codes of errors
 
-_FIRST_COLUMNS = """
+SCHEMA: Final = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE executions (
     id INTEGER PRIMARY KEY,
     record TEXT NOT NULL,  -- JSON: what `behavexplor records` prints
     trace BLOB NOT NULL,  -- read by behavexplor.data.trace.Trace.from_bytes
@@ -30,16 +32,10 @@ _FIRST_COLUMNS = """
     violated TEXT AS (json_extract(record, '$.violated')),
     degree REAL AS (json_extract(record, '$.degree')),
     novelty REAL AS (json_extract(record, '$.novelty')),
-    "end" TEXT AS (json_extract(record, '$.end'))"""
-_ADDED_COLUMN = """,
-    record_checksum INTEGER  -- CRC-32 of id, elapsed and record; none in a row of format 1"""
-_TABLES = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE executions ({columns}
+    "end" TEXT AS (json_extract(record, '$.end')),
+    record_checksum INTEGER  -- CRC-32 of id, elapsed and record
 ) STRICT;
 """
-SCHEMA: Final = _TABLES.format(columns=_FIRST_COLUMNS + _ADDED_COLUMN)
-ADD_CHECKSUM: Final = "ALTER TABLE executions ADD COLUMN record_checksum INTEGER; "  # to a database of format 1
 
 _COMMENT: Final = re.compile(r"--[^'\"\n]*\n")  # without quotes, so that it cannot hide the end of a text
 _SUPER_JOURNAL: Final = bytes.fromhex("d9d505f920a163d7")  # the last bytes of a journal that names another one
@@ -153,14 +149,10 @@ def _text(value: object) -> str:
 
 @cache
 def _known_entries() -> frozenset[_Entry]:
-    """Return what the schemas of all formats hold. Their comments have changed, and a column was added later."""
-    first = _TABLES.format(columns=_FIRST_COLUMNS)
-    found: set[_Entry] = set()
-    for script in (SCHEMA, first, first + ADD_CHECKSUM):
-        with closing(sqlite3.connect(":memory:")) as connection:
-            connection.executescript(script)
-            found.update(_entries(connection))
-    return frozenset(found)
+    """Return what our schema holds, without comments."""
+    with closing(sqlite3.connect(":memory:")) as connection:
+        connection.executescript(SCHEMA)
+        return frozenset(_entries(connection))
 
 
 try:

@@ -21,7 +21,7 @@ DATABASE, FAILURES = "campaign.db", "failures"
 class Record:
     """The figures of one execution. Equal campaigns have equal records.
 
-    Fields that an earlier version did not write are None, and are left out when the record is written again.
+    Fields that are None are left out when the record is written, but for the parent.
 
     Attributes:
         id: number of the execution, counted from 0 in the order in which the search asked for them.
@@ -106,7 +106,7 @@ class Record:
 
     @classmethod
     def from_json(cls, data: bytes | str) -> Self:
-        """Return the record that `to_json` wrote, in this or an earlier version.
+        """Return the record that `to_json` wrote.
 
         Raises:
             ValueError: if it is not a record.

@@ -76,7 +76,7 @@ class Store:
         self.folder = folder
         self.repaired = repaired
         self._connection = connection
-        self._table = database.ExecutionTable(folder / DATABASE, connection, database.read_format(connection))
+        self._table = database.ExecutionTable(folder / DATABASE, connection)
         self._lock = lock  # None for readers
         self._pending: list[Execution] = []
 
@@ -366,16 +366,13 @@ def _repaired(folder: Path) -> str | None:
 
 
 def _prepared(folder: Path) -> sqlite3.Connection:
-    """Open a database for writing. Create its tables, or upgrade them to this version's format, if necessary."""
+    """Open a database for writing. Create its tables if it has none."""
     path = folder / DATABASE
     connection = connect(path, "rwc")
     try:
         if database.is_empty(connection):
             database.begin(connection)
-        found = database.read_format(connection)
-        _check_format(path, found)
-        if found != str(database.FORMAT):
-            database.upgrade(connection, found)
+        _check_format(path, database.read_format(connection))
     except BaseException:
         connection.close()
         raise
@@ -389,12 +386,11 @@ def _check_readable(path: Path, connection: sqlite3.Connection) -> None:
 
 
 def _check_format(path: Path, found: str) -> None:
-    if found in map(str, database.READABLE):
+    if found == database.FORMAT:
         return
-    known = f"{database.READABLE[0]} to {database.READABLE[-1]}"
-    newer = re.fullmatch(r"[1-9]\d{0,8}", found) and int(found) > database.FORMAT
-    mend = "it was written by a newer behavexplor" if newer else "it is damaged, or not a campaign's database"
-    raise InputError(f"{path} has format {found:.20}, but this version reads {known}: {mend}")
+    other = re.fullmatch(r"[1-9]\d{0,8}", found)
+    mend = "another version of behavexplor wrote it" if other else "it is damaged, or not a campaign's database"
+    raise InputError(f"{path} has format {found:.20}, but this version reads {database.FORMAT}: {mend}")
 
 
 def _unwritable(folder: Path, error: OSError | sqlite3.Error) -> InputError:

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from behavexplor.data.array_types import Bools, Floats, Ints
 from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import MOST_VALUES, pack_arrays, pack_motion, unpack_arrays, unpack_motion
-from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_arrays, read_file
+from behavexplor.data.untrusted import MAX_ARRAY_BYTES, read_file
 from behavexplor.errors import InputError
 
 RESOLUTION = 1e-9  # precision of recorded motion, in m, rad and m/s
 FORMAT = 3
-LONG_FORMAT = 2  # earlier versions wrote eight bytes for each difference of motion
-NPZ_FORMAT, NPZ_START = 1, b"PK"  # and before that, npz files
 MOST_FRAMES = 1_000_000
 MOST_PLACES = MOST_VALUES // 2  # of all vehicles in all frames
 LONGEST = 100_000.0  # duration of an episode [s]; 10 000 decisions may take so long
@@ -243,20 +241,19 @@ class Trace:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a trace from bytes that `to_bytes` wrote, here or in an earlier version. No code in them is executed.
+        """Read a trace from bytes that `to_bytes` wrote. No code in them is executed.
 
         Raises:
             InputError: if the data is not a trace, or is damaged.
         """
-        is_npz = data.startswith(NPZ_START)
         try:
-            values = read_arrays(data) if is_npz else unpack_arrays(data)
+            values = unpack_arrays(data)
         except ValueError as error:
             raise InputError(f"Not a trace, or a damaged one: {error}") from None
         missing = {"format", "end", *_ARRAYS} - values.keys()
         if missing:
             raise InputError(f"Not a trace: {', '.join(sorted(missing))} is missing")
-        if values["format"].shape or values["format"] not in ((NPZ_FORMAT,) if is_npz else (LONG_FORMAT, FORMAT)):
+        if values["format"].shape or values["format"] != FORMAT:
             raise InputError(f"This trace has format {values['format']}; this version reads format {FORMAT}")
         if sum(array.size for name, array in values.items() if name not in _PACKED) > MAX_ARRAY_BYTES // 8:
             raise InputError("Not a trace: its arrays would take more memory than those that are written")
@@ -266,7 +263,7 @@ class Trace:
         trace = object.__new__(cls)
         trace.__dict__.update(
             arrays,
-            end=str(values["end"]) if is_npz else values["end"].tobytes().decode(errors="replace"),
+            end=values["end"].tobytes().decode(errors="replace"),
             decisions=_part(values, "decisions."),
             signals=_part(values, "signals."),
             present=values.get("present", _ALL_PRESENT),

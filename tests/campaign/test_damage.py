@@ -21,7 +21,6 @@ from behavexplor.errors import InputError
 from tests.campaign.test_store import execution, stored_run
 
 ROOT = Path(__file__).parents[2]
-OLD = ROOT / "tests" / "stored" / "format-1"
 CAMPAIGN = ["fuzz", "--ads", "constant:1", "--env", "lane-follow", "--method", "uniform", "--seed", "7", "--quiet"]
 CAMPAIGN_CONFIG = f"ads: constant\nenv: lane-follow\nrevision: {REVISION}\n"
 COUNT = 120
@@ -138,7 +137,7 @@ def test_a_newer_format_is_left_alone(folder):
     before = (folder / DATABASE).read_bytes()
     for opening in (Store.read, Store.reopen):
         with pytest.raises(
-            InputError, match=r"has format 10, but this version reads 1 to 3: it was written by a newer"
+            InputError, match=r"has format 10, but this version reads 3: another version of behavexplor wrote it"
         ):
             opening(folder)
     assert (folder / DATABASE).read_bytes() == before
@@ -182,29 +181,6 @@ def test_a_folder_in_which_only_a_lock_was_made_is_empty(tmp_path):
         (tmp_path / name).write_text("en")
     store = Store.create(tmp_path, CAMPAIGN_CONFIG)
     assert (tmp_path / CONFIG).read_text() == CAMPAIGN_CONFIG
-    store.close()
-
-
-def test_a_run_of_format_1_stays_readable(tmp_path, capsys):
-    """A run that the first version wrote is read, also after changes of the format. It is not resumed."""
-    old = Path(shutil.copytree(OLD, tmp_path / "old"))
-    assert main(["records", str(old)]) == OK
-    lines = capsys.readouterr().out.splitlines()
-    assert [json.loads(line)["id"] for line in lines] == list(range(6))
-    assert main(["replay", str(old), "1", "--out", str(tmp_path)]) == OK
-    assert "gave the same trace" in capsys.readouterr().out
-    before = {path: path.read_bytes() for path in old.rglob("*") if path.is_file()}
-    assert main(["fuzz", "--resume", str(old), "--budget", "8", "--workers", "0", "--quiet"]) == BAD_INPUT
-    assert "is a campaign of revision 1" in capsys.readouterr().err
-    assert {path: path.read_bytes() for path in old.rglob("*") if path.is_file()} == before
-
-
-def test_damage_in_a_run_of_format_1_is_named(tmp_path):
-    old = Path(shutil.copytree(OLD, tmp_path / "old"))
-    change(old, "UPDATE executions SET trace = zeroblob(9) WHERE id = 2")
-    assert read(old)[0] == [0, 1, 3, 4, 5]
-    store = Store.reopen(old)
-    assert [store.recall(number) is None for number in range(6)] == [False, False, True, False, False, False]
     store.close()
 
 

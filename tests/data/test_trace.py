@@ -189,35 +189,19 @@ def test_frames_are_whole_numbers(frames):
         replace(TRACE, action_frame=frames)
 
 
-def npz(values):
-    """Return arrays as earlier versions wrote those of a trace."""
-    buffer = io.BytesIO()
-    np.savez(buffer, **values)
-    return buffer.getvalue()
-
-
-def as_before(values):
-    return npz(values | {"format": np.array(1), "end": np.array(TRACE.end)})
-
-
-def test_traces_of_earlier_versions_are_read():
-    assert Trace.from_bytes(as_before(unpack_arrays(BYTES))).to_bytes() == BYTES
-
-
-@pytest.mark.parametrize("write", [pack_arrays, npz])
 @pytest.mark.parametrize("field", ["end", "format", *WRONG_SHAPES])
-def test_a_file_without_a_field_is_refused_by_its_name(field, write):
+def test_a_file_without_a_field_is_refused_by_its_name(field):
     values = unpack_arrays(BYTES)
     del values[field]
     with pytest.raises(InputError, match=f"{field} is missing"):
-        Trace.from_bytes(write(values))
+        Trace.from_bytes(pack_arrays(values))
 
 
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
         ("format", np.array(4), "has format 4; this version reads format 3"),
-        ("format", np.array(1), "has format 1; this version reads format 3"),
+        ("format", np.array(2), "has format 2; this version reads format 3"),
         ("format", np.ones(2), "this version reads format 3"),
         ("end", np.frombuffer(b"exploded", dtype=np.uint8), "end: expected one of"),
         ("end", np.array([200, 201], dtype=np.uint8), "end: expected one of"),
@@ -232,11 +216,6 @@ def test_a_file_without_a_field_is_refused_by_its_name(field, write):
 def test_a_file_with_a_wrong_field_is_refused(field, value, message):
     with pytest.raises(InputError, match=message):
         Trace.from_bytes(pack_arrays(unpack_arrays(BYTES) | {field: value}))
-
-
-def test_a_file_with_letters_for_numbers_is_refused():
-    with pytest.raises(InputError, match="time"):
-        Trace.from_bytes(npz(unpack_arrays(BYTES) | {"format": np.array(1), "time": np.array(["a"] * 20)}))
 
 
 def test_bytes_that_would_unpack_to_too_much_are_refused():

@@ -15,7 +15,7 @@ RULES: Final[tuple[Rule, ...]] = get_args(Rule)
 
 Layers = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 
-_RULE: Final = "decision"  # name of the rule in a file; files without it were written for the most probable action
+_RULE: Final = "decision"  # name of the rule in a file
 
 
 class TrainedNetwork(NamedTuple):
@@ -38,7 +38,7 @@ def read_network(path: Path) -> TrainedNetwork:
     """
     try:
         file = dict(read_arrays(read_file(path)))
-        rule = str(file.pop(_RULE, "most probable"))
+        rule = str(file.pop(_RULE))
         layers = [(file[f"weights_{i}"], file[f"bias_{i}"]) for i in range(len(file) // 2)]
     except FileNotFoundError:
         raise InputError(f"There is no file {path}") from None

@@ -98,23 +98,24 @@ def test_a_file_that_is_no_network_is_refused(content, tmp_path):
 
 @pytest.mark.parametrize(("weights", "bias"), [((2, 2), ()), ((2,), (2,)), ((2, 2, 1), (2,)), ((2, 2), (2, 1))])
 def test_layers_that_are_no_matrices_are_refused(weights, bias, tmp_path):
-    np.savez(tmp_path / "policy.npz", weights_0=np.zeros(weights), bias_0=np.zeros(bias))
+    np.savez(tmp_path / "policy.npz", weights_0=np.zeros(weights), bias_0=np.zeros(bias), decision="mean")
     with pytest.raises(InputError, match="weights must be matrices, and biases vectors"):
         read_network(tmp_path / "policy.npz")
 
 
 def test_a_file_without_all_layers_is_refused(tmp_path):
-    np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2))
+    np.savez(tmp_path / "policy.npz", weights_0=np.zeros((2, 2)), other=np.zeros(2), decision="mean")
     with pytest.raises(InputError, match="contains no network"):
         read_network(tmp_path / "policy.npz")
     with pytest.raises(InputError, match="There is no file"):
         read_network(tmp_path / "gone.npz")
 
 
-def test_a_file_without_a_rule_drives_by_its_most_probable_action(tmp_path):
+def test_a_file_without_a_rule_is_refused(tmp_path):
     weights, bias = random_layers((N_FEATURES, N_ACTIONS))[0]
     np.savez(tmp_path / "policy.npz", weights_0=weights, bias_0=bias)
-    assert read_network(tmp_path / "policy.npz").rule == "most probable"
+    with pytest.raises(InputError, match="contains no network of this package: 'decision'"):
+        read_network(tmp_path / "policy.npz")
 
 
 def test_a_rule_of_a_later_version_is_named(tmp_path):
