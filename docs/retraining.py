@@ -28,8 +28,7 @@ from behavexplor.campaign.store import Store
 from behavexplor.data.target import Target
 from behavexplor.evaluation import outcomes_in, start_judge, uniform_outcomes
 from behavexplor.execution.start import logical_of_target
-from behavexplor.repair.finding import search_config
-from behavexplor.repair.retraining import policy_in, retrain
+from behavexplor.repair.retraining import policy_in, retrain, search_config
 from behavexplor.repair.retraining_rounds import CONFIG, RetrainingConfig, best
 
 LINES = "lines.jsonl"

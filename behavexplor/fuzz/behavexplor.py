@@ -1,24 +1,244 @@
 """BehAVExplor: search guided by the novelty of behaviors and by their violation degrees (paper Algorithm 1)."""
 
-from collections.abc import Mapping
-from dataclasses import field
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
 from behavexplor.behavior.miner import Behavior, BehaviorMiner, MinerOptions
 from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
+from behavexplor.data.array_types import Floats
+from behavexplor.data.geometry import point_box_distance
 from behavexplor.data.logical import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise
+from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import between, validated
-from behavexplor.fuzz.assessment import Assessment, AssessmentOptions, assess
-from behavexplor.fuzz.corpus import GAMMA, SELECTION_CHANGE, Corpus, Testcase, degree_change, failure_change
 from behavexplor.fuzz.search import INITIAL, MAX_FAILED_INITIAL, Candidate, draws, nothing_to_mutate
-from behavexplor.judge.specs import Verdict
+from behavexplor.judge.specs import Collision, Lines, Verdict, final_distance
 
+SELECTION_CHANGE = -0.05  # dE_S, the decay with each selection
+_BENIGN_SHARE = 0.1  # a passed mutant costs less energy than a failed one adds
+GAMMA = 1e-5  # gamma of equation 16, against division by zero
 _NOT_MINED = -1  # index of a behavior that was not computed
 _NOVELTY_DRAWS = 1  # purpose of the draws, to tell them apart from those that made the candidate
+_REACH = 10.0  # distance to the destination at which its term saturates [m], as in the paper's section 3.2.2
+MAX_SHRINK = 1.0  # [m]; no vehicle is that narrow
+
+
+def failure_change(failed: bool, n_failed: int, n_passed: int) -> float:
+    """Compute dE_F of the parent (paper equation 15).
+
+    Args:
+        failed: whether the last mutant of the parent failed.
+        n_failed: #F, number of mutants that failed, including the last one.
+        n_passed: #NF, number of mutants that did not fail, including the last one.
+    """
+    if failed:
+        return n_failed / (n_passed + n_failed)
+    return -_BENIGN_SHARE * n_passed / (n_passed + n_failed)
+
+
+def degree_change(parent_degree: float, degree: float, distance: float, *, bounded: bool, gamma: float) -> float:
+    """Compute dE_V of a mutant and its parent (paper equation 16).
+
+    Args:
+        parent_degree: O_s, the violation degree of the parent [m].
+        degree: O_s', the violation degree of the mutant [m].
+        distance: dis(s', s), the distance of their behaviors, in [0, 1].
+        bounded: whether the printed formula is bounded by tanh. Unbounded, a single mutant at distance 1 changes the
+            energy by 1e5 per meter, and the selection never recovers from it.
+        gamma: the small number in the denominator, against division by zero.
+    """
+    change = (parent_degree - degree) / (1 - distance + gamma)
+    return math.tanh(change) if bounded else change
+
+
+def selection_probabilities(energies: Floats) -> Floats:
+    """Compute p_i of each testcase (paper equation 18), normalized over the positive energies so that they sum to 1.
+
+    Args:
+        energies: E of each testcase, shape (n,). If none is positive, all testcases are equally likely.
+
+    Returns:
+        Probabilities, shape (n,).
+    """
+    weights = np.maximum(energies, 0.0)
+    total = weights.sum()
+    return np.asarray(weights / total if total > 0 else np.full(len(weights), 1 / len(weights)))
+
+
+@dataclass(slots=True)
+class Testcase:
+    """A kept scenario with its record. The paper calls it a seed.
+
+    Attributes:
+        number: number of the candidate that became this testcase.
+        scenario: the scenario to mutate.
+        parent: number of the testcase from which it was mutated, if any.
+        degree: violation degree of its execution, the paper's O [m].
+        behavior: index of its behavior in the miner.
+        selections: number of times that it was selected.
+        n_failed: number of its mutants that failed, the paper's #F.
+        n_passed: number of its mutants that did not fail, the paper's #NF.
+    """
+
+    __test__ = False  # keeps pytest from collecting the class
+
+    number: int
+    scenario: Scenario
+    parent: int | None
+    degree: float
+    behavior: int
+    selections: int = 0
+    n_failed: int = 0
+    n_passed: int = 0
+
+
+class Corpus:
+    """Testcases in the order in which they were kept, with their energies. Failures never become testcases."""
+
+    def __init__(self) -> None:
+        self._testcases: list[Testcase] = []
+        self._places: dict[int, int] = {}  # by the number of the candidate
+        self._energies = np.zeros(16)  # grows by doubling, so that no execution pays for the whole corpus
+
+    def __len__(self) -> int:
+        return len(self._testcases)
+
+    def __iter__(self) -> Iterator[Testcase]:
+        return iter(self._testcases)
+
+    def __getitem__(self, number: int) -> Testcase:
+        """Return the testcase with the given candidate number."""
+        return self._testcases[self._places[number]]
+
+    @property
+    def energies(self) -> Floats:
+        """The paper's E of each testcase, in their order, shape (len(self),)."""
+        return self._energies[: len(self)]
+
+    def add(self, testcase: Testcase, energy: float) -> None:
+        """Add a testcase with its initial energy."""
+        if len(self) == len(self._energies):
+            self._energies = np.concatenate([self._energies, np.zeros(len(self))])
+        self._places[testcase.number] = len(self)
+        self._testcases.append(testcase)
+        self.set_energy(testcase.number, energy)
+
+    def energy(self, number: int) -> float:
+        """Return the energy of the testcase with the given candidate number."""
+        return float(self._energies[self._places[number]])
+
+    def set_energy(self, number: int, energy: float) -> None:
+        """Change the energy of the testcase with the given candidate number."""
+        self._energies[self._places[number]] = energy
+
+    def select(self, rng: np.random.Generator, *, uniform: bool = False) -> Testcase:
+        """Draw a testcase by energy (paper equation 18) or uniformly, and record the selection."""
+        energies = np.zeros(len(self)) if uniform else self.energies
+        chosen = self._testcases[rng.choice(len(self), p=selection_probabilities(energies))]
+        chosen.selections += 1
+        return chosen
+
+
+@validated
+class AssessmentOptions:
+    """Options of the assessment of an execution. With the defaults it equals the verdict.
+
+    Attributes:
+        degree: violation degree. "sum" is the sum of the specs' degrees, the paper's O. "clipped" is the mean of the
+            terms D_b, D_yellow, D_curb (at most 1 m each) and 1 - min(D, 10) / 10, as released.
+        box_shrink: length by which every vehicle is made shorter and narrower [m], for the clipped terms and for a
+            distance from the ego's box; twice the margin on each of its sides.
+        destination_from: part of the ego whose distance from the destination counts: its "center", or its "box", within
+            which the distance is 0.
+        destination_threshold: distance from the destination beyond which the end of an execution counts as a failure
+            [m]; None for the verdict of the spec.
+        retreat: growth of the distance to the destination within one frame beyond which an execution counts as a
+            failure and its trace is cut off [m]; None for no such limit.
+
+    Raises:
+        InputError: if an option is out of range; the message names the option.
+    """
+
+    degree: Literal["sum", "clipped"] = "sum"
+    box_shrink: Annotated[float, between(0, MAX_SHRINK)] = 0.0
+    destination_from: Literal["center", "box"] = "center"
+    destination_threshold: Annotated[float, between(0)] | None = None
+    retreat: Annotated[float, between(0)] | None = None
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Assessment of an execution for a search.
+
+    Attributes:
+        trace: the trace, up to its cut if it was cut off.
+        degree: violation degree, the paper's O. A lower degree is nearer to a violation.
+        failed: whether the execution counts as a failure.
+    """
+
+    trace: Trace
+    degree: float
+    failed: bool
+
+
+def assess(trace: Trace, verdict: Verdict, line_kinds: Sequence[str], options: AssessmentOptions) -> Assessment:
+    """Assess an execution.
+
+    Args:
+        trace: trace of the execution.
+        verdict: verdict of the specs.
+        line_kinds: the kinds of the illegal lines in the trace.
+        options: options of the assessment.
+    """
+    seen = _until_retreat(trace, options)
+    degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, line_kinds, options)
+    failed = verdict.failed
+    if options.destination_threshold is not None:
+        others = [name for name in verdict.violated if name != "destination"]
+        failed = bool(others) or _final_distance(seen, options) > options.destination_threshold
+    return Assessment(seen, degree, failed or seen is not trace)
+
+
+def _distances(trace: Trace, options: AssessmentOptions) -> Floats:
+    """Compute the ego's distance from its destination in each frame, shape (T,) [m]."""
+    position, heading = trace.position[:, 0], trace.heading[:, 0]
+    size = trace.size[0] - options.box_shrink if options.destination_from == "box" else np.zeros(2)
+    return point_box_distance(trace.destination, position, heading, size)
+
+
+def _final_distance(trace: Trace, options: AssessmentOptions) -> float:
+    return final_distance(trace) if options.destination_from == "center" else float(_distances(trace, options)[-1])
+
+
+def _until_retreat(trace: Trace, options: AssessmentOptions) -> Trace:
+    """Return the trace up to the first frame in which the distance to the destination grew by more than the limit.
+
+    Without such a frame, or without a limit, return the trace itself.
+    """
+    if options.retreat is None:
+        return trace
+    growing = np.flatnonzero(np.diff(_distances(trace, options)) > options.retreat)
+    if not len(growing):
+        return trace
+    frames = int(growing[0]) + 2  # keep the frame in which the distance grew
+    return trace.until(frames, "timeout")
+
+
+def _clipped_degree(trace: Trace, line_kinds: Sequence[str], options: AssessmentOptions) -> float:
+    smaller = replace(trace, size=trace.size - options.box_shrink)
+    kinds = np.array(line_kinds)
+    terms = [Collision().degree(smaller)]
+    terms += [
+        Lines().degree(replace(smaller, illegal_lines=trace.illegal_lines[kinds == kind]))
+        for kind in (DOUBLE_YELLOW, CURB)
+    ]
+    clipped = [min(term, 1.0) for term in terms]
+    return float(np.mean([*clipped, 1 - min(_final_distance(trace, options), _REACH) / _REACH]))
 
 
 @validated

@@ -1,7 +1,6 @@
 """Traces: validated, read-only, and restored exactly from their files."""
 
 import copy
-import io
 import pickle
 from dataclasses import replace
 

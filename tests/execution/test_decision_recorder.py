@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from behavexplor.execution.decision_recorder import DecisionRecorder
 from behavexplor.execution.executor import ADSError
+from behavexplor.execution.rollout import DecisionRecorder
 from behavexplor.execution.simulation import Simulation
 
 SIMULATION = Simulation("intersection-straight", "constant")

@@ -14,10 +14,9 @@ from behavexplor.envs.making import environment_id
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import EXECUTE, Evaluator
 from behavexplor.execution.executor import ADSError
-from behavexplor.execution.in_process import InProcessExecutor
 from behavexplor.execution.rollout import rollout
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import start_executor
+from behavexplor.execution.start import InProcessExecutor, start_executor
 from tests.drivers import Cruiser
 
 LOGICAL = IntersectionStraightEnv.logical

@@ -7,7 +7,7 @@ import pytest
 
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
 from behavexplor.errors import InputError
-from behavexplor.fuzz.assessment import AssessmentOptions, assess
+from behavexplor.fuzz.behavexplor import AssessmentOptions, assess
 from behavexplor.judge.specs import Verdict, judge
 from tests.fakes import LOGICAL, make_trace, simulate
 

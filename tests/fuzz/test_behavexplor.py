@@ -10,8 +10,7 @@ from behavexplor.campaign.config import read_config
 from behavexplor.data.validation import checked
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
-from behavexplor.fuzz.assessment import AssessmentOptions
-from behavexplor.fuzz.behavexplor import BehAVExplor, BehAVExplorOptions
+from behavexplor.fuzz.behavexplor import AssessmentOptions, BehAVExplor, BehAVExplorOptions
 from behavexplor.fuzz.search import SearchExhausted
 from behavexplor.judge.specs import Verdict
 from tests.fakes import make_trace, simulate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.fuzz.corpus import Corpus, Testcase
+from behavexplor.fuzz.behavexplor import Corpus, Testcase
 
 
 def corpus_of(*energies):

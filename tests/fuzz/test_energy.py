@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from behavexplor.fuzz.corpus import GAMMA, SELECTION_CHANGE, degree_change, failure_change, selection_probabilities
+from behavexplor.fuzz.behavexplor import GAMMA, SELECTION_CHANGE, degree_change, failure_change, selection_probabilities
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from behavexplor.fuzz.aiming import Drive
-from behavexplor.fuzz.near_misses import LEAST, LINE_WEIGHT, near_misses
+from behavexplor.fuzz.encounters import LEAST, LINE_WEIGHT, near_misses
 from behavexplor.judge.specs import Verdict, judge
 from tests.fakes import make_trace
 

@@ -6,7 +6,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Matern
 from sklearn.kernel_ridge import KernelRidge
 
-from behavexplor.fuzz.surrogates import GAUSSIAN_PROCESS, KERNELS, POLYNOMIAL, RBF, fit_ensemble, fit_rbf
+from behavexplor.fuzz.samota import GAUSSIAN_PROCESS, KERNELS, POLYNOMIAL, RBF, fit_ensemble, fit_rbf
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.random((60, 4))

@@ -12,7 +12,7 @@ from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
 from behavexplor.commands.compare import searched, values
 from behavexplor.evaluation import outcomes_of
 from behavexplor.judge.specs import SPECS, Verdict, judge
-from behavexplor.repair.differential import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
+from behavexplor.repair.pair_campaigns import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
 from behavexplor.repair.pairs import AT_FAULT, Pairs, rows
 from tests.judge.test_fault import BEHIND, trace
 

@@ -27,7 +27,7 @@ from behavexplor.data.target import Target
 from behavexplor.envs.functional import LaneChangeEnv
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
-from behavexplor.repair import finding, retraining, trainees
+from behavexplor.repair import retraining, trainees
 from behavexplor.repair.retraining import retrain
 from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
 from behavexplor.repair.trainees import copy_policy, open_trainee
@@ -129,11 +129,11 @@ def test_a_campaign_that_was_cut_off_before_it_began_begins_anew(tmp_path, monke
         asked.append(resume)
         raise CutError
 
-    monkeypatch.setattr(finding, "opened", opened)
+    monkeypatch.setattr(retraining, "opened", opened)
     for name in ("", "campaign.lock", "config.yaml"):
         (tmp_path / name).touch()
         with pytest.raises(CutError):
-            finding.found_failures(Target("lane-change", POLICY), "uniform", 5, 1, tmp_path)
+            retraining.found_failures(Target("lane-change", POLICY), "uniform", 5, 1, tmp_path)
     assert asked == [False, False, True]
 
 
