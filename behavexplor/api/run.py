@@ -20,7 +20,7 @@ from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.judgment import Repetition, repeat_execution
 from behavexplor.campaign.provenance import ALL, DRIVING, JUDGED, Consent, accepted
 from behavexplor.campaign.record import Record
-from behavexplor.campaign.run_summary import RunSummary, summarize
+from behavexplor.campaign.run_summary import RunSummary, by_class, summarize
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.road_shape import RoadShape
@@ -180,11 +180,7 @@ class Run:
     @property
     def classes(self) -> dict[str, list[int]]:
         """Numbers of the failures of each class, the most frequent class first."""
-        groups: dict[str, list[int]] = {}
-        for record in self.records:  # read once, since a campaign may be writing them
-            if record.violation_class is not None:
-                groups.setdefault(record.violation_class, []).append(record.id)
-        return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0])))
+        return {kind: [record.id for record in group] for kind, group in by_class(self.records).items()}
 
     def trace(self, number: int) -> Trace:
         """Return the trace of an execution.

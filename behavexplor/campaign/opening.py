@@ -18,16 +18,14 @@ from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, 
 from behavexplor.campaign.progress import STARTING, StageClock
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.store import Store
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import unpack_motion
 from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.data.trace import RESOLUTION, Trace
-from behavexplor.envs.making import is_stock
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
 from behavexplor.execution.forkserver import share_imports
-from behavexplor.execution.simulation import logical_scenario
+from behavexplor.execution.simulation import fixed_logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
@@ -92,7 +90,7 @@ def opened(
     recipe = evaluator_recipe(config.target, config.batch)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
-    logical = None if is_stock(config.env) else logical_scenario(config.env)
+    logical = fixed_logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
     specs = load_specs(config.specs)
     with ExitStack() as stack:
@@ -110,7 +108,7 @@ def opened(
             warnings.append(warning)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
-        if isinstance(logical, DrawnLogicalScenario) and not (folder / ROAD_FILE).is_file():
+        if logical.has_original and not (folder / ROAD_FILE).is_file():
             write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
         clock = StageClock(store.stages)
         clock.seconds[STARTING] = time.monotonic() - begun

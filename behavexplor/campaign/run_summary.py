@@ -1,7 +1,7 @@
 """The figures of a run at one moment, read from its folder: for the terminal, for a JSON file and for notebooks."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -124,13 +124,17 @@ def summary_of(config: CampaignConfig, records: Sequence[Record], elapsed: float
     )
 
 
-def _classes(failures: Sequence[Record]) -> tuple[ClassSummary, ...]:
+def _classes(failures: Iterable[Record]) -> tuple[ClassSummary, ...]:
+    return tuple(
+        ClassSummary(kind, words_of(kind), len(group), group[0].id, sum(record.at_fault for record in group))
+        for kind, group in by_class(failures).items()
+    )
+
+
+def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
+    """Return the failures of each class, the most frequent class first."""
     groups: dict[str, list[Record]] = {}
-    for record in failures:
+    for record in records:
         if record.violation_class is not None:
             groups.setdefault(record.violation_class, []).append(record)
-    listed = [
-        ClassSummary(kind, words_of(kind), len(group), group[0].id, sum(record.at_fault for record in group))
-        for kind, group in groups.items()
-    ]
-    return tuple(sorted(listed, key=lambda one: (-one.count, one.first)))
+    return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))

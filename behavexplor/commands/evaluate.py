@@ -1,6 +1,5 @@
 """`behavexplor evaluate`: measure how well a driving system drives."""
 
-import json
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -20,7 +19,6 @@ from behavexplor.commands.checks import write_json
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import grid, plain_text, say
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
@@ -167,13 +165,12 @@ def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: 
     drivers in the configuration of the policy, and a rate in wide traffic with that in the environment's own traffic.
     """
     columns = {DRAWN: replace(target, stochastic=True)} if draws and not target.stochastic else {}
-    if not isinstance(logical, DrawnLogicalScenario):
+    if not logical.has_original:
         return columns
     if target.traffic != DEFAULT:
         columns["in default traffic"] = replace(target, traffic=DEFAULT)
-    config = json.loads(logical.setup.config)
     for heading, ads in _CONTROLS.items() if controls else ():
-        columns[heading] = replace(target, ads=ads, trust=(), env_config=config, stochastic=False)
+        columns[heading] = replace(target, ads=ads, trust=(), env_config=logical.config, stochastic=False)
     return columns
 
 

@@ -142,20 +142,20 @@ class _Scenes:
 
         scenario, trace = execution.scenario, execution.load_trace()
         plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
-        is_drawn = isinstance(scenario, DrawnScenario)
+        follows_script = not logical.has_original
         record = execution.record
-        goes_on = trace.duration == 0 or (self._is_ego_free and not is_drawn)
+        goes_on = trace.duration == 0 or (self._is_ego_free and follows_script)
         scene = Scene(
             title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}",
             environment=self._config.env,
-            env_config=(not is_drawn and self._config.env_config) or {},
+            env_config=(follows_script and self._config.env_config) or {},
             road_file=self._road_file(plan, execution.id),
             movers=movers_of(scenario, trace, logical.roadmap, is_ego_free=self._is_ego_free),
             is_ego_free=self._is_ego_free,
             destination=trace.destination,
-            stops_there=not is_drawn,
+            stops_there=follows_script,
             time_limit=EPISODE_TIME if goes_on else trace.duration,
-            scenario=scenario if is_drawn else None,
+            scenario=None if follows_script else scenario,
         )
         write_scene(scene, self._out / f"{execution.id:06d}.xosc", self._date, as_routes=self._as_routes)
 

@@ -1,6 +1,5 @@
 """`behavexplor import`: make a scenario from a scene, and execute it."""
 
-import json
 import sys
 import tempfile
 from dataclasses import replace
@@ -14,7 +13,6 @@ from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.export import check_libraries, road_of
 from behavexplor.commands.wording import say
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code
 from behavexplor.data.scenario import Scenario
@@ -96,10 +94,7 @@ def _check_road(file: Path, scene: Scene, plan: Any) -> None:
 
 
 def _target(scenario: Scenario, scene: Scene, ads: str) -> Target:
-    if not isinstance(scenario, DrawnScenario):
-        return Target(scene.environment, ads, env_config=scene.env_config)
-    config, traffic = json.loads(scenario.setup.config), scenario.setup.traffic
-    return Target(scene.environment, ads, env_config=config, traffic=traffic, confirm=False)
+    return Target(scene.environment, ads, confirm=False, **{"env_config": scene.env_config, **scenario.conditions})
 
 
 def _execute(scenario: Scenario, target: Target, logical: LogicalScenario) -> int:

@@ -58,6 +58,7 @@ class DrawnLogicalScenario:
     draws: tuple[Draw, ...]
 
     roadmap: None = None
+    has_original: bool = True
     line_kinds: tuple[str, ...] = ()
     mutations: Mutations = _MUTATIONS
     removable: bool = False  # the environment decides how many vehicles there are
@@ -77,6 +78,11 @@ class DrawnLogicalScenario:
     def name(self) -> str:
         """Name of the environment."""
         return self.setup.env
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The whole configuration of the environment."""
+        return dict(json.loads(self.setup.config))
 
     @cached_property
     def blocks(self) -> tuple[NDArray[np.intp], ...]:

@@ -114,6 +114,26 @@ class DrawnScenario:
         """Name of the environment."""
         return self.setup.env
 
+    @property
+    def npcs(self) -> tuple[()]:
+        """No vehicle is scripted: all drive themselves."""
+        return ()
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """The configuration and the kind of traffic of the environment."""
+        return {"env_config": json.loads(self.setup.config), "traffic": self.setup.traffic}
+
+    @property
+    def scene_config(self) -> dict[str, Any]:
+        """The configuration without the keys that a driver declares."""
+        return self.setup.scene_config
+
+    @property
+    def scene(self) -> tuple[Any, ...]:
+        """What is the same in the scenario for every driver."""
+        return *self.setup.scene, self.seed, self.draws
+
     def to_dict(self) -> dict[str, Any]:
         """Return the scenario as JSON values."""
         return {

@@ -4,6 +4,7 @@ There are two kinds: scripted vehicles (`behavexplor.data.scripted_logical`), an
 (`behavexplor.data.drawn_logical`).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -134,6 +135,16 @@ class LogicalScenario(Protocol):
         ...
 
     @property
+    def has_original(self) -> bool:
+        """Whether highway-env can execute the scenarios, too: the environment is its own, and ours is equal to it."""
+        ...
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """The configuration of the environment, if the scenarios belong to one; else nothing."""
+        ...
+
+    @property
     def mutations(self) -> Mutations:
         """Names of the mutations."""
         ...
@@ -150,6 +161,10 @@ class LogicalScenario(Protocol):
     @property
     def line_kinds(self) -> tuple[str, ...]:
         """The kinds of the illegal lines in a trace, one for each line."""
+        ...
+
+    def to_json(self) -> str:
+        """Return the set as JSON if it depends on the driver; otherwise nothing, because its name says all."""
         ...
 
     def check(self, scenario: Any) -> None:

@@ -18,7 +18,8 @@ import numpy as np
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.roadmap import RoadMap, Route
-from behavexplor.data.scripted import NPC, ScriptedScenario
+from behavexplor.data.scenario import Scenario
+from behavexplor.data.scripted import NPC
 from behavexplor.jit import kernel, kernel_in_place, kernel_inner
 
 MIN_ACCELERATION: Final = -8.0  # [m/s2]
@@ -47,7 +48,7 @@ class Routes(NamedTuple):
     begin: Floats
 
 
-def motion_table(scenario: ScriptedScenario, roadmap: RoadMap, time: Floats) -> Floats:
+def motion_table(scenario: Scenario, roadmap: RoadMap, time: Floats) -> Floats:
     """Compute the motion of every NPC at given times.
 
     Args:

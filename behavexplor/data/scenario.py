@@ -4,10 +4,11 @@ There are two kinds: scripted vehicles on one of this package's roads (`behavexp
 draws of a stock environment (`behavexplor.data.drawn_scenario`).
 """
 
+from collections.abc import Hashable, Mapping
 from typing import Any, Protocol
 
 from behavexplor.data.drawn_scenario import DrawnScenario
-from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scripted import NPC, ScriptedScenario
 from behavexplor.data.untrusted import parse_json
 
 
@@ -17,6 +18,26 @@ class Scenario(Protocol):
     @property
     def functional(self) -> str:
         """Name of the functional scenario, or of the stock environment."""
+        ...
+
+    @property
+    def npcs(self) -> tuple[NPC, ...]:
+        """The scripted vehicles; none where all vehicles drive themselves."""
+        ...
+
+    @property
+    def conditions(self) -> Mapping[str, Any]:
+        """The fields of a `behavexplor.data.target.Target` that the scenario itself states."""
+        ...
+
+    @property
+    def scene_config(self) -> Mapping[str, Any]:
+        """The configuration of the environment that the scenario itself states, but for what a driver declares."""
+        ...
+
+    @property
+    def scene(self) -> Hashable:
+        """What is the same in the scenario for every driver."""
         ...
 
     def to_dict(self) -> dict[str, Any]:

@@ -94,6 +94,21 @@ class ScriptedScenario:
             if not isinstance(npc, NPC):
                 raise InputError(f"npcs[{i}]: expected an NPC, got {brief(npc)}")
 
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """Nothing: the script holds in every configuration of the environment."""
+        return {}
+
+    @property
+    def scene_config(self) -> dict[str, Any]:
+        """Nothing, as for `conditions`."""
+        return {}
+
+    @property
+    def scene(self) -> Self:
+        """The whole scenario, which is the same for every driver."""
+        return self
+
     def to_dict(self) -> dict[str, Any]:
         """Return the scenario as JSON values. Waypoints are `[position, speed]` pairs."""
         return {

@@ -3,10 +3,10 @@
 Source: paper section 2.2, for the parameters that are searched (the NPCs' routes and waypoints).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -33,6 +33,20 @@ class ScriptedLogicalScenario(ScriptedRanges):
             InputError: if a scenario has no NPCs.
         """
         return ScriptedEncoding(self)
+
+    @property
+    def has_original(self) -> bool:
+        """False: highway-env has no scripted vehicles."""
+        return False
+
+    @property
+    def config(self) -> Mapping[str, Any]:
+        """Nothing: the scripts hold in every configuration."""
+        return {}
+
+    def to_json(self) -> str:
+        """Return nothing: the name of the environment says all."""
+        return ""
 
     @property
     def removable(self) -> bool:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.npc_motion import HEADING, motion_on_route
 from behavexplor.data.roadmap import RoadMap, Route
@@ -127,7 +126,7 @@ def restored(scene: Scene, logical: LogicalScenario) -> Scenario:
     Raises:
         InputError: if the scene cannot be taken; the message names what is wrong.
     """
-    if isinstance(logical, DrawnLogicalScenario):
+    if logical.has_original:
         return _drawn(scene, logical)
     ranges = scripted(logical, "A scene")
     _check_ego(scene.movers[0], ranges)
@@ -146,7 +145,7 @@ def _named(message: str, scene: Scene) -> str:
     return message
 
 
-def _drawn(scene: Scene, logical: DrawnLogicalScenario) -> Scenario:
+def _drawn(scene: Scene, logical: LogicalScenario) -> Scenario:
     """Return the scenario that a scene of a stock environment holds. Its vehicles drive themselves."""
     changed = [mover.name for mover in scene.movers if mover.is_changed]
     if scene.scenario is None:

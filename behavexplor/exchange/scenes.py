@@ -20,7 +20,7 @@ from behavexplor.data.durable import new_file
 from behavexplor.data.npc_motion import HEADING, SPEED, X, Y, motion_table
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
-from behavexplor.data.scripted import NPC, ScriptedScenario
+from behavexplor.data.scripted import NPC
 from behavexplor.data.trace import Trace
 from behavexplor.exchange.axes import DIGITS, mirrored, mirrored_points, route_points
 
@@ -104,7 +104,7 @@ def vehicle_name(i: int) -> str:
 
 def vehicle_type(scenario: Scenario, i: int) -> str:
     """Return the type of the vehicle with a number in a trace."""
-    return scenario.npcs[i - 1].type if isinstance(scenario, ScriptedScenario) and i > 0 else VEHICLE
+    return scenario.npcs[i - 1].type if scenario.npcs and i > 0 else VEHICLE
 
 
 def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_ego_free: bool) -> tuple[Mover, ...]:
@@ -135,7 +135,7 @@ def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_e
                 is_gone=bool(there[-1] < len(trace.time) - 1),
             )
         )
-    if isinstance(scenario, ScriptedScenario) and roadmap is not None:
+    if roadmap is not None:
         scripted = [
             replace(mover, script=npc, route=route_points(npc, roadmap))
             for mover, npc in zip(movers[1:], scenario.npcs, strict=True)
@@ -144,7 +144,7 @@ def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_e
     return tuple(movers)
 
 
-def _until_parked(scenario: ScriptedScenario, roadmap: RoadMap, movers: list[Mover]) -> list[Mover]:
+def _until_parked(scenario: Scenario, roadmap: RoadMap, movers: list[Mover]) -> list[Mover]:
     """Return scripted vehicles with their motion until the last one parks."""
     time = np.arange(0.0, EPISODE_TIME + _PERIOD / 2, _PERIOD)
     motion = motion_table(scenario, roadmap, time)

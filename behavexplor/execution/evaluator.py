@@ -11,8 +11,6 @@ from typing import Any, Final
 
 from behavexplor.ads.interface import ADS
 from behavexplor.ads.loading import is_shipped
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.target import CheckedTarget, Target
 from behavexplor.data.trace import Trace
@@ -99,7 +97,7 @@ class Evaluator(Service):
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(self._lock_step)
         if episodes is not None:
-            confirms = self.confirms and self.target.confirm
+            confirms = self.confirms and self.target.confirm and self.simulation.logical.has_original
             self.batch = ScenarioBatch(self.simulation, episodes, self.answer, confirms=confirms)
 
     def execute(self, scenario: bytes) -> bytes:
@@ -128,8 +126,7 @@ class Evaluator(Service):
         Returns:
             JSON; nothing for an environment with scripted vehicles.
         """
-        logical = self.simulation.logical
-        return logical.to_json().encode() if isinstance(logical, DrawnLogicalScenario) else b""
+        return self.simulation.logical.to_json().encode()
 
     def road(self, _: bytes) -> bytes:
         """Return the shape of a stock environment's road as JSON; nothing for an environment of another kind."""
@@ -207,7 +204,7 @@ class ScenarioBatch:
             InputError: if the scenario does not fit this environment.
         """
         scenario = _scenario(request)
-        if not isinstance(scenario, DrawnScenario):
+        if not self._simulation.logical.has_original:
             return self._answer(self._simulation.run(scenario))
         try:
             driven = driven_compiled(self._simulation, scenario)
@@ -224,7 +221,7 @@ class ScenarioBatch:
     def _outcome(self, scenario: Scenario, driven: Trace | ADSError) -> bytes | Exception:
         """Return the answer for an executed scenario, or how the ADS failed."""
         try:
-            if self._confirms and isinstance(scenario, DrawnScenario):
+            if self._confirms:
                 driven = confirmed(self._simulation, scenario, driven)
         except ADSError as error:
             return error

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.conventions import STANDING_SPEED
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.observations import Observation, arrays_of, joined, mapped
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -104,14 +103,14 @@ def _uncompiled(simulation: Simulation) -> str | None:
     if not simulation.plain:
         return None
     reason = simulation.plain.partition("; use gymnasium")[0]  # which those who make vector environments are told
-    if simulation.logical.roadmap is not None:
-        return f"One scenario is executed at a time, many times as slow as compiled: {reason}"
-    return f"highway-env itself executes the scenarios, hundreds of times as slow as compiled: {reason}"
+    if simulation.logical.has_original:
+        return f"highway-env itself executes the scenarios, hundreds of times as slow as compiled: {reason}"
+    return f"One scenario is executed at a time, many times as slow as compiled: {reason}"
 
 
 def _unrepeatable(simulation: Simulation, scenario: Scenario) -> str | None:
     """Return a warning if the draws of a stock environment do not determine how its episodes begin."""
-    if not isinstance(simulation.logical, DrawnLogicalScenario):
+    if not simulation.logical.has_original:
         return None
     env: Any = simulation.env
     starts = set()

@@ -74,7 +74,7 @@ class Simulation:
         *,
         stochastic: bool = False,
     ) -> None:
-        self._is_stock = stock = is_stock(env)
+        stock = is_stock(env)
         roadmap = None if stock else logical_scenario(env).roadmap
         self.source = _source(ads)
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
@@ -105,7 +105,7 @@ class Simulation:
         Scripted vehicles are simulated in a compiled environment with one slot, if it supports the configuration, and
         highway-env's environments as they are.
         """
-        if self._is_stock:
+        if self.logical.has_original:
             return rollout(self.env, self._driver(1), scenario)
         self._single = self._single or self.lock_step(1)
         if self._single is None:
@@ -297,6 +297,11 @@ def logical_scenario(env: str) -> LogicalScenario:
     made = make_env(env, {})
     made.close()
     return logical_of(made, env)
+
+
+def fixed_logical_scenario(env: str) -> LogicalScenario | None:
+    """Return the logical scenario of an environment; None if it depends on what the driver declares."""
+    return None if is_stock(env) else logical_scenario(env)
 
 
 def logical_of(made: gymnasium.Env[Any, Any], name: str) -> LogicalScenario:

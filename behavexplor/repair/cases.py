@@ -12,7 +12,7 @@ from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.campaign.provenance import Claim, code_of, own_digests, remember
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
-from behavexplor.data.drawn_scenario import DEFAULT, DrawnScenario, Traffic
+from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.scenario import Scenario, read_scenario
 from behavexplor.data.target import CheckedTarget
@@ -128,9 +128,8 @@ class Suite:
             settings: further fields of the target.
         """
         config = dict(self.env_config)
-        first = min(self.cases, key=lambda case: case.name).load_scenario() if self.cases else None
-        if isinstance(first, DrawnScenario):
-            config |= first.setup.scene_config
+        if self.cases:
+            config |= min(self.cases, key=lambda case: case.name).load_scenario().scene_config
         if ads == self.driver and self.stochastic:
             settings["stochastic"] = True
         return CheckedTarget(self.env, ads, env_config=config or None, traffic=self.traffic, **settings)

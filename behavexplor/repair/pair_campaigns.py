@@ -14,16 +14,14 @@ from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.opening import opened
 from behavexplor.campaign.record import ERROR
 from behavexplor.campaign.store import Store
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
 from behavexplor.data.trace import Trace
-from behavexplor.envs.making import is_stock
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
-from behavexplor.execution.simulation import logical_scenario
+from behavexplor.execution.simulation import fixed_logical_scenario
 from behavexplor.execution.start import check_loading, logical_of_target, start_executor
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
@@ -190,9 +188,7 @@ def second_config(first: CampaignConfig, ads: str, folder: Path) -> CampaignConf
     with closing(Store.read(folder)) as store:
         scenario = store.execution(0).scenario
     config = replace(first, ads=ads)
-    if isinstance(scenario, DrawnScenario):
-        config = replace(config, env_config=scenario.setup.scene_config)
-    return config
+    return replace(config, env_config=scenario.scene_config) if scenario.scene_config else config
 
 
 def compared(folder: Path) -> list[Pairs]:
@@ -210,10 +206,11 @@ def check_search(config: CampaignConfig) -> None:
     Raises:
         InputError: if the search method cannot be used.
     """
-    if is_stock(config.env):  # where the logical scenario depends on what the driver declares
+    logical = fixed_logical_scenario(config.env)
+    if logical is None:
         load_method(config.method)
     else:
-        search_method(config, logical_scenario(config.env))
+        search_method(config, logical)
 
 
 def differences(

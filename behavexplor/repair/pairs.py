@@ -9,7 +9,6 @@ import scipy
 
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.record import Record
-from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
 
@@ -122,7 +121,4 @@ def _violation_of(name: str) -> Callable[[Record], bool]:
 
 def _scene(record: Record) -> object:
     """Return what is the same in the scenarios of two drivers."""
-    scenario = record.load_scenario()
-    if isinstance(scenario, DrawnScenario):
-        return scenario.setup.scene, scenario.seed, scenario.draws
-    return scenario
+    return record.load_scenario().scene

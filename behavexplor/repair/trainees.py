@@ -1,6 +1,5 @@
 """Policies that go on learning: a network of `train`, or a model of Stable-Baselines3."""
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,6 @@ from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
 from behavexplor.ads.sb3.dense_layers import dense_layers
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, OWN, describe, find_model
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.scripted_logical import scripted
 from behavexplor.data.target import Target
@@ -192,8 +190,8 @@ def _scenarios(simulation: Simulation, count: int) -> ScenarioVecEnv:
 
 def _settings(simulation: Simulation) -> Mapping[str, Any]:
     """Return what the file beside a model says of the configuration of its environment."""
-    if isinstance(simulation.logical, DrawnLogicalScenario):
-        return {"config": json.loads(simulation.logical.setup.config)}
+    if config := simulation.logical.config:
+        return {"config": config}
     return {key: getattr(simulation.ads, key) for key in ENVIRONMENT_KEYS if hasattr(simulation.ads, key)}
 
 

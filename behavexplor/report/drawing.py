@@ -15,7 +15,6 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import box_corners, box_distance
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.roadmap import CURB, DOUBLE_YELLOW
-from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import ViolationEvent, violation_event
 from behavexplor.report.marks import Color, outcome, page_colors, type_color, violation_place
@@ -72,7 +71,7 @@ def footage_of(execution: Execution, shape: RoadShape) -> Footage:
         InputError: if its record holds no valid scenario.
     """
     record, scenario = execution.record, execution.scenario
-    types = [npc.type for npc in scenario.npcs] if isinstance(scenario, ScriptedScenario) else []
+    types = [npc.type for npc in scenario.npcs]
     return Footage(execution.load_trace(), shape, outcome(record.violated, record.end), types, record.violated)
 
 

@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 
 from behavexplor.campaign.record import Record
-from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.report.marks import violation_place
@@ -138,7 +137,7 @@ def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]
     event = violation_event(trace, record.violated)
     packed = pack(trace, event.frame if event else len(trace.time) - 1)
     scenario = record.load_scenario()
-    npcs = scenario.npcs if isinstance(scenario, ScriptedScenario) else ()
+    npcs = scenario.npcs
     mark = None if event is None else violation_place(trace, event)
     return {
         **packed.values(),

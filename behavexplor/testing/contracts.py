@@ -10,7 +10,6 @@ import numpy as np
 
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.scenario import Scenario, parse_scenario
-from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import ENDS, Trace
 from behavexplor.envs.making import make_env
@@ -153,7 +152,7 @@ def executed(env: gymnasium.Env[Any, Any], scenario: Scenario, actions: list[Any
 
 def _check_trace(trace: Trace, scenario: Scenario) -> None:
     promise(
-        not isinstance(scenario, ScriptedScenario) or len(trace.size) == 1 + len(scenario.npcs),
+        not scenario.npcs or len(trace.size) == 1 + len(scenario.npcs),
         f"The trace has {len(trace.size) - 1} vehicles beside the ego, which is not the scenario's number of NPCs",
     )
     promise(trace.end in ENDS, f"The trace ended with {trace.end!r}, which is none of {', '.join(ENDS)}")

@@ -5,7 +5,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.roadmap import RoadMap
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import scripted
@@ -60,7 +59,7 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
     quick, event = contact_fault(trace), violation_event(trace, ("collision",))
     if quick is None or event is None or event.spec != R1:
         return None
-    if isinstance(simulation.logical, DrawnLogicalScenario):
+    if simulation.logical.has_original:
         return _blame_in_reactive_traffic(quick, scenario, rng)
     inside = in_junction(scripted(simulation.logical, "Blame").roadmap, trace)
     if quick != "other":
