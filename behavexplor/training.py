@@ -142,7 +142,7 @@ def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], Non
     folder_in(folder, MODELS)
     first, model = _last_model(folder, config, venv)
     model.set_logger(configure(log_folder(folder, f"stage-{first + 1:04d}"), log_formats()))
-    watch = Watch(observe)
+    watch = TrainingReporter(observe)
     try:
         for stage in range(first, config.n_stages):
             begin_stage(
@@ -300,7 +300,7 @@ def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: f
     model._setup_lr_schedule()  # noqa: SLF001 - the only way to change the learning rate of a model
 
 
-class Watch(BaseCallback):
+class TrainingReporter(BaseCallback):
     """Callback that reports the ends of the latest episodes after each batch of experience."""
 
     def __init__(self, observe: Callable[[Learned], None]) -> None:

@@ -159,6 +159,7 @@ class Experiment(Conditions):
     def to_yaml(self) -> str:
         """Return the whole experiment as YAML, with the options of its methods."""
         values = asdict(self)
+        values |= {one.name: values.pop(one.name) for one in fields(Conditions)}  # after what is the experiment's own
         values |= {key: list(values[key]) for key in ("trust", "specs")}
         values["ads"] = {env: list(systems) for env, systems in self.ads.items()}
         values["groups"] = {name: list(members) for name, members in self.groups.items()}

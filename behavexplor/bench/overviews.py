@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from behavexplor.bench.comparisons import EqualTime, compared_figures, families, samples
 from behavexplor.bench.experiment import Experiment, slug
-from behavexplor.bench.statistics import LEVEL, Comparison, compare, estimate
+from behavexplor.bench.statistics import LEVEL, SampleComparison, compare, estimate
 from behavexplor.bench.summaries import Summary, correlation
 from behavexplor.bench.table import Column, Figure, Table, Value, mean, of_group, p_text, place_cells, place_columns
 from behavexplor.judge.discovery import Discovery
@@ -115,14 +115,14 @@ def _effects(
 
 def _compared(
     experiment: Experiment, summaries: Sequence[Summary], pairs: Sequence[tuple[str, str]], figure: Figure
-) -> Mapping[Pair, Comparison]:
+) -> Mapping[Pair, SampleComparison]:
     """Return the comparisons of a figure, which are corrected as one family."""
     found = samples(experiment, summaries, pairs, figure)
     compared = compare([(first, second) for *_, first, second in found])
     return {sample[:4]: one for sample, one in zip(found, compared, strict=True)}
 
 
-def _cell(found: Sequence[Mapping[Pair, Comparison]], pair: Pair) -> str:
+def _cell(found: Sequence[Mapping[Pair, SampleComparison]], pair: Pair) -> str:
     """Return the effect sizes of all figures as text; empty if the pair was not compared."""
     known = [each[pair] for each in found if pair in each]
     return " / ".join(f"{one.effect:.2f}{'*' if one.corrected < LEVEL else ''}" for one in known)

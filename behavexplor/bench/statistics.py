@@ -114,7 +114,7 @@ def holm(ps: Sequence[float]) -> list[float]:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SampleComparison:
     """A comparison of two samples.
 
     Attributes:
@@ -161,11 +161,11 @@ def compare_together(families: Sequence[Sequence[Pair]]) -> list[JointComparison
     return [JointComparison(*found) for found in zip(effects, ps, holm(ps), strict=True)]
 
 
-def compare(pairs: Sequence[Pair]) -> list[Comparison]:
+def compare(pairs: Sequence[Pair]) -> list[SampleComparison]:
     """Compare pairs of samples, with the correction for one family."""
     ps = [mann_whitney(first, second) for first, second in pairs]
     return [
-        Comparison(
+        SampleComparison(
             (len(first), len(second)), (float(np.mean(first)), float(np.mean(second))), a12(first, second), p, corrected
         )
         for (first, second), p, corrected in zip(pairs, ps, holm(ps), strict=True)

@@ -15,7 +15,7 @@ from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_given
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import Suite
-from behavexplor.repair.checking import Outcome, opened_driver
+from behavexplor.repair.checking import CheckedCase, opened_driver
 
 
 def check(
@@ -69,14 +69,14 @@ def result(failed: int, count: int) -> str:
     return f"{failed} of {count} scenarios {fail}" if failed else f"All {count} scenarios pass"
 
 
-def _table(outcomes: Sequence[Outcome]) -> str:
+def _table(outcomes: Sequence[CheckedCase]) -> str:
     table = grid("scenario", "", "what happened")
     for outcome in outcomes:
         table.add_row(outcome.case.name, "pass" if outcome.passed else "FAIL", outcome.words)
     return plain_text(table)
 
 
-def _write(path: Path, suite: Suite, outcomes: Sequence[Outcome]) -> None:
+def _write(path: Path, suite: Suite, outcomes: Sequence[CheckedCase]) -> None:
     """Write results as JUnit XML.
 
     Raises:

@@ -24,7 +24,7 @@ from behavexplor.data.road_shape import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
 from behavexplor.envs.making import make_env, make_recorded
 from behavexplor.errors import InputError, missing_library
-from behavexplor.exchange.scenes import Scene, movers_of, write_table
+from behavexplor.exchange.scenes import SceneFile, movers_of, write_table
 from behavexplor.execution.simulation import logical_of
 from behavexplor.report.marks import outcome
 
@@ -145,7 +145,7 @@ class _Scenes:
         follows_script = not logical.has_original
         record = execution.record
         goes_on = trace.duration == 0 or (self._is_ego_free and follows_script)
-        scene = Scene(
+        scene = SceneFile(
             title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}",
             environment=self._config.env,
             env_config=(follows_script and self._config.env_config) or {},

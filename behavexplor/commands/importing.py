@@ -19,7 +19,7 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
 from behavexplor.exchange.restoring import restored
-from behavexplor.exchange.scenes import Scene
+from behavexplor.exchange.scenes import SceneFile
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import fewest_workers, start_executor
@@ -66,7 +66,7 @@ def importing(
     return OK
 
 
-def _check_environment(scene: Scene, env: str | None) -> None:
+def _check_environment(scene: SceneFile, env: str | None) -> None:
     """Check that a file does not choose which code of other packages is loaded."""
     name = scene.environment
     is_ours = not env_code(name)
@@ -78,7 +78,7 @@ def _check_environment(scene: Scene, env: str | None) -> None:
         raise InputError(f"The scene's scenario belongs to {scene.scenario.functional!r}, and the scene to {name!r}")
 
 
-def _check_road(file: Path, scene: Scene, plan: Any) -> None:
+def _check_road(file: Path, scene: SceneFile, plan: Any) -> None:
     """Check that the road beside a scene is the environment's own, if it is there."""
     from behavexplor.exchange.opendrive import write_road  # noqa: PLC0415 - needs the extra `scenes`
     from behavexplor.exchange.xml_files import same_road  # noqa: PLC0415
@@ -93,7 +93,7 @@ def _check_road(file: Path, scene: Scene, plan: Any) -> None:
             raise InputError(f"{path} is not the road of {scene.environment}, and a road cannot be changed by a scene")
 
 
-def _target(scenario: Scenario, scene: Scene, ads: str) -> Target:
+def _target(scenario: Scenario, scene: SceneFile, ads: str) -> Target:
     return Target(scene.environment, ads, confirm=False, **{"env_config": scene.env_config, **scenario.conditions})
 
 

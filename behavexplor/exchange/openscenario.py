@@ -17,7 +17,7 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import ARRIVAL_DISTANCE
 from behavexplor.data.durable import write_durably
 from behavexplor.exchange import axes
-from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
+from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest
 
 REVISION: Final = 2  # minor revision of OpenSCENARIO XML 1
 AUTHOR: Final = "behavexplor"
@@ -31,7 +31,7 @@ _STEERING: Final = 0.6  # greatest angle [rad]
 _MAX_SPEED, _MAX_ACCELERATION, _MAX_DECELERATION = 60.0, 10.0, 10.0  # [m/s] [m/s2]
 
 
-def write_scene(scene: Scene, path: Path, date: datetime, *, as_routes: bool = False) -> None:
+def write_scene(scene: SceneFile, path: Path, date: datetime, *, as_routes: bool = False) -> None:
     """Write a scene as an OpenSCENARIO file.
 
     Args:
@@ -75,7 +75,7 @@ def write_scene(scene: Scene, path: Path, date: datetime, *, as_routes: bool = F
     write_durably(path, prettify(made.get_element(), encoding="utf-8"))
 
 
-def _facts(scene: Scene) -> dict[str, str]:
+def _facts(scene: SceneFile) -> dict[str, str]:
     facts = {axes.ENVIRONMENT: scene.environment, axes.VEHICLES: str(len(scene.movers))}
     if scene.env_config:
         facts[axes.ENV_CONFIG] = json.dumps(dict(scene.env_config), sort_keys=True)
@@ -91,7 +91,7 @@ def _properties(facts: dict[str, str]) -> Any:
     return properties
 
 
-def _parameters(scene: Scene) -> Any:
+def _parameters(scene: SceneFile) -> Any:
     declared = xosc.ParameterDeclarations()
     values = {TIME_LIMIT: scene.time_limit, **({ARRIVAL: ARRIVAL_DISTANCE} if scene.stops_there else {})}
     for name, value in values.items():
@@ -200,7 +200,7 @@ def _at(time: float) -> Any:
     return xosc.ValueTrigger(f"at {time:g} s", 0, xosc.ConditionEdge.none, condition)
 
 
-def _stop(scene: Scene) -> Any:
+def _stop(scene: SceneFile) -> Any:
     """Return the trigger that stops the storyboard: a collision of the ego, its arrival, or the time limit."""
     limit = xosc.SimulationTimeCondition(f"${TIME_LIMIT}", xosc.Rule.greaterOrEqual)
     conditions = [xosc.ValueTrigger("time limit", 0, xosc.ConditionEdge.none, limit, "stop")]

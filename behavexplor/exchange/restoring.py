@@ -17,7 +17,7 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario, scripted
 from behavexplor.errors import InputError, unknown_name
-from behavexplor.exchange.scenes import Mover, Scene
+from behavexplor.exchange.scenes import Mover, SceneFile
 
 MAX_DEVIATION: Final = 0.5  # greatest distance of a fitted motion from the trajectory [m]
 _POINTS: Final = 200  # points of a trajectory that are fitted
@@ -114,7 +114,7 @@ def _waypoints(genes: Floats) -> Floats:
 _SAME: Final = 0.01  # greatest deviation of a place or size that counts as the same [m]
 
 
-def restored(scene: Scene, logical: LogicalScenario) -> Scenario:
+def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:
     """Return the scenario of a scene.
 
     The script of a vehicle counts. If its motion was changed by hand, or it has no script, one is fitted to its motion.
@@ -138,14 +138,14 @@ def restored(scene: Scene, logical: LogicalScenario) -> Scenario:
     return scenario
 
 
-def _named(message: str, scene: Scene) -> str:
+def _named(message: str, scene: SceneFile) -> str:
     """Return a message with the names of the scene's vehicles in place of their numbers."""
     for i in reversed(range(len(scene.movers) - 1)):
         message = message.replace(f"npcs[{i}].", f"{scene.movers[i + 1].name}: ")
     return message
 
 
-def _drawn(scene: Scene, logical: LogicalScenario) -> Scenario:
+def _drawn(scene: SceneFile, logical: LogicalScenario) -> Scenario:
     """Return the scenario that a scene of a stock environment holds. Its vehicles drive themselves."""
     changed = [mover.name for mover in scene.movers if mover.is_changed]
     if scene.scenario is None:

@@ -17,7 +17,7 @@ from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError, brief
 from behavexplor.exchange import axes
-from behavexplor.exchange.scenes import EGO, Mover, Scene, motion_digest
+from behavexplor.exchange.scenes import EGO, Mover, SceneFile, motion_digest
 from behavexplor.exchange.xml_files import Element, read_xml
 
 _CHILDREN: Final = {
@@ -87,7 +87,7 @@ _SAME_TIME: Final = 1e-6  # [s]
 _SAME_PLACE: Final = 0.01  # greatest distance between a start and the first point of a trajectory [m]
 
 
-def read_scene(path: Path) -> Scene:
+def read_scene(path: Path) -> SceneFile:
     """Read a scene.
 
     Raises:
@@ -106,7 +106,7 @@ def read_scene(path: Path) -> Scene:
     movers = tuple(_mover(entity, motions[entity.get("name")]) for entity in root.iterfind("Entities/ScenarioObject"))
     if not movers or movers[0].name != EGO:
         raise InputError(f"{path}: its first entity must be the vehicle named {EGO}")
-    return Scene(
+    return SceneFile(
         title=root.find("FileHeader").get("description", ""),
         environment=facts[axes.ENVIRONMENT],
         env_config=_config(facts.get(axes.ENV_CONFIG, "{}")),

@@ -61,7 +61,7 @@ class Mover:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SceneFile:
     """What an exchanged file says of one execution.
 
     Attributes:

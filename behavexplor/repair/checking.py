@@ -21,7 +21,7 @@ from behavexplor.repair.cases import Case, Suite
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckedCase:
     """What a driver did in the scenario of a case.
 
     Attributes:
@@ -54,7 +54,7 @@ class Checker:
         self._logical = logical
         self._specs = specs
 
-    def __call__(self, case: Case) -> Outcome:
+    def __call__(self, case: Case) -> CheckedCase:
         """Drive one case.
 
         Raises:
@@ -63,7 +63,7 @@ class Checker:
         """
         return self._outcome(case, self._begun(case))
 
-    def all_of(self, cases: Sequence[Case]) -> Iterator[Outcome]:
+    def all_of(self, cases: Sequence[Case]) -> Iterator[CheckedCase]:
         """Drive many cases at a time, and yield their outcomes in order; see `__call__`."""
         begun = [self._begun(case) for case in cases]
         for case, future in zip(cases, begun, strict=True):
@@ -73,15 +73,15 @@ class Checker:
         scenario = self._logical.adopted(case.load_scenario())
         return self._executor.submit(EXECUTE, scenario.to_json().encode())
 
-    def _outcome(self, case: Case, future: "Future[bytes]") -> Outcome:
+    def _outcome(self, case: Case, future: "Future[bytes]") -> CheckedCase:
         try:
             trace = Trace.from_bytes(future.result())
         except ADSError as error:
-            return Outcome(case, ("error",), sentence(str(error)))
+            return CheckedCase(case, ("error",), sentence(str(error)))
         violated = own_violations(trace, judge(trace, self._specs).violated)
         kind = violation_class(trace, violated)
         words = kind.words if kind else "Violated " + ", ".join(violated) if violated else "Passed"
-        return Outcome(case, tuple(name for name in violated if name in case.holds), words)
+        return CheckedCase(case, tuple(name for name in violated if name in case.holds), words)
 
 
 def _check_names(suite: Suite, known: Sequence[str]) -> None:

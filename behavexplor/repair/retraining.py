@@ -29,7 +29,7 @@ from behavexplor.evaluation import Outcomes, start_judge, uniform_outcomes
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import logical_of_target
 from behavexplor.repair.retraining_rounds import ROUNDS, RetrainingConfig, Round, append_round, best, finished_rounds
-from behavexplor.repair.scenario_pool import Pool, PoolWatch, read_pool
+from behavexplor.repair.scenario_pool import Pool, PoolReporter, read_pool
 from behavexplor.repair.trainees import Trainee, copy_policy, given_file, open_trainee
 from behavexplor.training import Learned, log_folder, log_formats, restore_model, save_model
 from behavexplor.triage.blame import blame
@@ -131,7 +131,7 @@ def retrain(
             rounds = [work.finish(0, None)]
             report(rounds[-1])
         try:
-            work.run(rounds, PoolWatch(observe, pool, own=config.pool in ("own", "both")), report)
+            work.run(rounds, PoolReporter(observe, pool, own=config.pool in ("own", "both")), report)
         finally:
             copy_policy(work.file(best(rounds).number, trainee.suffix), policy_in(folder, config))
     return rounds

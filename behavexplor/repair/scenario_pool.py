@@ -13,7 +13,7 @@ from behavexplor.data.scenario import Scenario, parse_scenario
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.evaluation import outcomes_of
-from behavexplor.training import Learned, Watch
+from behavexplor.training import Learned, TrainingReporter
 
 FULL: Final = 100  # scenarios that a pool needs to be drawn from with its full share
 MOST: Final = 2000  # scenarios in a pool; the newest are kept
@@ -90,7 +90,7 @@ def read_pool(path: Path) -> list[Scenario]:
     return [parse_scenario(line) for line in lines]
 
 
-class PoolWatch(Watch):
+class PoolReporter(TrainingReporter):
     """Callback that keeps a pool up to date with the ends of the training's episodes.
 
     A scenario leaves the pool when an episode in it ends without a failure at fault.

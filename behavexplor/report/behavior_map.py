@@ -113,7 +113,7 @@ def _plain(value: float) -> float:
 
 
 def scaled(distances: Floats) -> Floats:
-    """Place points in the plane at approximately given distances, by classical multidimensional scaling.
+    """Lay points out in the plane at approximately given distances, by classical multidimensional scaling.
 
     Args:
         distances: symmetric matrix of distances, shape (n, n).

@@ -12,7 +12,7 @@ from behavexplor.data.trace import ARRIVED, Trace
 from behavexplor.judge.events import R1, violation_event
 from behavexplor.report.marks import violation_place
 from behavexplor.report.packing import pack
-from behavexplor.report.reading import Run
+from behavexplor.report.reading import ReportedRun
 from behavexplor.triage.findings import Finding, counted
 from behavexplor.triage.minimized import Minimized
 
@@ -52,7 +52,7 @@ def minimal_name(number: int) -> str:
     return f"{number}-minimized"
 
 
-def cards(run: Run, limit: int) -> tuple[Card, ...]:
+def cards(run: ReportedRun, limit: int) -> tuple[Card, ...]:
     """Return the cards of a run: its classes, the largest first, then the executions that passed most narrowly.
 
     Args:
@@ -113,7 +113,7 @@ def _card(class_id: str, findings: list[Finding], examined: frozenset[int]) -> C
     return Card(class_id, first.spec, shown.words, len(findings), first.id, shown.id, listed)
 
 
-def _nearest(run: Run) -> Card | None:
+def _nearest(run: ReportedRun) -> Card | None:
     passed = [entry for entry in run.entries if not entry.violated]
     if not passed:
         return None

@@ -61,7 +61,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportedRun:
     """A run, as a report shows it.
 
     Attributes:
@@ -133,7 +133,7 @@ class Run:
         return sum(not finding.same_verdict for finding in self.findings if finding.id in self.examined)
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path) -> ReportedRun:
     """Read a run. Only traces of failures that triage has not examined are loaded.
 
     Raises:
@@ -159,7 +159,7 @@ def read_run(folder: Path) -> Run:
     weaknesses = triage.weaknesses if triage else {}
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
-    return Run(folder, config, *found, digests, _stages(folder))
+    return ReportedRun(folder, config, *found, digests, _stages(folder))
 
 
 def stored(folder: Path) -> Iterator[Execution]:

@@ -6,7 +6,7 @@ from typing import Final
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
 from behavexplor.report.gallery import PASSED
-from behavexplor.report.reading import Run
+from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
 from behavexplor.report.sections import curves, section
 
@@ -22,7 +22,7 @@ def _by_requirement(counts: Mapping[str, int]) -> str:
     return ", ".join(str(count) if name in own else f"{name} {count}" for name, count in counts.items())
 
 
-_FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
+_FIGURES: Final[dict[str, Callable[[ReportedRun], str]]] = {  # rows of the comparison
     "environment": lambda run: run.config.env,
     "driving system": lambda run: run.config.ads,
     "method": lambda run: run.config.method,
@@ -40,7 +40,7 @@ _FIGURES: Final[dict[str, Callable[[Run], str]]] = {  # rows of the comparison
 }
 
 
-def page(runs: Sequence[Run], replays: int, paired: Paired = ((), ())) -> str:
+def page(runs: Sequence[ReportedRun], replays: int, paired: Paired = ((), ())) -> str:
     """Return the report on runs as a page in ASCII. Equal run folders give equal pages.
 
     Args:
@@ -68,12 +68,12 @@ def page(runs: Sequence[Run], replays: int, paired: Paired = ((), ())) -> str:
     )
 
 
-def comparison(runs: Sequence[Run]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def comparison(runs: Sequence[ReportedRun]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return the rows of the comparison: the name of a figure, then its value for each run."""
     return tuple((name, tuple(figure(run) for run in runs)) for name, figure in _FIGURES.items())
 
 
-def class_rows(runs: Sequence[Run]) -> tuple[tuple[str, tuple[int, ...]], ...]:
+def class_rows(runs: Sequence[ReportedRun]) -> tuple[tuple[str, tuple[int, ...]], ...]:
     """Return the count of each class in each run, the classes found in most runs first."""
     counts = [{name: len(findings) for name, findings in run.classes.items()} for run in runs]
     names = {name for count in counts for name in count}

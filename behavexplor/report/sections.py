@@ -21,7 +21,7 @@ from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_par
 from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
 from behavexplor.report.marks import type_color
 from behavexplor.report.packing import MAX_FRAMES
-from behavexplor.report.reading import Run
+from behavexplor.report.reading import ReportedRun
 from behavexplor.report.road_shapes import known_road, road_values
 from behavexplor.triage.minimized import trace_path
 
@@ -58,7 +58,7 @@ class Ribbon:
 
 
 @dataclass(frozen=True)
-class Place:
+class MapPoint:
     """One execution on the map of behaviors.
 
     Attributes:
@@ -98,14 +98,14 @@ class Section:
     """
 
     number: int
-    run: Run
+    run: ReportedRun
     limit: int
     cards: tuple[Card, ...]
     charts: tuple[Chart, ...]
     found: Behaviors
     ribbons: tuple[Ribbon, ...]
     longest: float
-    places: tuple[Place, ...]
+    places: tuple[MapPoint, ...]
     has_road: bool
     left_out: bool
     values: Mapping[str, Any]
@@ -140,7 +140,7 @@ class Section:
         return [(name, str(value)) for name, value in asdict(self.run.config).items()]
 
 
-def section(number: int, run: Run, limit: int) -> Section:
+def section(number: int, run: ReportedRun, limit: int) -> Section:
     """Return the section about a run.
 
     Args:
@@ -183,7 +183,7 @@ def section(number: int, run: Run, limit: int) -> Section:
 
 
 def _looked_at(
-    run: Run, wanted: Sequence[int], replayed: Collection[int]
+    run: ReportedRun, wanted: Sequence[int], replayed: Collection[int]
 ) -> tuple[dict[int, Trace], dict[int, Record]]:
     """Return traces, and the records of the replayed executions, by the numbers of the executions in order.
 
@@ -212,7 +212,9 @@ def _fits(trace: Trace) -> bool:
     return min(len(trace.time), MAX_FRAMES) * len(trace.size) <= MOST_SHOWN
 
 
-def _replays(run: Run, traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors) -> dict[str, Any]:
+def _replays(
+    run: ReportedRun, traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors
+) -> dict[str, Any]:
     """Return the replays by the numbers of their executions."""
     replays = {}
     for number, record in records.items():
@@ -223,7 +225,7 @@ def _replays(run: Run, traces: Mapping[int, Trace], records: Mapping[int, Record
     return replays
 
 
-def _minimal_replays(run: Run, gallery: Sequence[Card]) -> dict[str, Any]:
+def _minimal_replays(run: ReportedRun, gallery: Sequence[Card]) -> dict[str, Any]:
     """Return the replays of minimized failures by their names."""
     replays = {}
     for number in (card.look_at for card in gallery if card.is_minimal):
@@ -247,7 +249,7 @@ def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: 
     return Ribbon(number, class_id, tuple(strip), found.text(number), linked)
 
 
-def _places(run: Run, found: Behaviors, replayed: Collection[int]) -> tuple[Place, ...]:
+def _places(run: ReportedRun, found: Behaviors, replayed: Collection[int]) -> tuple[MapPoint, ...]:
     """Return the map, scaled into a square. Failures come last, so that they are drawn on top."""
     kinds = {finding.id: (finding.spec, finding.class_id) for finding in run.findings}
     points = np.array(list(found.places.values()))
@@ -256,11 +258,11 @@ def _places(run: Run, found: Behaviors, replayed: Collection[int]) -> tuple[Plac
     places = []
     for number, (x, y) in zip(found.places, scaled, strict=True):
         spec, class_id = kinds.get(number, (PASSED, PASSED))
-        places.append(Place(number, round(float(x), 1), round(float(y), 1), spec, class_id, number in replayed))
+        places.append(MapPoint(number, round(float(x), 1), round(float(y), 1), spec, class_id, number in replayed))
     return tuple(sorted(places, key=lambda place: (place.spec != PASSED, place.id)))
 
 
-def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
+def curves(runs: Sequence[ReportedRun]) -> tuple[Chart, ...]:
     """Return the curves of failures, classes and new behaviors over the executions, for one run or several."""
     counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviors": []}
     for index, run in enumerate(runs):
@@ -272,7 +274,7 @@ def curves(runs: Sequence[Run]) -> tuple[Chart, ...]:
     return tuple(drawn for drawn in charts if drawn is not None)
 
 
-def _steps(run: Run) -> tuple[Floats, Floats, Floats]:
+def _steps(run: ReportedRun) -> tuple[Floats, Floats, Floats]:
     """Return three arrays of 1 and 0 over the executions: failure, first failure of its class, new behavior."""
     firsts = {findings[0].id for findings in run.classes.values()}
     return (
@@ -282,7 +284,7 @@ def _steps(run: Run) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def clouds(run: Run) -> tuple[Chart, ...]:
+def clouds(run: ReportedRun) -> tuple[Chart, ...]:
     """Return the charts of novelty and energy over the executions, if the records have them."""
     limit = np.full(len(run.entries), NOVELTY_THRESHOLD)
     novelty = np.array([entry.novelty for entry in run.entries])
@@ -296,7 +298,7 @@ def clouds(run: Run) -> tuple[Chart, ...]:
     return tuple(drawn for drawn in charts if drawn is not None)
 
 
-def _cloud(run: Run, numbers: Floats, values: Floats) -> list[Series]:
+def _cloud(run: ReportedRun, numbers: Floats, values: Floats) -> list[Series]:
     failed = np.array([bool(entry.violated) for entry in run.entries])
     return [
         Series("no violation", numbers, np.where(failed, np.nan, values), dots=True, style=0),

@@ -30,7 +30,7 @@ _SETTINGS: Final = {"n_steps": 32, "batch_size": 256, "n_epochs": 10, "gamma": 0
 
 
 @dataclass(frozen=True)
-class Round:
+class FuzzingRound:
     """One round of fuzzing.
 
     Attributes:
@@ -107,8 +107,8 @@ class FuzzCallback(BaseCallback):
         self._settings = {"budget": budget, "seed": seed, "specs": tuple(specs), "method": method, **settings}
         self._begin = self._spent = 0.0
         self._next = every
-        self.rounds: list[Round] = []
-        self.best: Round | None = None
+        self.rounds: list[FuzzingRound] = []
+        self.best: FuzzingRound | None = None
 
     @property
     def folder(self) -> Path:
@@ -144,7 +144,7 @@ class FuzzCallback(BaseCallback):
         elapsed = time.monotonic() - self._begin
         return self._spent + expected <= self._share * (elapsed + expected)
 
-    def _round(self) -> Round:
+    def _round(self) -> FuzzingRound:
         begin = time.monotonic()
         folder = folder_in(self.folder, f"step-{self.num_timesteps:09d}")
         with warnings.catch_warnings():
@@ -153,18 +153,18 @@ class FuzzCallback(BaseCallback):
             run = find_failures(given, self._env, out=folder, progress=False, **self._settings)
         seconds = time.monotonic() - begin
         self._spent += seconds
-        found = Round(self.num_timesteps, folder, run.summary, seconds)
+        found = FuzzingRound(self.num_timesteps, folder, run.summary, seconds)
         self.rounds.append(found)
         return found
 
-    def _keep(self, found: Round) -> None:
+    def _keep(self, found: FuzzingRound) -> None:
         """Save the policy if it is the best one so far."""
         if self.best is None or found.summary.at_fault <= self.best.summary.at_fault:
             self.best = found
             with new_file(self.folder / BEST) as file:
                 self.model.save(file)
 
-    def _log(self, found: Round) -> None:
+    def _log(self, found: FuzzingRound) -> None:
         figures = {
             "failure_rate": found.summary.failure_rate,
             "at_fault_rate": found.summary.at_fault_rate,

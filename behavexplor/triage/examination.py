@@ -25,7 +25,7 @@ EXAMINE: Final = "examine"  # function of the service
 
 
 @dataclass(frozen=True)
-class Repetition:
+class Rerun:
     """Comparison of a second execution of a scenario with the first.
 
     Attributes:
@@ -39,7 +39,7 @@ class Repetition:
     deviation: float
 
 
-def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Repetition:
+def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:
     """Execute a scenario again and compare the traces.
 
     Args:
@@ -51,10 +51,10 @@ def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequ
     try:
         again = simulation.run(scenario)
     except ADSError:
-        return Repetition(same_verdict=False, same_trace=False, deviation=0.0)
+        return Rerun(same_verdict=False, same_trace=False, deviation=0.0)
     frames = min(len(again.time), len(trace.time))
     apart = again.position[:frames, 0] - trace.position[:frames, 0]
-    return Repetition(
+    return Rerun(
         same_verdict=judge(again, specs).violated == judge(trace, specs).violated,
         same_trace=again.to_bytes() == trace.to_bytes(),
         deviation=float(np.hypot(apart[:, 0], apart[:, 1]).max()),

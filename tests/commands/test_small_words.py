@@ -11,7 +11,7 @@ from behavexplor.commands.check import result
 from behavexplor.evaluation import Evaluation
 from behavexplor.execution.simulation import Simulation
 from behavexplor.repair.cases import Case, Suite
-from behavexplor.repair.checking import Outcome
+from behavexplor.repair.checking import CheckedCase
 from tests.fakes import LOGICAL
 
 
@@ -43,7 +43,7 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
 
 def test_what_was_driven_is_shown_even_if_a_file_of_it_cannot_be_written(tmp_path, monkeypatch, capsys):
     case = Case(words="", class_id="R2", run="run", execution=7, holds=("lines",), scenario={})
-    outcome = Outcome(case, ("lines",), "Touched a line")
+    outcome = CheckedCase(case, ("lines",), "Touched a line")
     monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm", cases=(case,)))
     drive = SimpleNamespace(all_of=lambda _: [outcome])
     monkeypatch.setattr("behavexplor.commands.check.opened_driver", lambda *_, **__: nullcontext(drive))

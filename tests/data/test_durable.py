@@ -15,9 +15,9 @@ from behavexplor.errors import InputError
 PACKAGE = Path(behavexplor.__file__).parent
 OTHERS = {  # modules that write elsewhere than into a folder that a user names
     "data/durable.py": "writes all others",
-    "campaign/folder_lock.py": "the lock, which check_file looks at",
+    "campaign/database_file.py": "the lock, which check_file looks at",
     "jit.py": "compiled code, in a folder of its own",
-    "campaign/own_folders.py": "the list of own folders, in the user's state folder",
+    "campaign/provenance.py": "the list of own folders, in the user's state folder",
     "execution/worker_output.py": "nothing: it opens the null device",
 }
 WRITING = {"write_text", "write_bytes", "touch", "mkdir", "makedirs", "copyfile", "copytree", "write_xml"}

@@ -22,7 +22,7 @@ from behavexplor.exchange.openscenario import write_scene
 from behavexplor.exchange.restoring import MAX_DEVIATION, restored
 from behavexplor.exchange.road_layout import MAX_ERROR
 from behavexplor.exchange.scene_reading import read_scene
-from behavexplor.exchange.scenes import COLUMNS, Scene, movers_of
+from behavexplor.exchange.scenes import COLUMNS, SceneFile, movers_of
 from behavexplor.execution.simulation import logical_scenario
 from tests.exchange.exported import difference, failures, imported, repeated, schema_errors
 
@@ -61,7 +61,7 @@ def scene(tmp_path_factory):
 
 def write(path, scenario, trace, *, is_ego_free=False, as_routes=False):
     movers = movers_of(scenario, trace, S1.roadmap, is_ego_free=is_ego_free)
-    made = Scene(
+    made = SceneFile(
         "a test",
         "intersection-straight",
         road_file="road.xodr",
@@ -315,7 +315,7 @@ def test_vehicles_that_appear_and_leave_are_added_and_deleted(tmp_path):
     path = tmp_path / "scene.xosc"
     drawn = DrawnScenario(Setup("intersection-v0", "{}", "default", "1.12"), 0, ())
     movers = movers_of(drawn, trace, None, is_ego_free=False)
-    write_scene(Scene("a test", "intersection-v0", movers=movers), path, datetime(2026, 1, 1, tzinfo=UTC))
+    write_scene(SceneFile("a test", "intersection-v0", movers=movers), path, datetime(2026, 1, 1, tzinfo=UTC))
     assert schema_errors(path) == []
     found = read_scene(path).movers
     assert [mover.is_gone for mover in found] == [False, False, True]

@@ -13,7 +13,7 @@ from behavexplor.data.road_shape import plan_of_map
 from behavexplor.errors import InputError
 from behavexplor.exchange.openscenario import write_scene
 from behavexplor.exchange.scene_reading import read_scene
-from behavexplor.exchange.scenes import Mover, Scene
+from behavexplor.exchange.scenes import Mover, SceneFile
 from behavexplor.execution.simulation import logical_scenario
 
 
@@ -22,7 +22,7 @@ def text(tmp_path):
     """The file of a scene in which the ego drives for a second."""
     pose = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
     ego = Mover("Ego", "vehicle", (4.9, 2.1), np.array([0.0, 1.0]), pose, 5.0)
-    write_scene(Scene("a scene", "lane-follow", movers=(ego,)), tmp_path / "a.xosc", datetime.fromtimestamp(0, UTC))
+    write_scene(SceneFile("a scene", "lane-follow", movers=(ego,)), tmp_path / "a.xosc", datetime.fromtimestamp(0, UTC))
     return (tmp_path / "a.xosc").read_text()
 
 

@@ -83,8 +83,8 @@ def test_a_search_that_fails_leaves_the_comparison_on_disk(tmp_path, monkeypatch
     pairs = [Pairs(AT_FAULT, (), (), 0, 1)]
     for name, function in {
         "_drive": lambda *_, **__: None,
-        "second_config": lambda first, *_: first,
-        "compared": lambda _: pairs,
+        "pair_campaigns.second_config": lambda first, *_: first,
+        "pair_campaigns.compared": lambda _: pairs,
         "_write": lambda *given: written.append(given),
         "searched": fail,
     }.items():
@@ -100,7 +100,7 @@ def test_a_search_that_ends_early_says_how_many_scenarios_it_drove(tmp_path, mon
         given[-1](7)
         return []
 
-    monkeypatch.setattr("behavexplor.commands.compare.differences", differences)
+    monkeypatch.setattr("behavexplor.commands.compare.pair_campaigns.differences", differences)
     config = CampaignConfig(method="random", budget="12")
     assert not searched(config, config, tmp_path, 0, quiet=True)
     assert "0 of 7 scenarios in which only one driver fails; it ended before" in capsys.readouterr().out

@@ -33,7 +33,7 @@ SPAWN = "_spawn_vehicle"
 _SPAWN_KINDS = (UNIFORM, UNIFORM, UNIFORM, NORMAL, NORMAL)  # of its draws, before that of `DELTA`
 
 
-class Place(NamedTuple):
+class DrawPlace(NamedTuple):
     """Where a draw is found: its call, its position among the call's draws, and its kind."""
 
     name: str
@@ -77,7 +77,7 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._networks = [env.inner.road.network] * num_envs  # that of the engine, now that it has copied an episode
         self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
 
-    def _start_order(self) -> tuple[Place, ...] | None:
+    def _start_order(self) -> tuple[DrawPlace, ...] | None:
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
         rng = np.random.default_rng(0)
         scenarios = [self.logical.sample(rng) for _ in range(_COMPARED)]
@@ -219,7 +219,7 @@ def _has_arrived(infos: dict[str, Any], b: int) -> bool | None:
     return None if arrived is None else bool(arrived[b])
 
 
-def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[Place, ...] | None:
+def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[DrawPlace, ...] | None:
     """Return the order of the draws with which episodes begin; None if it differs from episode to episode.
 
     Args:
@@ -229,11 +229,11 @@ def start_order(env: DrawnEnv, scenarios: Iterable[DrawnScenario]) -> tuple[Plac
     orders = set()
     for scenario in scenarios:
         env.begin_blindly(scenario)
-        orders.add(_with_whole_spawns(Place(*place) for place in env.generator.sequence))
+        orders.add(_with_whole_spawns(DrawPlace(*place) for place in env.generator.sequence))
     return orders.pop() if len(orders) == 1 else None
 
 
-def decision_order(env: DrawnEnv) -> tuple[Place, ...]:
+def decision_order(env: DrawnEnv) -> tuple[DrawPlace, ...]:
     """Return the order of the draws after each decision, by which vehicles appear at an intersection."""
     if not isinstance(env.inner, IntersectionEnv):
         return ()
@@ -242,7 +242,7 @@ def decision_order(env: DrawnEnv) -> tuple[Place, ...]:
     return tuple(place for call in calls for place in _spawn(call))
 
 
-def forms_of(scenario: DrawnScenario, order: Sequence[Place]) -> Floats:
+def forms_of(scenario: DrawnScenario, order: Sequence[DrawPlace]) -> Floats:
     """Return the standard forms of a scenario's draws in their order, shape (n,)."""
     draws: dict[str, Any] = dict(scenario.draws)
     made = DrawnGenerator(draws, scenario.seed, __file__)
@@ -252,9 +252,9 @@ def forms_of(scenario: DrawnScenario, order: Sequence[Place]) -> Floats:
     )
 
 
-def _with_whole_spawns(places: Iterable[Place]) -> tuple[Place, ...]:
+def _with_whole_spawns(places: Iterable[DrawPlace]) -> tuple[DrawPlace, ...]:
     """Return an order in which each call that may place a vehicle at an intersection has all draws it might make."""
-    order: list[Place] = []
+    order: list[DrawPlace] = []
     seen = set()
     for place in places:
         caller, found, rest = place.name.partition(f"/{SPAWN}")
@@ -267,6 +267,6 @@ def _with_whole_spawns(places: Iterable[Place]) -> tuple[Place, ...]:
     return tuple(order)
 
 
-def _spawn(call: str) -> list[Place]:
-    own = [Place(call, position, kind) for position, kind in enumerate(_SPAWN_KINDS)]
-    return [*own, Place(f"{call}/randomize_behavior", 0, UNIFORM)]
+def _spawn(call: str) -> list[DrawPlace]:
+    own = [DrawPlace(call, position, kind) for position, kind in enumerate(_SPAWN_KINDS)]
+    return [*own, DrawPlace(f"{call}/randomize_behavior", 0, UNIFORM)]

@@ -27,7 +27,7 @@ from behavexplor.envs.engine.state import Slots, make_slots
 from behavexplor.envs.engine.world import OTHER, make_world
 from behavexplor.envs.highway.config_check import DRAWING
 from behavexplor.envs.highway.conversion import load
-from behavexplor.envs.highway.episodes import N_FLAGS, N_NUMBERS, Engine, Outcome
+from behavexplor.envs.highway.episodes import N_FLAGS, N_NUMBERS, Engine, StepResults
 from behavexplor.envs.tasks.highway_tasks import KINDS, goal_lanes
 from behavexplor.envs.tasks.task import Task, make_starts, make_task, no_starts
 from behavexplor.envs.values import shown
@@ -90,10 +90,10 @@ def most_new(env: AbstractEnv, task: Task) -> int:
     return n_new and n_new * math.ceil(float(env.config["duration"] * env.config["policy_frequency"])) + 2
 
 
-def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> Outcome:
+def make_outcome(env: AbstractEnv, engine: Engine, num_envs: int, log: FrameLog) -> StepResults:
     """Create the arrays of observations, rewards and ends, with the log of the frames."""
     shape = env.observation_space.shape
-    return Outcome(
+    return StepResults(
         observations=np.zeros((num_envs, math.prod(shape[:-1]), shape[-1]), dtype=np.float32),
         memory=make_memory(engine.world.network, len(engine.world.speeds), shape[-1]),
         numbers=np.zeros((N_NUMBERS, num_envs)),

@@ -21,13 +21,13 @@ from behavexplor.jit import kernel_in_place, kernel_inner
 DECISION, BEGINNING, LOOK = range(3)  # stages of `advance`
 REFUSED, FULL = -1, -2  # what `advance` returns if an action is none of the choices, or an episode has no room
 
-REWARD, SPEED, FIRST_TERM = range(3)  # rows of `Outcome.numbers`
+REWARD, SPEED, FIRST_TERM = range(3)  # rows of `StepResults.numbers`
 N_NUMBERS: Final = FIRST_TERM + MOST_TERMS
-TERMINATED, TRUNCATED, STEPPED, CRASHED, FIRST_FLAG = range(5)  # rows of `Outcome.flags`
+TERMINATED, TRUNCATED, STEPPED, CRASHED, FIRST_FLAG = range(5)  # rows of `StepResults.flags`
 N_FLAGS: Final = FIRST_FLAG + MOST_TERMS
 
 
-class Outcome(NamedTuple):
+class StepResults(NamedTuple):
     """What B egos observed and received in their latest decision.
 
     Few arrays with many rows are copied faster than many arrays.
@@ -82,7 +82,7 @@ def advance(
     engine: Engine,
     slots: Slots,
     scratch: Scratch,
-    outcome: Outcome,
+    outcome: StepResults,
     chosen: Bools,
     actions: Actions,
     stage: int,
@@ -227,8 +227,8 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any
 
     Args:
         kind: the kind of task.
-        numbers: a copy of `Outcome.numbers`.
-        flags: a copy of `Outcome.flags`.
+        numbers: a copy of `StepResults.numbers`.
+        flags: a copy of `StepResults.flags`.
         actions: a copy of the egos' actions, shape (B, ...).
         chosen: which sub-environments have an info, shape (B,).
     """

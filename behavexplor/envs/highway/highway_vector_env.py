@@ -99,6 +99,19 @@ class HighwayVectorEnv(LockStepVectorEnv):
                 self._single, number, num_envs, places_own=self.places_own, most_decisions=max_episode_steps
             )
         super().__init__(self._single, num_envs, autoreset_mode, guard)
+        self._make_arrays(num_envs, log_frames=log_frames)
+        self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
+        self._observations = self._outcome.observations.reshape(self.observation_space.shape)
+        self._everywhere = np.ones(num_envs, dtype=bool)
+        self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
+        self._is_discrete = table is not None
+        self._actions = episodes.Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
+        self._shown: NDArray[Any] = self._sampled_space.sample()  # the actions that infos show
+        self._is_seeded = np.zeros(num_envs, dtype=bool)
+        self._advance_slots = self._compile()
+
+    def _make_arrays(self, num_envs: int, *, log_frames: bool) -> None:
+        """Create the arrays that the kernels read and fill."""
         n_steps = self._engine.task.starts.plans.shape[-1]
         if self.places_own:
             n_steps = len(self._engine.world.network.roads) + 1
@@ -109,15 +122,6 @@ class HighwayVectorEnv(LockStepVectorEnv):
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
         self._outcome = engine_making.make_outcome(self._single, self._engine, num_envs, self.frame_log)
-        self._sampled_space = batch_space(self.single_action_space, num_envs)  # leaves the user's own seed alone
-        self._observations = self._outcome.observations.reshape(self.observation_space.shape)
-        self._everywhere = np.ones(num_envs, dtype=bool)
-        self._commands, table = make_commands(self._single.action_type), command_table(self._single.action_type)
-        self._is_discrete = table is not None
-        self._actions = episodes.Actions(np.zeros((num_envs, 2)) if table is None else table, np.arange(num_envs))
-        self._shown: NDArray[Any] = self._sampled_space.sample()  # the actions that infos show
-        self._is_seeded = np.zeros(num_envs, dtype=bool)
-        self._advance_slots = self._compile()
 
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
         starts = engine_making.chosen_starts(options.get("starts"), type(self._single), self.config, mask)
