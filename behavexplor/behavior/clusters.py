@@ -1,13 +1,99 @@
-"""Clusters of merged states, found by K-means."""
+"""Abstract states: clusters of merged states, found by K-means, and distances between sequences of them."""
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from behavexplor.data.array_types import Floats
+from behavexplor.jit import kernel_in_place
+
+Labels = NDArray[np.uint8]  # an abstract trace: one abstract state (cluster) per window
+
+MAX_CLUSTERS: Final = 256
+
+
+class AbstractTraces:
+    """Abstract traces one after the other in one array, to compute the distances to all in one pass."""
+
+    def __init__(self) -> None:
+        self._labels = np.empty(1024, dtype=np.uint8)
+        self._starts = np.zeros(16, dtype=np.int64)  # of each abstract trace, and the end of the last one
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, labels: Labels) -> None:
+        """Add an abstract trace, shape (length,)."""
+        end = int(self._starts[self._count]) + len(labels)
+        self._labels = _grown(self._labels, end)
+        self._starts = _grown(self._starts, self._count + 2)
+        self._count += 1
+        self._starts[self._count] = end
+        self[self._count - 1] = labels
+
+    def __setitem__(self, index: int, labels: Labels) -> None:
+        """Replace the labels of an abstract trace. Its length cannot change."""
+        self._labels[self._place(index)] = labels
+
+    def __getitem__(self, index: int) -> Labels:
+        return self._labels[self._place(index)]
+
+    def _place(self, index: int) -> slice:
+        if not 0 <= index < self._count:
+            raise IndexError(index)
+        return slice(self._starts[index], self._starts[index + 1])
+
+    def distances(self, labels: Labels) -> Floats:
+        """Compute the distance of an abstract trace from each of these, `dis` of the paper's equation 9.
+
+        (Hamming distance over the common part + difference of the lengths) / the longer length, in [0, 1].
+
+        Args:
+            labels: abstract trace, shape (length,).
+
+        Returns:
+            Distances, shape (len(self),). The distance of two empty traces is 0.
+        """
+        starts = self._starts[: self._count + 1]
+        differing = np.empty(self._count, dtype=np.int64)
+        count_differing(self._labels, starts, labels, differing)
+        lengths = np.diff(starts)
+        differing += np.abs(lengths - len(labels))
+        return np.asarray(differing / np.maximum(np.maximum(lengths, len(labels)), 1))
+
+
+def _grown(array: NDArray[Any], size: int) -> NDArray[Any]:
+    """Return an array that has at least the given size. It at least doubles, so that an addition costs little."""
+    if size <= len(array):
+        return array
+    bigger = np.empty(max(size, 2 * len(array)), dtype=array.dtype)
+    bigger[: len(array)] = array
+    return bigger
+
+
+@kernel_in_place
+def count_differing(
+    labels: NDArray[np.uint8], starts: NDArray[np.int64], query: NDArray[np.uint8], differing: NDArray[np.int64]
+) -> None:
+    """Count the labels in which a query differs from each abstract trace, over their common part.
+
+    Args:
+        labels: labels of all abstract traces, one after the other.
+        starts: place of the first label of each abstract trace, and of the end of the last one, shape (n + 1,).
+        query: labels of the query, shape (length,).
+        differing: the numbers, shape (n,); changed in place.
+    """
+    for i in range(len(differing)):
+        first = starts[i]
+        count = np.int32(0)  # the processor adds up more of them at once than of longer numbers
+        for k in range(min(starts[i + 1] - first, len(query))):
+            count += np.int32(labels[first + k] != query[k])
+        differing[i] = count
 
 
 class Clusters(NamedTuple):

@@ -8,8 +8,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.behavior.clusters import Clusters
-from behavexplor.behavior.distance import Labels
+from behavexplor.behavior.clusters import Clusters, Labels
 from behavexplor.behavior.window_statistics import fill_labels, fill_statistics
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import project_on_polyline

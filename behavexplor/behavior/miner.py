@@ -10,15 +10,14 @@ import tempfile
 import weakref
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import IO, Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from behavexplor.behavior.clusters import clusters_of, k_means
-from behavexplor.behavior.distance import MAX_CLUSTERS, AbstractTraces, Labels
+from behavexplor.behavior.clusters import MAX_CLUSTERS, AbstractTraces, Labels, clusters_of, k_means
 from behavexplor.behavior.features import (
     ATTRIBUTES,
     N_FEATURES,
@@ -38,6 +37,7 @@ from behavexplor.jit import kernel_in_place
 Scaling = Literal["zscore", "none"]
 States = NDArray[np.float32]
 IN_MEMORY: Final = 16 * 2**20  # greatest size of states in memory [bytes]: about 1700 behaviors of 30 s
+NOVELTY_THRESHOLD = 0.4  # the paper's theta_c
 
 
 @validated
@@ -275,3 +275,48 @@ class StateFile:
 def _close(file: IO[bytes]) -> None:
     with suppress(OSError):  # what could not be written is not needed any more
         file.close()
+
+
+@validated
+class NoveltyOptions:
+    """Options that define distinct behaviors.
+
+    Attributes:
+        threshold: least distance between distinct behaviors, exclusive.
+        miner: options for abstracting behaviors.
+
+    Raises:
+        InputError: if the threshold is not in [0, 1].
+    """
+
+    threshold: Annotated[float, between(0, 1)] = NOVELTY_THRESHOLD
+    miner: MinerOptions = field(default_factory=MinerOptions)
+
+
+class NoveltyArchive:
+    """The distinct behaviors of a campaign, including those of failed executions.
+
+    The archive is independent of the search methods, so all of them are scored by the same code. Its length is the
+    number of distinct behaviors.
+    """
+
+    def __init__(self, options: NoveltyOptions | None = None) -> None:
+        self.options = options = options or NoveltyOptions()
+        self._miner = BehaviorMiner(options.miner)
+
+    def __len__(self) -> int:
+        return len(self._miner)
+
+    def observe(self, trace: Trace) -> float:
+        """Return the novelty of a trace, and add its behavior to the archive if it is distinct.
+
+        The novelty is the least distance from the distinct behaviors so far, or 1 if there are none.
+        """
+        behavior = self._miner.describe(trace)
+        distances = self._miner.distances(self._miner.abstract(behavior))
+        novelty = float(distances.min(initial=1.0))
+        if novelty > self.options.threshold or not len(self):
+            self._miner.add(behavior)
+            if self._miner.due:
+                self._miner.fit()
+        return novelty

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
 from behavexplor.campaign.progress import ASKING, EXECUTING, JUDGING, MINING, STORING, WAITING, Progress, StageClock

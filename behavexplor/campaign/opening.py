@@ -12,7 +12,7 @@ import numpy as np
 
 from behavexplor.ads.interface import ADS
 from behavexplor.behavior.clusters import k_means
-from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.progress import STARTING, StageClock

@@ -25,6 +25,7 @@ _COMPARED: Final = 50  # points of a trajectory that are compared with each rout
 _EVALUATIONS: Final = 100  # greatest number of steps of a fit
 _STRAIGHT: Final = 1e-3  # deviation from a line that needs no waypoint [m2/s2]
 _MARGIN: Final = 1e-6  # distance from the limits of a range, beyond rounding errors
+_SAME: Final = 0.01  # greatest deviation of a place or size that counts as the same [m]
 
 
 def fitted_script(mover: Mover, ranges: ScriptedLogicalScenario) -> NPC:
@@ -109,9 +110,6 @@ def _waypoints(genes: Floats) -> Floats:
     """Return waypoints in order of their positions. The speed at the last one is 0."""
     count = (len(genes) + 1) // 2
     return np.column_stack([np.maximum.accumulate(genes[:count]), np.append(genes[count:], 0.0)])
-
-
-_SAME: Final = 0.01  # greatest deviation of a place or size that counts as the same [m]
 
 
 def restored(scene: SceneFile, logical: LogicalScenario) -> Scenario:

@@ -18,6 +18,8 @@ from behavexplor.execution.asking import ask
 from behavexplor.execution.drawn_actions import DrawnActions
 from behavexplor.execution.executor import ADSError
 
+_LEAST_ROOM: Final = 64  # rows
+
 
 def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace:
     """Run a scenario to its end.
@@ -189,9 +191,6 @@ def run_episodes(episodes: LockStep, scenarios: Iterable[Scenario]) -> Iterator[
         if not episodes.is_running:
             return
         yield from episodes.step()
-
-
-_LEAST_ROOM: Final = 64  # rows
 
 
 class DecisionRecorder:

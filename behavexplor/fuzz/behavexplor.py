@@ -7,8 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
-from behavexplor.behavior.miner import Behavior, BehaviorMiner, MinerOptions
-from behavexplor.behavior.novelty import NOVELTY_THRESHOLD
+from behavexplor.behavior.miner import NOVELTY_THRESHOLD, Behavior, BehaviorMiner, MinerOptions
 from behavexplor.data.array_types import Floats
 from behavexplor.data.geometry import point_box_distance
 from behavexplor.data.logical import MAX_KEEP_PROBABILITY, MIN_SIGMA, LogicalScenario, Noise

@@ -39,6 +39,9 @@ LINE_WEIGHT: Final = 10.0  # a meter to a line counts as this many meters to a v
 FAR: Final = 200.0  # distance from the destination at which a return to the lane has a degree of 1 [m]
 LEAST: Final = 0.01  # least degree of a near miss, so that 0 means a violation
 _CLOSEST_FRAMES: Final = 8  # frames with the nearest centers, in which the distance between the boxes is computed
+EMPTY_ROAD, AIMED, TUNED, REDRAWN = "empty-road", "aimed", "tuned", "redrawn"  # origins of candidates
+_SCALE: Final = 3.0  # a degree of this size halves the weight of a niche
+_ATTEMPTS: Final = 1000
 
 
 class NearMiss(NamedTuple):
@@ -164,11 +167,6 @@ def _partner(trace: Trace, event: ViolationEvent) -> int:
         return event.partner - 1
     gap = trace.position[event.frame, 1:] - trace.position[event.frame, 0]
     return int(np.hypot(gap[:, 0], gap[:, 1]).argmin()) if len(gap) else -1
-
-
-EMPTY_ROAD, AIMED, TUNED, REDRAWN = "empty-road", "aimed", "tuned", "redrawn"  # origins of candidates
-_SCALE: Final = 3.0  # a degree of this size halves the weight of a niche
-_ATTEMPTS: Final = 1000
 
 
 @validated

@@ -25,6 +25,9 @@ _HELD_OUT = 0.2  # share of the rows that are held out to weight the models
 _FEWEST = 10  # least number of rows at which some are held out
 _LEAST_LENGTH = 0.1  # least length scale of a kernel, for points that are all alike
 _RIDGE = 1e-2  # added to the diagonal of the kernel matrix
+Kernel = Callable[[Floats, Floats, float], Floats]
+PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
+_MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn
 
 
 def _polynomial(squared: Floats, products: Floats, length: float) -> Floats:  # noqa: ARG001 - a kernel's signature
@@ -40,7 +43,6 @@ def _matern(squared: Floats, products: Floats, length: float) -> Floats:  # noqa
     return np.asarray((1 + scaled) * np.exp(-scaled))
 
 
-Kernel = Callable[[Floats, Floats, float], Floats]
 POLYNOMIAL, RBF, GAUSSIAN_PROCESS = _polynomial, _gaussian, _matern
 KERNELS: tuple[Kernel, ...] = (POLYNOMIAL, RBF, GAUSSIAN_PROCESS)
 
@@ -138,10 +140,6 @@ def _coefficients(kernel: Kernel, length: float, points: Floats, values: Floats)
     else:
         model = KernelRidge(kernel="rbf", gamma=1 / (2 * length**2), alpha=_RIDGE)
     return np.asarray(model.fit(points, values).dual_coef_)
-
-
-PROMISING, UNCERTAIN, LOCAL = "promising", "uncertain", "local"  # origins of candidates
-_MOST_SKIPPED: Final = 100  # proposals in a row that were executed already, after which one is redrawn
 
 
 def survivors(values: Floats, count: int) -> Ints:

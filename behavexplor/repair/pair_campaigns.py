@@ -32,6 +32,10 @@ from behavexplor.repair.pairs import Pairs, paired
 
 ONLY_FIRST, ONLY_SECOND = "only-first-fails", "only-second-fails"
 BOTH_FAIL: Final = 1.0  # degree of a scenario in which both drivers fail [m], as if one of them nearly failed
+FIRST, SECOND, PAGE = "first", "second", "comparison.html"  # run folders and page of a comparison
+SETTINGS: Mapping[str, Any] = {"method": "uniform", "batch": 32}  # of both campaigns
+DIFFERENCES = "differences.jsonl"
+Observe = Callable[[int], None]
 
 
 class Driven(NamedTuple):
@@ -147,13 +151,6 @@ def verdict_at_fault(trace: Trace, error: str | None, specs: Sequence[Spec]) -> 
     if error is not None:
         return replace(verdict, violated=() if error == DIFFERS else (ERROR,))
     return verdict if is_at_fault(collision_fault(trace, verdict.violated)) else replace(verdict, violated=())
-
-
-FIRST, SECOND, PAGE = "first", "second", "comparison.html"  # run folders and page of a comparison
-SETTINGS: Mapping[str, Any] = {"method": "uniform", "batch": 32}  # of both campaigns
-DIFFERENCES = "differences.jsonl"
-
-Observe = Callable[[int], None]
 
 
 def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe) -> list[str]:

@@ -35,6 +35,9 @@ from behavexplor.training import Learned, log_folder, log_formats, restore_model
 from behavexplor.triage.blame import blame
 from behavexplor.triage.examination import STREAM
 
+VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
+_LAST_RATE: Final = 0.2  # learning rate of the last round, as a share of that of the first one
+
 
 def search_config(target: Target, method: str, budget: int, seed: int) -> CampaignConfig:
     """Return the configuration of the campaign of `found_failures`.
@@ -93,10 +96,6 @@ def _preventable(simulation: Simulation, execution: Execution, seed: int) -> boo
     rng = np.random.default_rng([STREAM, seed, execution.id])
     verdict = blame(simulation, execution.scenario, execution.load_trace(), rng)
     return verdict is None or verdict.at_fault
-
-
-VALIDATION_SEED: Final = 1_000_003  # seed of the scenarios by which the best round is chosen
-_LAST_RATE: Final = 0.2  # learning rate of the last round, as a share of that of the first one
 
 
 def retrain(

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from behavexplor.behavior.distance import Labels
+from behavexplor.behavior.clusters import Labels
 from behavexplor.behavior.features import ATTRIBUTES, STATISTICS, TIME_STEP
 from behavexplor.behavior.miner import BehaviorMiner, MinerOptions
 from behavexplor.data.array_types import Floats

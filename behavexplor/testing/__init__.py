@@ -13,8 +13,7 @@ which promise is broken::
 
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import opened_driver
-from behavexplor.testing.contracts import ContractError, check_ads, check_env, check_spec
-from behavexplor.testing.search_method import check_search_method
+from behavexplor.testing.contracts import ContractError, check_ads, check_env, check_search_method, check_spec
 from behavexplor.testing.synthetic import synthetic_trace
 
 __all__ = [

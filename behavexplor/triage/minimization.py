@@ -35,6 +35,11 @@ from behavexplor.triage.findings import Finding
 from behavexplor.triage.minimized import MINIMIZED, Minimized
 from behavexplor.triage.shrinking import shrink, size_of
 
+LIMIT: Final = 500  # executions of candidates for one failure
+TIME_LIMIT: Final = 100.0  # time limit of one failure, in units of the time limit of an execution
+MINIMIZE: Final = "minimize"  # function of the service
+ENDINGS: Final = frozenset({"crash", "hang"})  # kinds of errors by which a driver ends or blocks its process
+
 
 class Signature(NamedTuple):
     """What an execution tells of its failure without further executions.
@@ -157,12 +162,6 @@ class SameFailure:
             return self._driven.simulation.logical.with_parts(self._scenario, candidate)
         except InputError:
             return None
-
-
-LIMIT: Final = 500  # executions of candidates for one failure
-TIME_LIMIT: Final = 100.0  # time limit of one failure, in units of the time limit of an execution
-MINIMIZE: Final = "minimize"  # function of the service
-ENDINGS: Final = frozenset({"crash", "hang"})  # kinds of errors by which a driver ends or blocks its process
 
 
 class Minimizer(FailureEvaluator):

@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from behavexplor.behavior.novelty import NoveltyArchive
+from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, ExecutionError, search_method
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import judgment

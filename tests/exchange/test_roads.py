@@ -14,8 +14,7 @@ from behavexplor.envs.highway.course import road_plan
 from behavexplor.envs.making import make_registered
 from behavexplor.errors import InputError
 from behavexplor.exchange.axes import mirrored_lane, mirrored_points
-from behavexplor.exchange.opendrive import write_road
-from behavexplor.exchange.road_layout import MAX_ERROR, NOWHERE, road_layout, sine_pieces
+from behavexplor.exchange.opendrive import MAX_ERROR, NOWHERE, road_layout, sine_pieces, write_road
 from behavexplor.execution.simulation import logical_scenario
 from tests.exchange.exported import schema_errors
 

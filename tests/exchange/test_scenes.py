@@ -17,10 +17,9 @@ from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.errors import InputError
-from behavexplor.exchange.opendrive import write_road
+from behavexplor.exchange.opendrive import MAX_ERROR, write_road
 from behavexplor.exchange.openscenario import write_scene
 from behavexplor.exchange.restoring import MAX_DEVIATION, restored
-from behavexplor.exchange.road_layout import MAX_ERROR
 from behavexplor.exchange.scene_reading import read_scene
 from behavexplor.exchange.scenes import COLUMNS, SceneFile, movers_of
 from behavexplor.execution.simulation import logical_scenario

@@ -9,8 +9,19 @@ from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.events import violation_event
 from behavexplor.judge.specs import judge
 from behavexplor.triage.blame import blame
-from behavexplor.triage.evasion import Evasion, path_straight_on, recorded_commands
-from behavexplor.triage.witness import CAREFUL, SAMPLES, SURVIVED, Witness, alarm_time, avoids, drive, replay_witness
+from behavexplor.triage.witness import (
+    CAREFUL,
+    SAMPLES,
+    SURVIVED,
+    Evasion,
+    Witness,
+    alarm_time,
+    avoids,
+    drive,
+    path_straight_on,
+    recorded_commands,
+    replay_witness,
+)
 from tests.triage.scenes import boxed_in, cut_off, rear_ended, slow_leader, struck_standing
 
 

@@ -116,12 +116,11 @@ def advance(
             continue
         words, numbers, flags = engine.words[b], outcome.numbers[:, b], outcome.flags[:, b]
         frames, things = outcome.log.frames[b], outcome.log.things[b]
-        rests = is_decision and (flags[TERMINATED] or flags[TRUNCATED])
-        flags[STEPPED] = is_decision and not rests
-        if rests:
-            _rest(numbers, frames)
+        if is_decision and (flags[TERMINATED] or flags[TRUNCATED]):
+            _rest(numbers, flags, frames)
             n_ended += 1
             continue
+        flags[STEPPED] = is_decision
         scene = Scene(slots.episodes[b], slots.vehicles[b], slots.traits[b], slots.routes[b], scratch)
         choice = actions.choices[b]
         n_frames = n_logged = 0
@@ -179,8 +178,9 @@ def _have_room(task: Task, slots: Slots, chosen: Bools, stage: int) -> bool:
 
 
 @kernel_inner
-def _rest(numbers: Floats, frames: Records) -> None:
+def _rest(numbers: Floats, flags: Bools, frames: Records) -> None:
     numbers[REWARD] = 0.0
+    flags[STEPPED] = False
     for k in range(len(frames)):
         frames[k].n_things = 0
 
