@@ -4,7 +4,6 @@ import csv
 import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -265,18 +264,6 @@ def test_another_campaign_in_a_cell_is_not_mixed_in(whole, capsys):
     smaller = read_experiment(str(write(folder / "out", 10)))
     with pytest.raises(InputError, match="has 20 executions, more than the budget 10"):
         run_state(smaller.runs()[0], folder / "out")
-
-
-def test_a_run_of_an_earlier_version_is_gone_on_with(whole, tmp_path):
-    """Those versions stored an unknown configuration of the environment as an empty one."""
-    folder, _ = whole
-    experiment = read_experiment(str(folder / "small.yaml"))
-    first = experiment.runs()[0]
-    shutil.copytree(folder / "out" / first.folder, tmp_path / first.folder)
-    config = tmp_path / first.folder / "config.yaml"
-    assert "env_config: null" in config.read_text()
-    config.write_text(config.read_text().replace("env_config: null", "env_config: {}"))
-    assert run_state(first, tmp_path) == run_state(first, folder / "out")
 
 
 def test_a_search_that_ends_early_has_finished(tmp_path):

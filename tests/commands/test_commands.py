@@ -203,10 +203,11 @@ def test_bad_input_is_one_sentence(arguments, message, capsys, monkeypatch, tmp_
 
 
 def test_names_of_files_need_not_be_text(tmp_path, monkeypatch):
+    run = stored_run(tmp_path / "run", "ads: constant\nenv: lane-follow\n", 3)
     printed = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, "utf-8"))
     page = tmp_path / "\udcff.html"
-    assert main(["report", str(ROOT / "tests" / "stored" / "format-1"), "--out", str(page)]) == 0
+    assert main(["report", str(run), "--out", str(page)]) == 0
     sys.stdout.flush()
     assert printed.getvalue() == f"Report: {tmp_path}/\\udcff.html\n".encode()
     assert page.is_file()
@@ -222,7 +223,8 @@ def test_bad_flags_exit_with_2_and_no_traceback(arguments):
 
 
 def test_a_driver_in_the_working_directory_is_found(tmp_path):
-    (tmp_path / "own_driver.py").write_text("from tests.drivers import cruiser\n")
+    (tmp_path / "own_driver.py").write_text("from tests.campaign.test_store import stored_run
+from tests.drivers import cruiser\n")
     program = Path(sys.executable).with_name("behavexplor")
     command = [program, "evaluate", "--env", "lane-follow", "--ads", "own_driver:cruiser", "--scenarios", "1"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from behavexplor.data.motion_bytes import pack_arrays, pack_motion, unpack_arrays, unpack_motion
-from behavexplor.data.trace import RESOLUTION, Trace
-from tests.fakes import make_trace
+from behavexplor.data.motion_bytes import pack_motion, unpack_motion
+from behavexplor.data.trace import RESOLUTION
 
 
 def steps(*differences):
@@ -37,14 +36,3 @@ def test_motion_is_restored(seed):
     rng = np.random.default_rng(seed)
     motion = np.rint(rng.normal(0, 10.0 ** (2 * seed), (40, 3, 2)) / RESOLUTION) * RESOLUTION
     assert np.array_equal(unpack_motion(pack_motion(motion, RESOLUTION), 40, RESOLUTION), motion)
-
-
-def test_traces_with_eight_bytes_for_each_difference_are_read():
-    trace = make_trace(np.cumsum(np.random.default_rng(0).normal(0, 1, (20, 3)), axis=0))
-    values = unpack_arrays(trace.to_bytes())
-    for name in ("position", "heading", "velocity"):
-        planes = values[name]
-        sign = np.where(planes[-1:] > 127, 255, 0).astype(np.uint8)
-        values[name] = np.concatenate([planes, np.repeat(sign, 8 - len(planes), axis=0)])
-    before = Trace.from_bytes(pack_arrays(values | {"format": np.array(2)}))
-    assert before.to_bytes() == trace.to_bytes()
