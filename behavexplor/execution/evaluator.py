@@ -121,7 +121,7 @@ class Evaluator(Service):
         return trace.to_bytes()
 
     def logical(self, _: bytes) -> bytes:
-        """Return the logical scenario of a stock environment as JSON, which depends on what the ADS declares.
+        """Return the logical scenario of a highway-env environment as JSON, which depends on what the ADS declares.
 
         Returns:
             JSON; nothing for an environment with scripted vehicles.
@@ -129,7 +129,7 @@ class Evaluator(Service):
         return self.simulation.logical.to_json().encode()
 
     def road(self, _: bytes) -> bytes:
-        """Return the shape of a stock environment's road as JSON; nothing for an environment of another kind."""
+        """Return the shape of a highway-env environment's road as JSON; nothing for an environment of another kind."""
         road: Any = getattr(self.simulation.env, "road_shape", None)
         return road().to_json().encode() if road is not None else b""
 

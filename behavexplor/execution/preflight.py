@@ -57,8 +57,8 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     Returns:
         A sentence for each finding: the ADS fails, always gives the same answer, never moves, was trained with masks of
         actions, or on a different kind of observations. The last happens when its `VecNormalize` statistics are
-        missing. In a stock environment, also that its configuration is not known, that it is not compiled, or that its
-        draws do not determine its episodes.
+        missing. In a highway-env environment, also that its configuration is not known, that it is not compiled, or
+        that its draws do not determine its episodes.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -109,7 +109,7 @@ def _uncompiled(simulation: Simulation) -> str | None:
 
 
 def _unrepeatable(simulation: Simulation, scenario: Scenario) -> str | None:
-    """Return a warning if the draws of a stock environment do not determine how its episodes begin."""
+    """Return a warning if the draws of a highway-env environment do not determine how its episodes begin."""
     if not simulation.logical.has_original:
         return None
     env: Any = simulation.env

@@ -24,7 +24,7 @@ from behavexplor.envs.making import (
     default_config,
     environment_id,
     has_own_config,
-    is_stock,
+    is_highway,
     make_env,
     make_vector_env,
 )
@@ -49,7 +49,7 @@ class Simulation:
             which it drives from the environment's own.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
 
     Attributes:
@@ -74,19 +74,19 @@ class Simulation:
         *,
         stochastic: bool = False,
     ) -> None:
-        stock = is_stock(env)
-        roadmap = None if stock else logical_scenario(env).roadmap
+        is_theirs = is_highway(env)
+        roadmap = None if is_theirs else logical_scenario(env).roadmap
         self.source = _source(ads)
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
-        trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
+        trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
         given = dict(env_config or {})
         _check_traffic(ads, trained, given)
-        if stock:  # a model in memory drives with the keys with which it was trained
+        if is_theirs:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
             check_keys(env, {key: value for key, value in whole.items() if key not in kept})
-        if stock and hasattr(self.ads, "fitted"):
+        if is_theirs and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
         self.logical = logical_of(self.env, env)
@@ -95,7 +95,7 @@ class Simulation:
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
-        is_asked = stock and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
+        is_asked = is_theirs and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
         self.is_configured = not is_asked or env_config is not None or has_own_config(env)
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
@@ -251,7 +251,7 @@ def compile_kernels(env: str) -> None:
         env: name of the environment, see `behavexplor.envs.making`. Nothing is done for an environment of another
             package.
     """
-    if is_stock(env):
+    if is_highway(env):
         _compile_engine(env)
         return
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
@@ -271,7 +271,7 @@ def compile_kernels(env: str) -> None:
 
 
 def _compile_engine(env: str) -> None:
-    """Compile the engine of stock environments, which is the same for all of them."""
+    """Compile the engine of highway-env environments, which is the same for all of them."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})
@@ -301,7 +301,7 @@ def logical_scenario(env: str) -> LogicalScenario:
 
 def fixed_logical_scenario(env: str) -> LogicalScenario | None:
     """Return the logical scenario of an environment; None if it depends on what the driver declares."""
-    return None if is_stock(env) else logical_scenario(env)
+    return None if is_highway(env) else logical_scenario(env)
 
 
 def logical_of(made: gymnasium.Env[Any, Any], name: str) -> LogicalScenario:
