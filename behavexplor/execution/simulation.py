@@ -59,6 +59,7 @@ class Simulation:
         source: where the ADS comes from: `FILE`, `MODULE` or `MEMORY`.
         is_configured: whether a configuration for the policy was found, where one is needed.
         plain: why the environment cannot run in lock-step, once this is known; empty if it can.
+        stochastic: whether the ADS draws its actions.
 
     Raises:
         InputError: if there is no such environment or ADS, or if they do not fit together.
@@ -91,7 +92,7 @@ class Simulation:
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
         self.logical = logical_of(self.env, env)
         self.plain = ""
-        self._stochastic = stochastic
+        self.stochastic = stochastic
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
@@ -106,10 +107,10 @@ class Simulation:
         highway-env's environments as they are.
         """
         if self.logical.has_original:
-            return rollout(self.env, self._driver(1), scenario)
+            return rollout(self.env, self.driver(1), scenario)
         self._single = self._single or self.lock_step(1)
         if self._single is None:
-            return rollout(self.env, self._driver(1), scenario)
+            return rollout(self.env, self.driver(1), scenario)
         self._single.give_up()  # an episode in which the driver has failed
         ((_, trace),) = run_episodes(self._single, [scenario])
         return trace
@@ -128,7 +129,7 @@ class Simulation:
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
-        yield from rollout_all(envs, self._driver(envs.num_envs), scenarios)
+        yield from rollout_all(envs, self.driver(envs.num_envs), scenarios)
         envs.close()
 
     def lock_step(self, count: int) -> LockStep | None:
@@ -142,11 +143,12 @@ class Simulation:
             return None
         if hasattr(envs, "checks_actions"):
             envs.checks_actions = False  # what an ADS answers is checked when it is asked
-        return LockStep(envs, self._driver(envs.num_envs))
+        return LockStep(envs, self.driver(envs.num_envs))
 
-    def _driver(self, count: int) -> Any:
-        """Return what drives a number of episodes in lock-step."""
-        return DrawnActions(self.ads, count) if self._stochastic else self.ads
+    def driver(self, count: int, ads: Any = None) -> Any:
+        """Return what drives a number of episodes in lock-step: the ADS, or another one in its place."""
+        ads = ads or self.ads
+        return DrawnActions(ads, count) if self.stochastic else ads
 
     def close(self) -> None:
         """Release the resources of the environment."""
