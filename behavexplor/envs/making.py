@@ -18,7 +18,7 @@ import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT, Setup, Traffic
 from behavexplor.data.named_code import env_code, traffic_code
 from behavexplor.envs.values import POSITIVE
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, ignored_key, unknown_name
 
 ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
 HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and is slow
@@ -70,19 +70,20 @@ def is_highway(name: str) -> bool:
     return _is_highway(made)
 
 
-def check_keys(name: str, config: Mapping[str, Any]) -> None:
-    """Check that an environment of highway-env has the keys of a configuration, since it would ignore any other.
+def ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
+    """Return the keys of a configuration that an environment of highway-env ignores, after a warning about each.
 
     Raises:
-        InputError: if it does not have one of them, or one of those of its observation and action.
+        InputError: if a key inside the observation or the action is unknown.
     """
     from behavexplor.envs.env_config import check_space_keys  # noqa: PLC0415 - slow to import
 
     made: Any = make_registered(name, {}).unwrapped
-    for key in config:
-        if key not in made.config:
-            raise unknown_name(f"key of the configuration of {name}", str(key), made.config)
     check_space_keys(made, config)
+    ignored = frozenset(map(str, config.keys() - made.config.keys()))
+    for key in sorted(ignored):
+        warnings.warn(ignored_key(name, key, made.config), stacklevel=2)
+    return ignored
 
 
 def default_config(name: str) -> dict[str, Any]:

@@ -20,10 +20,10 @@ from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.envs.making import (
-    check_keys,
     default_config,
     environment_id,
     has_own_config,
+    ignored_keys,
     is_highway,
     make_env,
     make_vector_env,
@@ -86,7 +86,8 @@ class Simulation:
         if is_theirs:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
-            check_keys(env, {key: value for key, value in whole.items() if key not in kept})
+            ignored = ignored_keys(env, {key: value for key, value in whole.items() if key not in kept})
+            trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
         if is_theirs and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
