@@ -61,6 +61,13 @@ def missing_library(what: str, library: str | None, extra: str) -> InputError:
     )
 
 
+def ignored_key(owner: str, key: str, known: Iterable[str]) -> str:
+    """Return the warning that highway-env ignores a key of a configuration, with the most similar key that it knows."""
+    close = get_close_matches(key, sorted(known), n=1)
+    hint = f": did you mean {close[0]!r}?" if close else ""
+    return f"{owner} does not have the key {key!r} of the configuration, which highway-env ignores{hint}"
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
     """Return the error for a name that is not among `known`. It suggests similar names, or else lists all of them."""
     known = sorted(known)

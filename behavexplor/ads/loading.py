@@ -66,7 +66,7 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
             "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), of
             a function from one observation to one action, or of a class or function that makes such an object or
             function. A class or function with a parameter `roadmap` receives the road map.
-        roadmap: road map for the ADS; None in a stock environment, whose road is its own.
+        roadmap: road map for the ADS; None in a highway-env environment, whose road is its own.
         trust: digests ("sha256:...") of files that may execute code of their own while they are loaded.
 
     Raises:

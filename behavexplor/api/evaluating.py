@@ -13,7 +13,7 @@ from behavexplor.ads.in_memory import given_driver
 from behavexplor.api.conducting import in_this_process, worker_count
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.data.drawn_scenario import DECLARED, config_text
-from behavexplor.envs.making import default_config, is_stock
+from behavexplor.envs.making import default_config, is_highway
 from behavexplor.errors import InputError, brief
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
@@ -61,7 +61,7 @@ def environment_of(given: str | gymnasium.Env[Any, Any]) -> tuple[str, Mapping[s
         )
     config = getattr(given.unwrapped, "config", {})
     _check_limit(given.spec, config)
-    own, is_stated = default_config(given.spec.id), is_stock(given.spec.id)
+    own, is_stated = default_config(given.spec.id), is_highway(given.spec.id)
     kept = {key for key, value in config.items() if (is_stated and key not in DECLARED) or own.get(key, ...) != value}
     return given.spec.id, json.loads(config_text({key: config[key] for key in kept}))
 

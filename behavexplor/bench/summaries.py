@@ -232,7 +232,7 @@ def _mutants(records: Sequence[Record]) -> Iterator[Mutant]:
 
 
 def _assignment(record: Record) -> tuple[tuple[str, str], ...]:
-    """Return the type and the route of each NPC; nothing in a stock environment, whose vehicles have none."""
+    """Return the type and the route of each NPC; nothing in a highway-env environment, whose vehicles have none."""
     return tuple((npc["type"], npc["route"]) for npc in record.scenario.get("npcs", ()))
 
 

@@ -14,9 +14,9 @@ from behavexplor.envs.making import ENTRY_POINTS, HIGHWAY_ENV
 def envs() -> int:
     """List the environments that `--env` takes: those of this package, of highway-env, and of installed packages."""
     import_module(HIGHWAY_ENV)
-    stock = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
+    theirs = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
     _list("Scenarios of this package, in gymnasium behavexplor/NAME-v0:", list(FUNCTIONAL_SCENARIOS))
-    _list("highway-env's own:", [name for name in stock if "/" not in name])
+    _list("highway-env's own:", [name for name in theirs if "/" not in name])
     _list("Of installed packages:", _of_packages())
     return OK
 

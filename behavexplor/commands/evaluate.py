@@ -161,8 +161,9 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
 def _beside(target: Target, logical: LogicalScenario, *, draws: bool, controls: bool) -> dict[str, Target]:
     """Return what a rate is compared with, by the heading of its column.
 
-    A stochastic policy is compared with its drawn actions. In a stock environment, a rate is also compared with simple
-    drivers in the configuration of the policy, and a rate in wide traffic with that in the environment's own traffic.
+    A stochastic policy is compared with its drawn actions. In a highway-env environment, a rate is also compared with
+    simple drivers in the configuration of the policy, and a rate in wide traffic with that in the environment's own
+    traffic.
     """
     columns = {DRAWN: replace(target, stochastic=True)} if draws and not target.stochastic else {}
     if not logical.has_original:

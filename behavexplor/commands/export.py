@@ -98,8 +98,8 @@ def check_libraries() -> None:
 
 
 @lru_cache(maxsize=1)
-def _stock_env(setup: Setup) -> Any:
-    """Return a stock environment, which takes longer to make than a scene to write."""
+def _highway_env(setup: Setup) -> Any:
+    """Return a highway-env environment, which takes longer to make than a scene to write."""
     return make_recorded(setup)
 
 
@@ -109,16 +109,16 @@ def road_of(scenario: Scenario | None, env: str, env_config: Mapping[str, Any]) 
     Args:
         scenario: the scenario; None if its environment has one road for all.
         env: name of the environment.
-        env_config: configuration of the environment, as far as it differs from its own. A scenario of a stock
-            environment holds its own.
+        env_config: configuration of the environment, as far as it differs from its own. A scenario of a
+            highway-env environment holds its own.
 
     Raises:
         InputError: if the environment cannot be made, or has a road that cannot be exported.
     """
     if isinstance(scenario, DrawnScenario):
-        stock = _stock_env(scenario.setup)
-        stock.begin_blindly(scenario)
-        return stock.road_plan(), stock.logical
+        drawn = _highway_env(scenario.setup)
+        drawn.begin_blindly(scenario)
+        return drawn.road_plan(), drawn.logical
     made = make_env(env, env_config)
     logical = logical_of(made, env)
     made.close()

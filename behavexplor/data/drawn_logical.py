@@ -1,4 +1,4 @@
-"""Logical scenarios of stock environments: all the draws that an environment can make in one configuration."""
+"""Logical scenarios of highway-env environments: all the draws that an environment can make in one configuration."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -45,7 +45,7 @@ class Draw:
 
 @dataclass(frozen=True)
 class DrawnLogicalScenario:
-    """The draws of a stock environment; see `behavexplor.data.logical.LogicalScenario`.
+    """The draws of a highway-env environment; see `behavexplor.data.logical.LogicalScenario`.
 
     A draw that is not among `draws`, because it is rarely made, is made from the scenario's seed.
 
@@ -266,7 +266,7 @@ class DrawnLogicalScenario:
 
 
 class DrawnEncoding:
-    """Encoding of a stock environment's scenarios as points of [0, 1]^n.
+    """Encoding of a highway-env environment's scenarios as points of [0, 1]^n.
 
     The last block has one gene, the seed. A gene that a block does not need stands for nothing.
 

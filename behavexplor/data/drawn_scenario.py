@@ -1,4 +1,4 @@
-"""Concrete scenarios of stock environments: the random draws that an environment makes for one episode.
+"""Concrete scenarios of highway-env environments: the random draws that an environment makes for one episode.
 
 A `DrawnScenario` is a frozen value, from which the environment makes the same episode again.
 """
@@ -83,7 +83,7 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class DrawnScenario:
-    """A concrete scenario of a stock environment.
+    """A concrete scenario of a highway-env environment.
 
     Attributes:
         setup: the environment and its configuration.

@@ -1,6 +1,6 @@
 """Logical scenarios: sets of concrete scenarios, from which search methods draw and in which they move.
 
-There are two kinds: scripted vehicles (`behavexplor.data.scripted_logical`), and the draws of a stock environment
+There are two kinds: scripted vehicles (`behavexplor.data.scripted_logical`), and the draws of a highway-env environment
 (`behavexplor.data.drawn_logical`).
 """
 
@@ -75,7 +75,7 @@ class Noise:
         keep_probability: epsilon, the probability that a vehicle stays unchanged.
         sigma_position: standard deviation of the noise on a scripted vehicle's positions [m].
         sigma_speed: standard deviation of the noise on a scripted vehicle's speeds [m/s].
-        sigma_draw: standard deviation of the noise on a draw of a stock environment, as a share of its range.
+        sigma_draw: standard deviation of the noise on a draw of a highway-env environment, as a share of its range.
         point_keep_probability: probability that a waypoint, or a draw, of a chosen vehicle stays unchanged.
     """
 
@@ -126,12 +126,12 @@ class LogicalScenario(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the functional scenario, or of the stock environment."""
+        """Name of the functional scenario, or of the highway-env environment."""
         ...
 
     @property
     def roadmap(self) -> RoadMap | None:
-        """The map; None for a stock environment, whose road is its own."""
+        """The map; None for a highway-env environment, whose road is its own."""
         ...
 
     @property

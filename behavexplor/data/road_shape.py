@@ -14,7 +14,7 @@ from behavexplor.data.roadmap import Lane, RoadMap
 from behavexplor.data.untrusted import object_fields, parse_json
 from behavexplor.errors import InputError
 
-ROAD_FILE: Final = "road.json"  # file in the run folder of a stock environment
+ROAD_FILE: Final = "road.json"  # file in the run folder of a highway-env environment
 DASH, PERIOD = 3.0, 6.0  # length of a dash between lanes, and distance of the starts of two of them [m]
 MOST_POINTS: Final = 1_000_000  # of a road, dashes included
 FARTHEST: Final = 1e7  # greatest coordinate [m]

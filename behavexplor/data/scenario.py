@@ -1,7 +1,7 @@
 """Concrete scenarios, in which all values are fixed.
 
 There are two kinds: scripted vehicles on one of this package's roads (`behavexplor.data.scripted`), and the random
-draws of a stock environment (`behavexplor.data.drawn_scenario`).
+draws of a highway-env environment (`behavexplor.data.drawn_scenario`).
 """
 
 from collections.abc import Hashable, Mapping
@@ -17,7 +17,7 @@ class Scenario(Protocol):
 
     @property
     def functional(self) -> str:
-        """Name of the functional scenario, or of the stock environment."""
+        """Name of the functional scenario, or of the highway-env environment."""
         ...
 
     @property

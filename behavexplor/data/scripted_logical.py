@@ -144,7 +144,7 @@ def scripted(logical: object, what: str) -> ScriptedLogicalScenario:
         what: what needs scripted vehicles, for the error message.
 
     Raises:
-        InputError: if it is one of a stock environment.
+        InputError: if it is one of a highway-env environment.
     """
     if not isinstance(logical, ScriptedLogicalScenario):
         raise InputError(f"{what} needs one of the environments with scripted vehicles, such as intersection-straight")

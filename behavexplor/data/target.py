@@ -24,7 +24,7 @@ class Conditions:
         time_limit: Time limit of one execution [s]. An ADS that takes longer counts as a hang. It applies to worker
             processes only.
         memory_limit: Memory limit of one worker process [GiB], where the system can set it.
-        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/highway-policies.md).
         confirm: Repeat each failure in highway-env's own environments with highway-env itself. This takes most of the
             time if the driver fails often.
         stochastic: Draw the actions of a stochastic policy as in its training, reproducibly, instead of deciding
@@ -56,7 +56,7 @@ class Target(Conditions):
 
     Attributes:
         env: Environment: intersection-left, intersection-straight, lane-change, lane-follow; one of highway-env's own,
-            such as highway-fast-v0 (docs/stock.md); or module:id of one that another module registers.
+            such as highway-fast-v0 (docs/highway-policies.md); or module:id of one that another module registers.
         ads: Driving system under test (ADS): rule, idm, constant, careful, learned:NAME (docs/policies.md), a policy
             file, or package.module:attribute of an object or class with a predict method.
         env_config: Configuration of the environment as in the policy's training, as far as it differs from what the

@@ -63,9 +63,9 @@ class Trace:
         end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", "off-road",
             "ended" (by another rule of the environment), or "error" if the ADS failed instead of returning an action.
         decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
-        signals: what a stock environment itself says of the ego in each frame, as arrays by name, each of shape (T,):
-            1 or 0 for "crashed", "off_road" and "arrived". A signal is missing if it means nothing in the environment.
-            Without signals, the specs judge by the vehicles' boxes.
+        signals: what a highway-env environment itself says of the ego in each frame, as arrays by name, each of shape
+            (T,): 1 or 0 for "crashed", "off_road" and "arrived". A signal is missing if it means nothing in the
+            environment. Without signals, the specs judge by the vehicles' boxes.
         present: whether each vehicle is present, shape (T, N); empty if all vehicles are present in all frames. An
             absent vehicle stands at `ABSENT`.
         partner: the vehicle that the ego crashed into, as far as the environment tells, an index of `size`; -1 if there

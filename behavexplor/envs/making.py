@@ -18,7 +18,7 @@ import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT, Setup, Traffic
 from behavexplor.data.named_code import env_code, traffic_code
 from behavexplor.envs.values import POSITIVE
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, ignored_key, unknown_name
 
 ENTRY_POINTS: Final = "behavexplor.environments"  # group of entry points: a module by the namespace of its environments
 HIGHWAY_ENV: Final = "highway_env"  # importing this package registers its environments, and is slow
@@ -44,9 +44,9 @@ def environment_id(name: str) -> str:
         return name
     importlib.import_module(HIGHWAY_ENV)
     if name not in gymnasium.registry:
-        stock = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
+        theirs = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
         own = [known for known in behavexplor.FUNCTIONAL_SCENARIOS if known.startswith(name)]
-        raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *stock])
+        raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *theirs])
     return name
 
 
@@ -57,7 +57,7 @@ def _import_plugin(namespace: str) -> None:
 
 
 @cache
-def is_stock(name: str) -> bool:
+def is_highway(name: str) -> bool:
     """Return whether an environment is one of highway-env, or a subclass, without scripted vehicles.
 
     Raises:
@@ -67,22 +67,23 @@ def is_stock(name: str) -> bool:
         return False
     made = make_registered(name, {})
     made.close()
-    return _is_stock(made)
+    return _is_highway(made)
 
 
-def check_keys(name: str, config: Mapping[str, Any]) -> None:
-    """Check that an environment of highway-env has the keys of a configuration, since it would ignore any other.
+def ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
+    """Return the keys of a configuration that an environment of highway-env ignores, after a warning about each.
 
     Raises:
-        InputError: if it does not have one of them, or one of those of its observation and action.
+        InputError: if a key inside the observation or the action is unknown.
     """
     from behavexplor.envs.env_config import check_space_keys  # noqa: PLC0415 - slow to import
 
     made: Any = make_registered(name, {}).unwrapped
-    for key in config:
-        if key not in made.config:
-            raise unknown_name(f"key of the configuration of {name}", str(key), made.config)
     check_space_keys(made, config)
+    ignored = frozenset(map(str, config.keys() - made.config.keys()))
+    for key in sorted(ignored):
+        warnings.warn(ignored_key(name, key, made.config), stacklevel=2)
+    return ignored
 
 
 def default_config(name: str) -> dict[str, Any]:
@@ -111,7 +112,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT) -
     Args:
         name: name of the environment, see `environment_id`.
         config: configuration of the environment, as far as it differs from its own.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
 
     Returns:
         An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
@@ -120,7 +121,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT) -
         InputError: if there is no such environment, it cannot be configured, or one driver cannot drive in it.
     """
     made = make_registered(name, config)
-    if not _is_stock(made):
+    if not _is_highway(made):
         return made
     _check_ego(name, made)
     _check_times(made)
@@ -130,7 +131,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT) -
 
 
 def make_recorded(setup: Setup) -> Any:
-    """Make the stock environment of a recorded scenario, as `make_env` does.
+    """Make the highway-env environment of a recorded scenario, as `make_env` does.
 
     A record may come from anyone and brings no code: what it names must be part of highway-env, or loaded already.
 
@@ -184,7 +185,8 @@ def make_vector_env(
     """Make the vector form of an environment, with autoreset disabled.
 
     Args:
-        env: an environment that `make_env` made. The vector form of a stock environment begins its episodes in it.
+        env: an environment that `make_env` made. The vector form of a highway-env environment begins its episodes in
+        it.
         num_envs: number of sub-environments.
         changes: keys of the configuration that replace those of the environment.
         rewards: whether rewards are needed. Without them, a compiled environment takes its steps faster.
@@ -195,11 +197,11 @@ def make_vector_env(
     Raises:
         InputError: if the vector form does not support the configuration.
     """
-    if _is_stock(env):
+    if _is_highway(env):
         from behavexplor.envs.highway.drawn_vector_env import DrawnVectorEnv  # noqa: PLC0415 - slow to import
 
-        stock: Any = env
-        return None if changes else DrawnVectorEnv(stock, num_envs, rewards=rewards)
+        drawn: Any = env
+        return None if changes else DrawnVectorEnv(drawn, num_envs, rewards=rewards)
     spec = env.spec
     if spec is None or spec.vector_entry_point is None:
         return None
@@ -236,7 +238,7 @@ def _kept_classes(spec: EnvSpec) -> AbstractContextManager[None]:
     return VehicleClasses().applied()
 
 
-def _is_stock(made: gymnasium.Env[Any, Any]) -> bool:
+def _is_highway(made: gymnasium.Env[Any, Any]) -> bool:
     from highway_env.envs.common.abstract import AbstractEnv  # noqa: PLC0415 - slow to import
 
     inner = getattr(made.unwrapped, "inner", made.unwrapped)

@@ -144,7 +144,7 @@ def _named(message: str, scene: SceneFile) -> str:
 
 
 def _drawn(scene: SceneFile, logical: LogicalScenario) -> Scenario:
-    """Return the scenario that a scene of a stock environment holds. Its vehicles drive themselves."""
+    """Return the scenario that a scene of a highway-env environment holds. Its vehicles drive themselves."""
     changed = [mover.name for mover in scene.movers if mover.is_changed]
     if scene.scenario is None:
         raise InputError(f"This scene of {logical.name} lacks the property behavexplor:scenario, its random draws")

@@ -115,7 +115,7 @@ def movers_of(scenario: Scenario, trace: Trace, roadmap: RoadMap | None, *, is_e
     Args:
         scenario: the scenario.
         trace: the trace of the execution.
-        roadmap: the map; None for a stock environment.
+        roadmap: the map; None for a highway-env environment.
         is_ego_free: whether only the ego's start is of interest.
     """
     speed = np.hypot(trace.velocity[..., 0], trace.velocity[..., 1])

@@ -46,6 +46,25 @@ def confirmed(simulation: Simulation, scenario: Scenario, driven: Trace | ADSErr
     )
 
 
+def repeated(simulation: Simulation, scenario: Scenario, driven: Trace) -> Trace:
+    """Return the trace of an execution in highway-env, after a second execution if it failed.
+
+    Args:
+        simulation: simulation with the driving system and its environment.
+        scenario: the executed scenario.
+        driven: its trace.
+
+    Raises:
+        ADSError: if the second execution is another one.
+    """
+    if not any(spec.violated(driven) for spec in SPECS):
+        return driven
+    difference = _difference(driven, simulation.run(scenario), "when it was repeated")
+    if difference is None:
+        return driven
+    raise ADSError(DIFFERS, f"the scenario does not repeat in highway-env: {difference}")
+
+
 def driven_compiled(simulation: Simulation, scenario: Scenario) -> Trace | ADSError:
     """Return the outcome of a scenario alone in the compiled engine.
 
@@ -59,15 +78,15 @@ def driven_compiled(simulation: Simulation, scenario: Scenario) -> Trace | ADSEr
     return trace
 
 
-def _difference(driven: Trace | ADSError, other: Trace | ADSError) -> str | None:
+def _difference(driven: Trace | ADSError, other: Trace | ADSError, where: str = "in highway-env") -> str | None:
     """Return how an outcome in highway-env differs from one in the compiled engine; None if it does not."""
     if isinstance(driven, ADSError) or isinstance(other, ADSError):
         kinds = [one.kind if isinstance(one, ADSError) else "" for one in (driven, other)]
         return None if kinds[0] == kinds[1] else f"only in one of them, {driven if kinds[0] else other}"
     for name in ("end", "partner"):
         if getattr(driven, name) != getattr(other, name):
-            return f"{name} is {getattr(driven, name)!r}, and {getattr(other, name)!r} in highway-env"
+            return f"{name} is {getattr(driven, name)!r}, and {getattr(other, name)!r} {where}"
     if driven.position.shape != other.position.shape:
-        return f"{driven.position.shape[:2]} frames and vehicles, and {other.position.shape[:2]} in highway-env"
+        return f"{driven.position.shape[:2]} frames and vehicles, and {other.position.shape[:2]} {where}"
     apart = float(np.abs(driven.position - other.position).max())
     return f"the vehicles are up to {apart:.3g} m apart" if apart > TOLERANCE else None

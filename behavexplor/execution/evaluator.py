@@ -17,7 +17,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.checked_imports import import_checked
 from behavexplor.execution.confinement import confine
-from behavexplor.execution.confirmation import confirmed, driven_compiled
+from behavexplor.execution.confirmation import confirmed, driven_compiled, repeated
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, fingerprint
 from behavexplor.execution.forkserver import slow_modules
@@ -69,6 +69,7 @@ class Evaluator(Service):
             FINGERPRINT: fingerprint,
         }
         self.batch: ScenarioBatch | None = None
+        self._confirms = False
         self._unprevented: tuple[str, ...] = ()
         self._notices: list[str] = []
 
@@ -96,9 +97,9 @@ class Evaluator(Service):
         except InputError as error:
             raise InputError(_explained(str(error))) from None
         episodes = self.simulation.lock_step(self._lock_step)
+        self._confirms = self.confirms and self.target.confirm and self.simulation.logical.has_original
         if episodes is not None:
-            confirms = self.confirms and self.target.confirm and self.simulation.logical.has_original
-            self.batch = ScenarioBatch(self.simulation, episodes, self.answer, confirms=confirms)
+            self.batch = ScenarioBatch(self.simulation, episodes, self.answer, confirms=self._confirms)
 
     def execute(self, scenario: bytes) -> bytes:
         """Execute a scenario.
@@ -112,16 +113,18 @@ class Evaluator(Service):
         Raises:
             ADSError: if the ADS fails.
         """
-        if self.batch is None:
-            return self.answer(self.simulation.run(_scenario(scenario)))
-        return self.batch.alone(scenario)
+        if self.batch is not None:
+            return self.batch.alone(scenario)
+        read = _scenario(scenario)
+        trace = self.simulation.run(read)
+        return self.answer(repeated(self.simulation, read, trace) if self._confirms else trace)
 
     def answer(self, trace: Trace) -> bytes:
         """Return what is told about an executed scenario: its trace, see `behavexplor.data.trace.Trace.to_bytes`."""
         return trace.to_bytes()
 
     def logical(self, _: bytes) -> bytes:
-        """Return the logical scenario of a stock environment as JSON, which depends on what the ADS declares.
+        """Return the logical scenario of a highway-env environment as JSON, which depends on what the ADS declares.
 
         Returns:
             JSON; nothing for an environment with scripted vehicles.
@@ -129,7 +132,7 @@ class Evaluator(Service):
         return self.simulation.logical.to_json().encode()
 
     def road(self, _: bytes) -> bytes:
-        """Return the shape of a stock environment's road as JSON; nothing for an environment of another kind."""
+        """Return the shape of a highway-env environment's road as JSON; nothing for an environment of another kind."""
         road: Any = getattr(self.simulation.env, "road_shape", None)
         return road().to_json().encode() if road is not None else b""
 

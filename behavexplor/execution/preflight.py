@@ -28,21 +28,47 @@ _WHERE_CONFIGURED: Final = MappingProxyType(
 )
 
 
+_SO_NOT_REPLAYED: Final = (
+    "so failures can be neither confirmed nor replayed: it must draw by its attribute np_random alone"
+)
+_WITH_DRAWS: Final = "; with --stochastic (in Python, stochastic=True) it would draw its actions, as in training"
+
+
 class _Witness:
     """An ADS that also records its observations and actions, except those of absent egos, whose rows are zeros."""
 
     def __init__(self, ads: Any) -> None:
         self.ads = ads
         self.is_function = is_function(ads)
+        self.noise = getattr(ads, "noise", 0)
         self.observations: list[Observation] = []
         self.actions: list[NDArray[Any]] = []
 
     def predict(self, observation: Observation, *arguments: Any, **keywords: Any) -> Any:
-        answer = self.ads.predict(observation, *arguments, **keywords)
+        return self._noted(observation, self.ads.predict(observation, *arguments, **keywords))
+
+    def draw(self, observation: Observation, *arguments: Any) -> Any:
+        return self._noted(observation, self.ads.draw(observation, *arguments))
+
+    def _noted(self, observation: Observation, answer: Any) -> Any:
         is_there = _rows_with_values(observation)
         self.observations.append(mapped(lambda array: np.array(array)[is_there], observation))
         self.actions.append(np.array(answer[0])[is_there])
         return answer
+
+
+class _Playback:
+    """An ADS that repeats recorded actions, one after the other."""
+
+    def __init__(self, actions: list[NDArray[Any]]) -> None:
+        self.noise = 0
+        self._actions = iter(actions)
+
+    def predict(self, *_: Any, **__: Any) -> tuple[NDArray[Any], None]:
+        return next(self._actions), None
+
+    def draw(self, *_: Any) -> tuple[NDArray[Any], None]:
+        return self.predict()
 
 
 def _rows_with_values(observation: Observation) -> NDArray[np.bool_]:
@@ -57,8 +83,8 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     Returns:
         A sentence for each finding: the ADS fails, always gives the same answer, never moves, was trained with masks of
         actions, or on a different kind of observations. The last happens when its `VecNormalize` statistics are
-        missing. In a stock environment, also that its configuration is not known, that it is not compiled, or that its
-        draws do not determine its episodes.
+        missing. Further, that a scenario does not repeat, that the environment is not compiled, or that its
+        configuration is not known.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -75,19 +101,19 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
         _uncompiled(simulation),
         _unrepeatable(simulation, scenarios[0]),
         _unmasked(simulation.ads),
-        _constant(witness.actions),
+        _constant(simulation, witness.actions),
         _motionless(traces),
         _foreign(seen, trained_on),
     )
     return [finding for finding in findings if finding]
 
 
-def _traces(simulation: Simulation, witness: _Witness, scenarios: list[Scenario]) -> list[Trace]:
+def _traces(simulation: Simulation, ads: Any, scenarios: list[Scenario]) -> list[Trace]:
     """Drive scenarios in the compiled form of the environment where there is one, together if the ADS allows that."""
     envs = simulation.compiled(len(scenarios))
     if envs is None:
-        return [rollout(simulation.env, witness, scenario) for scenario in scenarios]
-    return [trace for _, trace in rollout_all(envs, witness, scenarios)]
+        return [rollout(simulation.env, simulation.driver(1, ads), scenario) for scenario in scenarios]
+    return [trace for _, trace in rollout_all(envs, simulation.driver(envs.num_envs, ads), scenarios)]
 
 
 def _unconfigured(simulation: Simulation) -> str | None:
@@ -109,21 +135,32 @@ def _uncompiled(simulation: Simulation) -> str | None:
 
 
 def _unrepeatable(simulation: Simulation, scenario: Scenario) -> str | None:
-    """Return a warning if the draws of a stock environment do not determine how its episodes begin."""
-    if not simulation.logical.has_original:
+    """Return a warning if a scenario does not determine its episode: because of the environment, or of the ADS."""
+    if simulation.logical.has_original and not _begins_alike(simulation.env, scenario):
+        return f"The environment begins the same scenario in another way when it is repeated, {_SO_NOT_REPLAYED}"
+    witness = _Witness(simulation.ads)
+    (first,) = _traces(simulation, witness, [scenario])
+    actions = list(witness.actions)
+    (second,) = _traces(simulation, witness, [scenario])
+    if first.to_bytes() == second.to_bytes():
         return None
-    env: Any = simulation.env
+    (again,) = _traces(simulation, _Playback(actions), [scenario])
+    if not np.array_equal(again.position, first.position):
+        return f"The environment goes on in another way when a scenario is repeated, {_SO_NOT_REPLAYED}"
+    return (
+        "The driver does not drive the same scenario in the same way when it is repeated, as if it drew its actions or "
+        "remembered earlier episodes, so its failures cannot be replayed: see docs/policies.md for drawn actions"
+    )
+
+
+def _begins_alike(env: Any, scenario: Scenario) -> bool:
+    """Return whether the draws of a highway-env environment determine how its episodes begin."""
     starts = set()
     for _ in range(2):
         observation, _ = env.reset(options={"scenario": scenario})
         seen = [array.tobytes() for array in arrays_of(mapped(np.asarray, observation))]
         starts.add((repr(env.record.frames[0].things.tolist()), env.road_shape().to_json(), *seen))
-    if len(starts) == 1:
-        return None
-    return (
-        "The environment begins the same scenario in another way when it is repeated, so failures can be neither "
-        "confirmed nor replayed: it must draw by its attribute np_random alone"
-    )
+    return len(starts) == 1
 
 
 def _unmasked(ads: Any) -> str | None:
@@ -135,11 +172,15 @@ def _unmasked(ads: Any) -> str | None:
     )
 
 
-def _constant(actions: list[NDArray[Any]]) -> str | None:
+def _constant(simulation: Simulation, actions: list[NDArray[Any]]) -> str | None:
     stacked = np.concatenate(actions)
     if (stacked != stacked[0]).any():
         return None
-    return f"The ADS is constant: all its {len(stacked)} decisions in {SCENARIOS} scenarios were {stacked[0]}"
+    env = getattr(simulation.env.unwrapped, "inner", simulation.env.unwrapped)
+    names = getattr(getattr(env, "action_type", None), "actions", None)
+    choice = names[int(stacked[0])] if isinstance(names, Mapping) and stacked[0].ndim == 0 else stacked[0]
+    is_drawn = "" if simulation.stochastic or not getattr(simulation.ads, "noise", 0) else _WITH_DRAWS
+    return f"The driver always chooses {choice} ({len(stacked)} decisions in {SCENARIOS} scenarios){is_drawn}"
 
 
 def _motionless(traces: list[Trace]) -> str | None:

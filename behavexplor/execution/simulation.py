@@ -20,11 +20,11 @@ from behavexplor.data.scripted_logical import ScriptedLogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.envs.making import (
-    check_keys,
     default_config,
     environment_id,
     has_own_config,
-    is_stock,
+    ignored_keys,
+    is_highway,
     make_env,
     make_vector_env,
 )
@@ -49,7 +49,7 @@ class Simulation:
             which it drives from the environment's own.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
-        traffic: kind of traffic in a stock environment; see `behavexplor.data.drawn_scenario.Setup`.
+        traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
 
     Attributes:
@@ -59,6 +59,7 @@ class Simulation:
         source: where the ADS comes from: `FILE`, `MODULE` or `MEMORY`.
         is_configured: whether a configuration for the policy was found, where one is needed.
         plain: why the environment cannot run in lock-step, once this is known; empty if it can.
+        stochastic: whether the ADS draws its actions.
 
     Raises:
         InputError: if there is no such environment or ADS, or if they do not fit together.
@@ -74,28 +75,29 @@ class Simulation:
         *,
         stochastic: bool = False,
     ) -> None:
-        stock = is_stock(env)
-        roadmap = None if stock else logical_scenario(env).roadmap
+        is_theirs = is_highway(env)
+        roadmap = None if is_theirs else logical_scenario(env).roadmap
         self.source = _source(ads)
         self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
-        trained = _plain(getattr(self.ads, "env_config", {})) if stock else {}
+        trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
         given = dict(env_config or {})
         _check_traffic(ads, trained, given)
-        if stock:  # a model in memory drives with the keys with which it was trained
+        if is_theirs:  # a model in memory drives with the keys with which it was trained
             kept = () if isinstance(ads, str) else trained.keys() - given.keys()
             whole = {**declared, **trained, **given}
-            check_keys(env, {key: value for key, value in whole.items() if key not in kept})
-        if stock and hasattr(self.ads, "fitted"):
+            ignored = ignored_keys(env, {key: value for key, value in whole.items() if key not in kept})
+            trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
+        if is_theirs and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
         self.logical = logical_of(self.env, env)
         self.plain = ""
-        self._stochastic = stochastic
+        self.stochastic = stochastic
         self._single: LockStep | None = None
         if stochastic and not getattr(self.ads, "noise", 0):
             raise InputError(f"The driver {ads!r} cannot draw its actions: leave out --stochastic")
-        is_asked = stock and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
+        is_asked = is_theirs and hasattr(self.ads, "observation_space") and not hasattr(self.ads, "env_config")
         self.is_configured = not is_asked or env_config is not None or has_own_config(env)
         _check_spaces(self.env, environment_id(env), self.ads, ads)
 
@@ -106,10 +108,10 @@ class Simulation:
         highway-env's environments as they are.
         """
         if self.logical.has_original:
-            return rollout(self.env, self._driver(1), scenario)
+            return rollout(self.env, self.driver(1), scenario)
         self._single = self._single or self.lock_step(1)
         if self._single is None:
-            return rollout(self.env, self._driver(1), scenario)
+            return rollout(self.env, self.driver(1), scenario)
         self._single.give_up()  # an episode in which the driver has failed
         ((_, trace),) = run_episodes(self._single, [scenario])
         return trace
@@ -128,7 +130,7 @@ class Simulation:
         if envs is None:
             yield from enumerate(map(self.run, scenarios))
             return
-        yield from rollout_all(envs, self._driver(envs.num_envs), scenarios)
+        yield from rollout_all(envs, self.driver(envs.num_envs), scenarios)
         envs.close()
 
     def lock_step(self, count: int) -> LockStep | None:
@@ -142,11 +144,12 @@ class Simulation:
             return None
         if hasattr(envs, "checks_actions"):
             envs.checks_actions = False  # what an ADS answers is checked when it is asked
-        return LockStep(envs, self._driver(envs.num_envs))
+        return LockStep(envs, self.driver(envs.num_envs))
 
-    def _driver(self, count: int) -> Any:
-        """Return what drives a number of episodes in lock-step."""
-        return DrawnActions(self.ads, count) if self._stochastic else self.ads
+    def driver(self, count: int, ads: Any = None) -> Any:
+        """Return what drives a number of episodes in lock-step: the ADS, or another one in its place."""
+        ads = ads or self.ads
+        return DrawnActions(ads, count) if self.stochastic else ads
 
     def close(self) -> None:
         """Release the resources of the environment."""
@@ -251,7 +254,7 @@ def compile_kernels(env: str) -> None:
         env: name of the environment, see `behavexplor.envs.making`. Nothing is done for an environment of another
             package.
     """
-    if is_stock(env):
+    if is_highway(env):
         _compile_engine(env)
         return
     if not environment_id(env).startswith(f"{behavexplor.NAMESPACE}/"):
@@ -271,7 +274,7 @@ def compile_kernels(env: str) -> None:
 
 
 def _compile_engine(env: str) -> None:
-    """Compile the engine of stock environments, which is the same for all of them."""
+    """Compile the engine of highway-env environments, which is the same for all of them."""
     made = make_env(env, {})
     try:
         envs = make_vector_env(made, 1, {})
@@ -301,7 +304,7 @@ def logical_scenario(env: str) -> LogicalScenario:
 
 def fixed_logical_scenario(env: str) -> LogicalScenario | None:
     """Return the logical scenario of an environment; None if it depends on what the driver declares."""
-    return None if is_stock(env) else logical_scenario(env)
+    return None if is_highway(env) else logical_scenario(env)
 
 
 def logical_of(made: gymnasium.Env[Any, Any], name: str) -> LogicalScenario:

@@ -264,8 +264,8 @@ class BehAVExplorOptions:
         point_keep_probability: probability that a waypoint of a chosen NPC stays unchanged.
         sigma_position: standard deviation of waypoint mutation [m].
         sigma_speed: standard deviation of waypoint mutation [m/s].
-        sigma_draw: in stock environments, the standard deviation of the small mutation of a draw, as a share of the
-            draw's range.
+        sigma_draw: in highway-env environments, the standard deviation of the small mutation of a draw, as a share of
+            the draw's range.
         failure_weight: w_1, weight of the failure frequency.
         degree_weight: w_2, weight of the change of the violation degree.
         selection_weight: w_3, weight of the selection frequency.

@@ -24,8 +24,8 @@ class RandomMutationOptions:
         npc_keep_probability: epsilon, the probability that an NPC stays unchanged.
         sigma_position: standard deviation of waypoint mutation [m].
         sigma_speed: standard deviation of waypoint mutation [m/s].
-        sigma_draw: in stock environments, the standard deviation of the small mutation of a draw, as a share of the
-            draw's range.
+        sigma_draw: in highway-env environments, the standard deviation of the small mutation of a draw, as a share of
+            the draw's range.
 
     Raises:
         InputError: if an option is out of range; the message names it.

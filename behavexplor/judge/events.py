@@ -25,7 +25,8 @@ class ViolationEvent:
         spec: "R1", "R2", "R3", or the name of a user's spec.
         frame: frame of the violation; the last frame of the trace for all specs but R2.
         partner: touched vehicle (R1, an index of `trace.size`) or touched line (R2, an index of
-            `trace.illegal_lines`); -1 for all other specs, and for an ego that left the road of a stock environment.
+            `trace.illegal_lines`); -1 for all other specs, and for an ego that left the road of a highway-env
+            environment.
     """
 
     spec: str

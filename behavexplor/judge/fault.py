@@ -98,7 +98,7 @@ def contact_fault(trace: Trace) -> Fault | None:
 def touched_npc(trace: Trace) -> int | None:
     """Return the vehicle that the ego touches in the last frame, the nearest by its center if there are several.
 
-    In a stock environment, it is the vehicle into which the ego crashed, as the trace says.
+    In a highway-env environment, it is the vehicle into which the ego crashed, as the trace says.
     """
     if trace.signals:
         return trace.partner if trace.partner > 0 else None

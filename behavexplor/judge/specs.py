@@ -4,7 +4,7 @@ Source: paper section 2.3 (R1, R2, R3) and 3.2.2 (violation degree O). Traces ar
 so that every method is scored by the same code. An episode in which the ego arrives is judged up to the moment of its
 arrival (`behavexplor.judge.specs`).
 
-In a stock environment, a violation is what the environment itself says, as the signals of a trace. There a crash
+In a highway-env environment, a violation is what the environment itself says, as the signals of a trace. There a crash
 pushes the vehicles apart, so that their boxes do not tell it. Lines may be crossed, and not every environment has a
 destination.
 """
@@ -57,7 +57,7 @@ class Spec(Protocol):
 
 @dataclass(frozen=True)
 class Collision:
-    """R1: the ego touches no NPC; in a stock environment, it does not crash.
+    """R1: the ego touches no NPC; in a highway-env environment, it does not crash.
 
     The degree is D_b, the least distance between the ego's box and an NPC's box [m] (paper equation 1).
     """
@@ -65,7 +65,7 @@ class Collision:
     name: str = field(default="collision", init=False)
 
     def degree(self, trace: Trace) -> float:
-        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In a stock environment, it is 0 exactly after a crash."""
+        """Return D_b [m], or `NOTHING_NEAR` without any NPC. In highway-env environments, 0 means a crash."""
         if CRASHED not in trace.signals:
             return _npc_distance(trace)
         return 0.0 if self.violated(trace) else max(_npc_distance(trace), RESOLUTION)
@@ -79,7 +79,7 @@ class Collision:
 
 @dataclass(frozen=True)
 class Lines:
-    """R2: the ego touches no illegal line; in a stock environment, it does not leave the road.
+    """R2: the ego touches no illegal line; in a highway-env environment, it does not leave the road.
 
     The degree is D_l, the least distance between the ego's box and an illegal line [m] (paper equation 3).
     """
@@ -99,7 +99,7 @@ class Lines:
 
 @dataclass(frozen=True)
 class Destination:
-    """R3: the ego ends at its destination; in a stock environment that has one, it arrives there.
+    """R3: the ego ends at its destination; in a highway-env environment that has one, it arrives there.
 
     The degree is max(10 - D, 0) (paper section 3.2.2), where D is the final distance of the ego's center from the
     destination [m], see `behavexplor.judge.specs.final_distance`. So the farther from the destination the episode
@@ -116,7 +116,7 @@ class Destination:
     reach: float = 10.0
 
     def degree(self, trace: Trace) -> float:
-        """Return max(reach - D, 0) [m]. In a stock environment, it is `reach` if the ego arrived, or else 0."""
+        """Return max(reach - D, 0) [m]. In a highway-env environment, it is `reach` if the ego arrived, or else 0."""
         if trace.signals:
             return 0.0 if self.violated(trace) else self.reach
         return max(self.reach - final_distance(trace), 0.0)

@@ -107,7 +107,7 @@ class Suite:
         driver: name of the driver that failed.
         specs: names of the user's specs.
         env_config: configuration of the environment, as far as it differs from what a driver declares.
-        traffic: kind of traffic in a stock environment.
+        traffic: kind of traffic in a highway-env environment.
         stochastic: whether the driver that failed drew its actions. It does so in checks, too.
         cases: the cases in the order of their names.
     """

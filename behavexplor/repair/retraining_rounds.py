@@ -56,7 +56,7 @@ class RetrainingConfig:
         validation: Number of scenarios in which each round is validated.
         env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
             policy declares: keys of highway-env (docs/highway-env.md).
-        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/stock.md).
+        traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/highway-policies.md).
 
     Raises:
         InputError: if a value is out of range.

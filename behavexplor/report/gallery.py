@@ -155,7 +155,7 @@ def replay_values(trace: Trace, record: Record, states: Sequence[tuple[str, int]
 
 
 def _own_way(trace: Trace) -> dict[str, Any]:
-    """Return the route and the destination of an execution in a stock environment, where each has its own."""
+    """Return the route and the destination of an execution in a highway-env environment, where each has its own."""
     if not trace.signals:
         return {}
     route = trace.route[:: max(1, len(trace.route) // 120)].round(2).tolist()

@@ -34,7 +34,7 @@ _VARIABLE = re.compile(r"--(\w+): (?:light-dark\()?#([0-9a-f]{6})")
 def violation_place(trace: Trace, event: ViolationEvent) -> tuple[float, float]:
     """Return the place of a violation [m]."""
     ego = trace.position[event.frame, 0]
-    if event.spec == R2 and event.partner < 0:  # it left the road of a stock environment
+    if event.spec == R2 and event.partner < 0:  # it left the road of a highway-env environment
         place = ego
     elif event.spec == R2:
         start, end = trace.illegal_lines[event.partner]

@@ -24,7 +24,7 @@ def known_road(env: str, run: Path) -> RoadShape | None:
 
     Args:
         env: name of the environment in the run's configuration.
-        run: the run folder, which holds the road of a stock environment.
+        run: the run folder, which holds the road of a highway-env environment.
 
     Returns:
         The road, or None if it is not known.

@@ -27,9 +27,9 @@ class Blame:
         kind: `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
             otherwise `preventable` if there is a witness, `unpreventable` if none was found, or `other` if the search
             was impossible because the environment cannot run in lock-step.
-        in_junction: whether the ego was inside a junction; False in a stock environment, where this is not known.
-        witness: evasion that avoids the collision, or in a stock environment another driver that does not crash; None
-            unless the collision is `preventable`.
+        in_junction: whether the ego was inside a junction; False in a highway-env environment, where this is not known.
+        witness: evasion that avoids the collision, or in a highway-env environment another driver that does not crash;
+            None unless the collision is `preventable`.
         tried: number of evasions, or of other drivers, that were driven.
     """
 
@@ -71,7 +71,7 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
 
 
 def _blame_in_reactive_traffic(quick: Kind, scenario: Any, rng: np.random.Generator) -> Blame:
-    """Return the verdict on a crash in a stock environment, see `behavexplor.triage.closed_loop`."""
+    """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
     if quick != "other":
         return Blame(quick, in_junction=False)
     driver, tried = find_driver(scenario, rng)

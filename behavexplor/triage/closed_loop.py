@@ -1,6 +1,6 @@
 """Witnesses in traffic that reacts: drivers that avoid a crash when they drive the whole scenario.
 
-In a stock environment, the other vehicles react to the ego, so a maneuver cannot be tried against their recorded
+In a highway-env environment, the other vehicles react to the ego, so a maneuver cannot be tried against their recorded
 motion. Other drivers drive the scenario from its start instead: a careful one, those that always do the same, and some
 that act by chance.
 """

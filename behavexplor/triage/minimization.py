@@ -96,7 +96,7 @@ class ManyScenarios:
         return [traces[i] if i in traces else self.run(scenario) for i, scenario in enumerate(scenarios)]
 
     def run(self, scenario: Scenario) -> Trace | ADSError:
-        """Execute one scenario alone; in a stock environment, in highway-env itself."""
+        """Execute one scenario alone; in a highway-env environment, in highway-env itself."""
         try:
             return self.simulation.run(scenario)
         except ADSError as error:

@@ -70,7 +70,7 @@ def test_a_function_of_one_observation_drives_here_and_from_the_command(tmp_path
 
 def test_an_environment_object_gives_its_configuration(tmp_path):
     env = gymnasium.make("highway-fast-v0", config={"duration": 3, "lanes_count": 4})
-    with pytest.warns(UserWarning, match="The ADS is constant"):
+    with pytest.warns(UserWarning, match="The driver always chooses"):
         run = behavexplor.find_failures(lambda _: 1, env, budget=2, out=tmp_path / "a", confirm=False)
     assert run.config.env == "highway-fast-v0"
     assert run.config.env_config.items() >= {"duration": 3, "lanes_count": 4}.items()

@@ -107,7 +107,7 @@ def test_a_package_can_declare_its_environments(monkeypatch, capsys):
     monkeypatch.setattr("behavexplor.commands.envs.entry_points", declared)
     try:
         assert making.environment_id("declared/lane-change-v0") == "declared/lane-change-v0"
-        assert not making.is_stock("declared/lane-change-v0")
+        assert not making.is_highway("declared/lane-change-v0")
         assert main(["envs"]) == 0
         assert "Of installed packages:\n  declared/lane-change-v0" in capsys.readouterr().out
     finally:

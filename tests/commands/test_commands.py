@@ -414,7 +414,7 @@ def test_help_is_quick_and_says_what_matters():
     for flag in ("env", "ads", "method", "config", "budget", "seed", "workers", "batch", "out", "resume", "quiet"):
         assert f"--{flag}" in result.stdout
     words = " ".join(result.stdout.replace("│", " ").split())
-    assert "lane-change, lane-follow; one of highway-env's own, such as highway-fast-v0 (docs/stock.md)" in words
+    assert "lane-follow; one of highway-env's own, such as highway-fast-v0 (docs/highway-policies.md)" in words
 
 
 def test_records_can_be_cut_off_by_head(finished):

@@ -1,8 +1,13 @@
 """What is said of a driver before it is tested."""
 
+import json
+
 import numpy as np
 import pytest
 
+from behavexplor.data.target import Target
+from behavexplor.execution.evaluator import evaluator_recipe
+from behavexplor.execution.executor import ADSError
 from behavexplor.execution.preflight import SCENARIOS, preflight_warnings
 from behavexplor.execution.simulation import Simulation
 from tests.drivers import Cruiser, Lost
@@ -21,6 +26,29 @@ class Trained(Cruiser):
 
     def __init__(self, last_trained_on=None):
         self.last_trained_on = last_trained_on
+
+
+class Undecided(Cruiser):
+    """Draws its steering anew in every drive."""
+
+    def __init__(self):
+        self.rng = np.random.default_rng()
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        actions, state = super().predict(observation, state)
+        actions[:, 1] += self.rng.uniform(-0.01, 0.01, len(actions))
+        return actions, state
+
+
+class Forgetful(Cruiser):
+    """Drives its first episode in another way than all others."""
+
+    drives = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.drives += bool(np.any(episode_start))
+        actions, state = super().predict(observation, state)
+        return actions * (0.9 if self.drives == 2 else 1.0), state
 
 
 def warnings_about(driver):
@@ -51,7 +79,7 @@ def test_a_driver_that_drives_is_fit():
 
 def test_a_constant_driver_is_named_and_so_is_one_that_never_moves():
     constant, motionless = warnings_about(Parked())
-    assert constant.startswith("The ADS is constant")
+    assert constant.startswith("The driver always chooses [0.33333333 0.        ] (")
     assert f"in {SCENARIOS} scenarios" in constant
     assert motionless == f"The ego never moved in {SCENARIOS} scenarios"
 
@@ -65,7 +93,7 @@ def test_answers_to_rows_without_an_ego_do_not_count():
             actions[~observation.any(axis=(1, 2))] = 1.0
             return actions, state
 
-    assert warnings_about(Blind())[0].startswith("The ADS is constant")
+    assert warnings_about(Blind())[0].startswith("The driver always chooses")
 
 
 def test_a_driver_that_answers_no_number_is_named():
@@ -100,3 +128,51 @@ def test_an_environment_that_does_not_repeat_its_episodes_is_named():
 
     assert len(said_of(strange.DrawsElsewhere)) == 1
     assert said_of(strange.Brief) == []
+
+
+@pytest.mark.parametrize("driver", [Undecided, Forgetful])
+def test_a_driver_that_does_not_repeat_its_drives_is_named(driver):
+    (warning,) = warnings_about(driver())
+    assert warning.startswith("The driver does not drive the same scenario in the same way")
+
+
+def test_traffic_that_draws_elsewhere_is_named_and_its_failures_are_not_the_drivers():
+    config = {"duration": 10, "other_vehicles_type": "tests.envs.highway.strange.Nervous"}
+    target = Target("highway-fast-v0", "constant:IDLE", env_config=config)
+    evaluator = evaluator_recipe(target).make()
+    evaluator.begin()
+    said = json.loads(evaluator.preflight(b""))
+    assert any(warning.startswith("The environment goes on in another way") for warning in said)
+    scenario = evaluator.simulation.logical.sample(np.random.default_rng(3)).to_json().encode()
+    with pytest.raises(ADSError, match="the scenario does not repeat in highway-env"):
+        evaluator.execute(scenario)
+
+
+def test_a_meta_action_is_named_and_so_is_that_the_policy_could_draw():
+    def said(**settings):
+        simulation = Simulation("highway-fast-v0", "constant:SLOWER", **settings)
+        simulation.ads = Drawable(simulation.ads)
+        return [one for one in preflight_warnings(simulation) if "always chooses" in one]
+
+    (warning,) = said()
+    assert warning.startswith("The driver always chooses SLOWER (120 decisions in 4 scenarios); with --stochastic")
+
+
+class Drawable:
+    """A driver that could draw its actions."""
+
+    noise, vectorized = 1, True
+
+    def __init__(self, ads):
+        self._ads = ads
+        self.predict = ads.predict
+
+    def draw(self, observation, state, episode_start, noise):
+        actions, state = self._ads.predict(observation, state, episode_start)
+        return np.where(noise[..., 0] < 0.5, actions, 0), state
+
+
+def test_a_policy_whose_actions_are_drawn_is_driven_so():
+    simulation = Simulation("highway-fast-v0", "constant:SLOWER")
+    simulation.ads, simulation.stochastic = Drawable(simulation.ads), True
+    assert not [one for one in preflight_warnings(simulation) if "always chooses" in one or "same way" in one]

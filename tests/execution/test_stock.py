@@ -126,9 +126,12 @@ def test_a_configuration_that_cannot_be_used_is_named():
         Simulation("merge-v0", "constant:IDLE", env_config={"other_vehicles_type": "no.such.Vehicle"})
 
 
-def test_an_unknown_key_of_the_configuration_is_named():
-    with pytest.raises(InputError, match="key of the configuration of merge-v0 'policy_freq': did you mean"):
-        Simulation("merge-v0", "constant:IDLE", env_config={"policy_freq": 5})
+def test_an_unknown_key_of_the_configuration_is_named_and_ignored():
+    with pytest.warns(UserWarning, match="merge-v0 does not have the key 'policy_freq' .*: did you mean 'policy_freq"):
+        simulation = Simulation("merge-v0", "constant:IDLE", env_config={"policy_freq": 5, "screen_width": 300})
+    config = simulation.logical.config
+    assert "policy_freq" not in config
+    assert config["screen_width"] == 300
 
 
 class Picky:

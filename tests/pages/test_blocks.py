@@ -46,7 +46,7 @@ SLOW = {
     "docs/policies.md",
     "docs/python.md",
     "docs/repair.md",
-    "docs/stock.md",
+    "docs/highway-policies.md",
 }
 A_COMMAND = re.compile(r"\s*(\./run|behavexplor|python|pip|import|from) ")
 
@@ -87,7 +87,7 @@ YAML = {  # how the YAML of each page is read
     "docs/policies.md": described,
     "docs/python.md": callback,
     "docs/repair.md": lambda text: checked(Case, yaml.safe_load(text), "page"),
-    "docs/stock.md": described,
+    "docs/highway-policies.md": described,
 }
 
 

@@ -140,15 +140,26 @@ def new_policy(
     use_sde: bool,
 ) -> BasePolicy:
     """Make a policy as its algorithm does, without an optimizer where that is possible."""
-    accepted = inspect.signature(policy_class).parameters
+    accepted = _accepted(policy_class)
     given = {key: value for key, value in keywords.items() if not key.startswith("optimizer")}
     if "optimizer_class" in accepted and policy_class.__module__.startswith(_KNOWN):
         given["optimizer_class"] = _NoOptimizer
-    if "lr_schedule" in accepted:
-        given["lr_schedule"] = lambda _: 0.0
     if "use_sde" in accepted:
         given.setdefault("use_sde", use_sde)
-    return policy_class(observation_space, action_space, **given)
+    schedule = [lambda _: 0.0] if "lr_schedule" in accepted else []  # the third argument, as algorithms give it
+    return policy_class(observation_space, action_space, *schedule, **given)
+
+
+def _accepted(policy_class: type[BasePolicy]) -> set[str]:
+    """Return the names of the arguments that a policy takes, also of those that it hands on to the class it is from."""
+    names: set[str] = set()
+    for kind in policy_class.__mro__:
+        if "__init__" in vars(kind):
+            parameters = inspect.signature(vars(kind)["__init__"]).parameters
+            names |= parameters.keys()
+            if not any(one.kind is inspect.Parameter.VAR_KEYWORD for one in parameters.values()):
+                break
+    return names
 
 
 def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], keywords: Mapping[str, Any]) -> None:

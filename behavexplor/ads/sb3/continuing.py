@@ -83,11 +83,24 @@ def continued(archive: Archive, venv: VecEnv) -> BaseAlgorithm:
         model: BaseAlgorithm = algorithm(policy_class, venv, policy_kwargs=keywords, device="cpu", **settings)
         model.policy.load_state_dict(_tensors(archive.weights))
         if archive.optimizer is not None:
-            model.policy.optimizer.load_state_dict(_tensors(archive.optimizer))
+            model.policy.optimizer.load_state_dict(_online_only(_tensors(archive.optimizer), model.policy.optimizer))
     except Exception as error:  # torch and Stable-Baselines3 can raise anything for wrong values
         first = str(error).split("\n", maxsplit=1)[0]
         raise InputError(f"{path} cannot be trained further in this environment: {first}") from error
     return model
+
+
+def _online_only(state: dict[str, Any], optimizer: torch.optim.Optimizer) -> dict[str, Any]:
+    """Return the state of an optimizer without the target network's parameters.
+
+    Stable-Baselines3 before 2.4.0 gave the optimizer of DQN those, too, after those of the online network.
+    """
+    (group,), expected = state["param_groups"], len(optimizer.param_groups[0]["params"])
+    if len(group["params"]) != 2 * expected:
+        return state
+    kept = group["params"][:expected]
+    moments = {number: values for number, values in state["state"].items() if number in kept}
+    return {"state": moments, "param_groups": [{**group, "params": kept}]}
 
 
 def _algorithm_of(archive: Archive, policy_class: type[Any]) -> type[BaseAlgorithm]:

@@ -3,6 +3,7 @@
 Each key of a configuration is reproduced, without effect on results, or refused by name.
 """
 
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +20,7 @@ from behavexplor.envs.env_config import ACTIONS, check_type
 from behavexplor.envs.source_gate import REWARDS, replaced
 from behavexplor.envs.tasks.highway_tasks import KINDS, NUMBERS
 from behavexplor.envs.tasks.task import TaskKind
-from behavexplor.errors import InputError, unknown_name
+from behavexplor.errors import InputError, ignored_key
 
 OTHER_WAY = "use gymnasium.make_vec with vectorization_mode='sync' for highway-env's own"
 DRAWING = frozenset(  # keys that change pictures only
@@ -64,7 +65,7 @@ _OWN = STARTS | {"__init__"}
 
 
 def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], changes: object) -> None:
-    """Check that the compiled engine reproduces a configuration of a highway-env environment.
+    """Check that the compiled engine reproduces a configuration, and warn of keys that highway-env ignores.
 
     Args:
         env_class: the environment.
@@ -73,7 +74,7 @@ def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], c
         changes: the configuration that is given to it, which changes its default configuration in part.
 
     Raises:
-        InputError: if a key is unknown or not supported, or a value is out of range. The message names the key.
+        InputError: if a key is not supported, or a value is out of range. The message names the key.
     """
     if changes is not None and not isinstance(changes, Mapping):
         raise InputError(f"config: expected keys and values, got {values.shown(changes)}")
@@ -81,11 +82,10 @@ def check_config(env_class: type[AbstractEnv], known_class: type[AbstractEnv], c
     config = default | dict(changes or {})
     known = {*default, *kind.terms}
     own = set(default) - set(known_class.default_config())
-    for key in config:
-        if key not in known:
-            raise unknown_name(f"key of the config of {env_class.__name__}", str(key), known)
     for key, value in config.items():
-        if key not in own:
+        if key not in known:
+            warnings.warn(ignored_key(env_class.__name__, str(key), known), stacklevel=3)
+        elif key not in own:
             _check_key(key, value, kind)
     _check_observation(config["observation"], kind, config["action"])
     _check_action(config["action"])

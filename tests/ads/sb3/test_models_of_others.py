@@ -91,7 +91,6 @@ def test_the_default_configuration_may_be_stated(tmp_path):
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ("{durration: 3}", "Unknown key of the configuration of highway-fast-v0 'durration': did you mean 'duration'"),
         ("{policy_frequency: 0}", "policy_frequency: expected a number above 0"),
         ("{duration: -1}", "duration: expected a number above 0"),
         ("{policy_frequency: 10}", "policy_frequency 10 must not exceed simulation_frequency 5"),

@@ -5,8 +5,10 @@ import numpy as np
 from highway_env.envs.highway_env import HighwayEnvFast
 from highway_env.envs.intersection_env import IntersectionEnv
 from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.behavior import IDMVehicle
 
 MODULE = __name__
+UNSEEDED = np.random.default_rng()
 
 
 class Brief(HighwayEnvFast):
@@ -112,3 +114,12 @@ def registered(kind, **settings):
     if name not in gymnasium.registry:
         gymnasium.register(name, entry_point=kind, **settings)
     return f"{MODULE}:{name}"
+
+
+class Nervous(IDMVehicle):
+    """Brakes now and then, by draws that no environment knows of."""
+
+    def act(self, action=None):
+        super().act(action)
+        if UNSEEDED.random() < 0.3:
+            self.action["acceleration"] = -5.0

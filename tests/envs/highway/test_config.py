@@ -4,6 +4,7 @@ import inspect
 
 import pytest
 from gymnasium.envs.registration import load_env_creator
+from highway_env.envs import HighwayEnv
 
 import behavexplor
 from behavexplor.envs.env_config import ACTIONS
@@ -170,7 +171,6 @@ def each(options):
 @pytest.mark.parametrize(
     ("env_id", "config", "message"),
     [
-        ("highway-v0", {"lane_count": 3}, "Unknown key of the config of HighwayEnv 'lane_count': did you mean"),
         ("highway-v0", {"controlled_vehicles": 2}, "controlled_vehicles: the compiled engine supports 1 only"),
         ("highway-v0", {"manual_control": True}, "manual_control: the compiled engine supports False only"),
         ("highway-v0", {"lanes_count": 0}, "lanes_count: expected a whole number from 1"),
@@ -213,3 +213,12 @@ def each(options):
 def test_what_is_not_reproduced_is_refused_by_name(env_id, config, message):
     with pytest.raises(InputError, match=message):
         HighwayVectorEnv(load_env_creator(behavexplor.HIGHWAY_ENV[env_id]), config=config)
+
+
+def test_a_key_that_highway_env_ignores_is_named_and_ignored():
+    with pytest.warns(
+        UserWarning, match="HighwayEnv does not have the key 'lane_count' .*: did you mean 'lanes_count'?"
+    ):
+        envs = HighwayVectorEnv(HighwayEnv, 2, {"lane_count": 3})
+    same = HighwayVectorEnv(HighwayEnv, 2)
+    assert envs.reset(seed=1)[0].tobytes() == same.reset(seed=1)[0].tobytes()

@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.envs.engine.vehicle_parameters import kept_parameters
-from behavexplor.envs.making import environment_id, is_stock, make_env
+from behavexplor.envs.making import environment_id, is_highway, make_env
 from behavexplor.errors import InputError
 from behavexplor.testing import check_env
 from tests.envs.highway import subclass
@@ -152,7 +152,7 @@ def test_the_configuration_is_part_of_the_scenario():
 
 def test_a_subclass_needs_nothing_of_its_own():
     name = subclass.ID
-    assert is_stock(name)
+    assert is_highway(name)
     env = make_env(name, {})
     env.reset(options={"scenario": env.logical.sample(np.random.default_rng(0))})
     assert len(env.inner.road.network.lanes_list()) == 5
