@@ -22,6 +22,7 @@ from behavexplor.commands import BAD_INPUT, INTERNAL_ERROR, main
 from behavexplor.errors import InputError
 from behavexplor.fuzz.uniform import Uniform
 from behavexplor.report import drawing
+from tests.campaign.test_store import stored_run
 
 ROOT = Path(__file__).parents[2]
 FUZZ = ["fuzz", "--ads", "tests.drivers:cruiser", "--workers", "0", "--unconfined"]
@@ -223,8 +224,7 @@ def test_bad_flags_exit_with_2_and_no_traceback(arguments):
 
 
 def test_a_driver_in_the_working_directory_is_found(tmp_path):
-    (tmp_path / "own_driver.py").write_text("from tests.campaign.test_store import stored_run
-from tests.drivers import cruiser\n")
+    (tmp_path / "own_driver.py").write_text("from tests.drivers import cruiser\n")
     program = Path(sys.executable).with_name("behavexplor")
     command = [program, "evaluate", "--env", "lane-follow", "--ads", "own_driver:cruiser", "--scenarios", "1"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
