@@ -8,7 +8,9 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, TimeLimit
+from highway_env.envs.common.abstract import AbstractEnv
 from numpy.typing import NDArray
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
@@ -133,6 +135,33 @@ class DrivingVecEnv(LockStepVecEnv):
         return super().get_attr(attr_name, indices)
 
 
+def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
+    """Check that functions make the same environment as the first of them.
+
+    Raises:
+        InputError: if one of them does not.
+    """
+    if all(getattr(make, "__module__", None) == make_vec_env.__module__ for make in env_fns):
+        return
+    made: Any = single.unwrapped
+    for i, make in enumerate(env_fns[1:], 1):
+        if _program(make) == _program(env_fns[0]):
+            continue
+        other: Any = make()
+        differs = type(other.unwrapped) is not type(made) or other.unwrapped.config != made.config
+        other.close()
+        if differs:
+            raise InputError(
+                f"env_fns[{i}] makes another environment than env_fns[0], or configures it otherwise; use DummyVecEnv"
+            )
+
+
+def _program(make: Any) -> tuple[Any, ...]:
+    """Return the code of a function and all that it refers to."""
+    cells = [cell.cell_contents for cell in getattr(make, "__closure__", None) or ()]
+    return getattr(make, "__code__", make), getattr(make, "__defaults__", None), cells
+
+
 class HighwayVecEnv(LockStepVecEnv):
     """highway-env's own environments, compiled, as a Stable-Baselines3 `VecEnv`.
 
@@ -140,19 +169,26 @@ class HighwayVecEnv(LockStepVecEnv):
 
         make_vec_env("highway-fast-v0", n_envs=64, vec_env_cls=HighwayVecEnv)
 
-    Only the first of the functions is called, to find out which environment and which configuration all of them make.
-    A `TimeLimit` and a `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains
-    the episodes of all of them.
+    The first of the functions makes the environment that tells which one, in which configuration, all of them are. A
+    `TimeLimit` and a `Monitor` around it apply to every sub-environment. If the monitor writes a file, it contains the
+    episodes of all of them. Further functions are called only if they might make another environment than the first;
+    those of `make_vec_env` differ in their seeds alone.
 
     Args:
-        env_fns: functions that make the same environment of highway-env.
+        env_fns: functions that make the same environment of highway-env, at least one.
 
     Raises:
-        InputError: if the environment, its configuration or a wrapper around it is not supported.
+        InputError: if the environment, its configuration or a wrapper around it is not supported, or if the functions
+            make different environments.
     """
 
     def __init__(self, env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
+        if not env_fns:
+            raise InputError("env_fns: expected at least one function that makes an environment")
         single = env_fns[0]()
+        if not isinstance(single.unwrapped, AbstractEnv):
+            raise InputError(f"HighwayVecEnv runs environments of highway-env, not {single}; use DummyVecEnv")
+        _check_alike(single, env_fns)
         wrappers = _wrappers(single)
         method = replaced_in(single.unwrapped)
         if method is not None:
@@ -160,7 +196,7 @@ class HighwayVecEnv(LockStepVecEnv):
         limits = [wrapper._max_episode_steps for wrapper in wrappers if isinstance(wrapper, TimeLimit)]  # noqa: SLF001
         self._monitor = next((wrapper for wrapper in wrappers if isinstance(wrapper, Monitor)), None)
         self._returns, self._lengths = np.zeros(len(env_fns)), np.zeros(len(env_fns), dtype=np.int64)
-        self._made = {"spec": single.spec, "config": single.unwrapped.config}  # type: ignore[attr-defined]
+        self._made = {"spec": single.spec, "config": single.unwrapped.config}
         super().__init__(
             vector_env(
                 type(single.unwrapped),

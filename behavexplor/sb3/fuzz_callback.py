@@ -4,6 +4,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,16 +14,20 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 from behavexplor.ads.in_memory import given_driver
-from behavexplor.api.campaigns import find_failures
-from behavexplor.campaign.config import stamped_folder
+from behavexplor.api.campaigns import config_of, find_failures
+from behavexplor.campaign.campaign import search_method
+from behavexplor.campaign.config import Budget, stamped_folder
 from behavexplor.campaign.run_summary import RunSummary
 from behavexplor.data.durable import folder_in, new_file, write_durably
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
 from behavexplor.errors import InputError
+from behavexplor.execution.start import logical_of_target, start_in_process
+from behavexplor.judge.robustness import load_specs
 
 BEST: Final = "best_model.zip"  # file in the callback's folder
 MOST_STEPS: Final = 10**12
 ENV: Final = "highway-fast-v0"
+_STEP: Final = "step-"  # beginning of the names of run folders
 STEPS: Final = 20_000
 _CONFIG: Final = {"lanes_count": 3, "vehicles_count": 20, "duration": 30}  # highway-env's own, said in the model's file
 _ENVS: Final = 32
@@ -104,6 +109,7 @@ class FuzzCallback(BaseCallback):
             raise InputError(f"share={share} must be greater than 0 and at most 1")
         self._env, self._every, self._share, self._stop_below = env, every, share, stop_below
         self._out = None if out is None else Path(out)
+        self._folder: Path | None = None
         self._settings = {"budget": budget, "seed": seed, "specs": tuple(specs), "method": method, **settings}
         self._begin = self._spent = 0.0
         self._next = every
@@ -112,10 +118,12 @@ class FuzzCallback(BaseCallback):
 
     @property
     def folder(self) -> Path:
-        """Folder with the run folders and the best policy."""
-        if self._out is None:
-            self._out = stamped_folder("training")
-        return self._out
+        """Folder with the run folders and the best policy of this training: `out`, or training-2, ... in it."""
+        if self._folder is None:
+            self._out = self._out or stamped_folder("training")
+            names = chain([self._out], (self._out / f"training-{number}" for number in count(2)))
+            self._folder = next(name for name in names if not any(name.glob(f"{_STEP}*")))
+        return self._folder
 
     @property
     def share_of_time(self) -> float:
@@ -123,8 +131,24 @@ class FuzzCallback(BaseCallback):
         return self._spent / max(time.monotonic() - self._begin, self._spent, 1e-9)
 
     def _on_training_start(self) -> None:
+        self._check()
         self._begin, self._spent = time.monotonic(), 0.0
         self._next = self.num_timesteps + self._every
+        if not self.num_timesteps:  # the counter began anew, and so would the names of the rounds
+            self._folder = None
+
+    def _check(self) -> None:
+        """Check all that a round needs, because a mistake that shows in the first round costs the training.
+
+        Raises:
+            InputError: if the policy, its environment, the search method or a requirement cannot be used.
+        """
+        given: Any = given_driver(self.model)
+        config = config_of(given, self._env, **{"env_config": None, **self._settings})
+        Budget.parse(config.budget)
+        load_specs(config.specs)
+        with start_in_process(config.target, given.driver) as executor:
+            search_method(config, logical_of_target(executor, config.env))
 
     def _on_step(self) -> bool:
         if self.num_timesteps < self._next:
@@ -146,7 +170,7 @@ class FuzzCallback(BaseCallback):
 
     def _round(self) -> FuzzingRound:
         begin = time.monotonic()
-        folder = folder_in(self.folder, f"step-{self.num_timesteps:09d}")
+        folder = folder_in(self.folder, f"{_STEP}{self.num_timesteps:09d}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a policy may be constant while it learns
             given = given_driver(self.model)

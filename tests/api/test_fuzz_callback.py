@@ -15,6 +15,7 @@ import behavexplor
 from behavexplor.ads.in_memory import given_driver
 from behavexplor.ads.sb3.model import training_env
 from behavexplor.envs.sb3_vec_env import HighwayVecEnv
+from behavexplor.errors import InputError
 from behavexplor.sb3 import FuzzCallback
 
 CONFIG = {"duration": 6, "vehicles_count": 10}
@@ -116,3 +117,35 @@ def test_a_hyperparameter_file_can_name_it():
 def test_values_out_of_range_are_refused(name, value):
     with pytest.raises(behavexplor.InputError, match=f"{name}="):
         FuzzCallback(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"budget": "abc"}, "The budget 'abc' is neither"),
+        ({"metod": "uniform"}, "Unknown key of the configuration 'metod': did you mean 'method'"),
+        ({"method": "unifrom"}, "Unknown search method 'unifrom'"),
+        ({"env": "nonexist-v0"}, "Unknown environment 'nonexist-v0'"),
+        ({"specs": ["nomod:f"]}, "The spec 'nomod:f' cannot be imported"),
+        ({"options": {"epsilon": 3}}, "options of behavexplor"),
+    ],
+)
+def test_a_mistake_is_named_before_the_training_begins(settings, message, tmp_path):
+    model = ppo()
+    with pytest.raises(InputError, match=message):
+        model.learn(64, callback=FuzzCallback(**{"every": 32, "out": str(tmp_path), **settings}))
+    assert model.num_timesteps == 0
+
+
+def test_a_second_training_has_rounds_of_its_own(tmp_path):
+    model, callback = ppo(), FuzzCallback(every=32, share=1.0, method="uniform", out=str(tmp_path), **SEARCH)
+    for number, steps in enumerate(([32, 64], [32, 64], [32, 64, 96])):
+        model.learn(steps[-1], callback=callback, reset_num_timesteps=number < 2)
+        begun = 32 * 2 * (number == 2)
+        assert [found.steps - begun for found in callback.rounds[2 * number :]] == steps
+    assert callback.folder == tmp_path / "training-2"
+    assert {found.folder.parent for found in callback.rounds[:2]} == {tmp_path}
+    assert {found.folder.parent for found in callback.rounds[2:]} == {tmp_path / "training-2"}
+    another = FuzzCallback(every=32, share=1.0, method="uniform", out=str(tmp_path), **SEARCH)
+    ppo().learn(32, callback=another)
+    assert another.rounds[0].folder.parent == tmp_path / "training-3"

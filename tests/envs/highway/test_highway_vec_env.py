@@ -100,3 +100,44 @@ def test_reset_options_are_refused():
     env.set_options({"config": {"lanes_count": 2}})
     with pytest.raises(InputError, match="no reset options"):
         env.reset()
+
+
+def made(duration=3):
+    return gymnasium.make("highway-fast-v0", config={"vehicles_count": 6, "duration": duration})
+
+
+@pytest.mark.parametrize(
+    "makers",
+    [
+        [lambda d=d: made(d) for d in (3, 8)],
+        [made, lambda: gymnasium.make("merge-v1")],
+        [lambda: made(), lambda: made(), lambda: made(4)],  # noqa: PLW0108 - functions of their own
+    ],
+)
+def test_functions_that_make_different_environments_are_refused(makers):
+    with pytest.raises(InputError, match=rf"env_fns\[{len(makers) - 1}\] makes another environment than env_fns\[0\]"):
+        HighwayVecEnv(makers)
+
+
+def test_functions_that_make_the_same_are_called_only_if_they_might_differ():
+    calls = []
+
+    def maker(number):
+        def make():
+            calls.append(number)
+            return made()
+
+        return make
+
+    same = maker(0)
+    assert HighwayVecEnv([same, same, *[lambda: made() for _ in range(2)]]).num_envs == 4  # noqa: PLW0108
+    assert calls == [0]
+    assert HighwayVecEnv([maker(1), maker(2)]).num_envs == 2
+    assert calls == [0, 1, 2]
+
+
+def test_what_is_no_environment_of_highway_env_is_refused():
+    with pytest.raises(InputError, match=r"runs environments of highway-env, not .*CartPole"):
+        HighwayVecEnv([lambda: gymnasium.make("CartPole-v1")])
+    with pytest.raises(InputError, match="at least one function"):
+        HighwayVecEnv([])
