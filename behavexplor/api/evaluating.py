@@ -72,7 +72,9 @@ def given_config(of_env: Mapping[str, Any] | None, given: Mapping[str, Any] | No
     Returns:
         The configuration, as far as it is known; None if nothing is known.
     """
-    return None if of_env is None and given is None else {**(of_env or {}), **(given or {})}
+    if of_env is None and given is None:
+        return None
+    return dict(json.loads(config_text({**(of_env or {}), **(given or {})})))
 
 
 def _check_wrappers(env: gymnasium.Env[Any, Any]) -> None:

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Self
 
+import numpy as np
+
 from behavexplor.data.untrusted import object_fields, parse_json
 from behavexplor.errors import InputError, brief
 
@@ -27,15 +29,23 @@ Draws = tuple[tuple[str, tuple[float, ...]], ...]
 def config_text(config: Mapping[str, Any]) -> str:
     """Return a configuration as JSON with sorted keys, so that equal configurations give equal texts.
 
+    Arrays and numbers of numpy become lists and plain numbers.
+
     Raises:
         InputError: if a value cannot be stored as JSON.
     """
     try:
-        return json.dumps(config, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return json.dumps(config, sort_keys=True, separators=(",", ":"), allow_nan=False, default=_plain)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"The environment's configuration cannot be stored: {error}; use texts, numbers, lists and mappings in it"
         ) from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"it contains {brief(value)}")
 
 
 def sorted_draws(draws: Mapping[str, Sequence[float]]) -> Draws:

@@ -74,12 +74,16 @@ def ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
     """Return the keys of a configuration that an environment of highway-env ignores, after a warning about each.
 
     Raises:
-        InputError: if a key inside the observation or the action is unknown.
+        InputError: if a key inside the observation or the action is unknown, or a text stands for a number.
     """
     from behavexplor.envs.env_config import check_space_keys  # noqa: PLC0415 - slow to import
 
     made: Any = make_registered(name, {}).unwrapped
     check_space_keys(made, config)
+    for key, value in config.items():
+        if isinstance(value, str) and isinstance(made.config.get(key), int | float):
+            hint = " (in YAML, a number with an exponent needs a point: 1.0e-1)" if "e" in value else ""
+            raise InputError(f"{key} of {name}: expected a number, got {value!r:.80}{hint}")
     ignored = frozenset(map(str, config.keys() - made.config.keys()))
     for key in sorted(ignored):
         warnings.warn(ignored_key(name, key, made.config), stacklevel=2)

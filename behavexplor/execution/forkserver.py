@@ -2,29 +2,22 @@
 
 import multiprocessing
 import signal
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.forkserver import ensure_running, set_forkserver_preload
-from multiprocessing.spawn import get_preparation_data
+from types import ModuleType
 from typing import Final
 
 import behavexplor
-from behavexplor.errors import InputError
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
-GUARD: Final = 'put what it does under `if __name__ == "__main__":`'
+_MAIN: Final = "__main__"
 
 
 def share_imports(modules: Sequence[str]) -> None:
-    """Begin to import modules in the background, where the system can share them. Only the first call has an effect.
-
-    Raises:
-        InputError: if this process is a worker that is importing the user's script, and the script would start workers.
-    """
-    try:
-        get_preparation_data("")
-    except RuntimeError:
-        raise InputError(f"This script starts worker processes when it is imported: {GUARD}") from None
+    """Begin to import modules in the background, where the system can share them. Only the first call has an effect."""
     if not CAN_SHARE:
         return
     set_forkserver_preload(list(modules))
@@ -34,6 +27,21 @@ def share_imports(modules: Sequence[str]) -> None:
         ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def without_script() -> Iterator[None]:
+    """Return a context in which processes start that do not run the user's script again.
+
+    `multiprocessing` imports the script in each new process, because what the process gets may come from there. What a
+    worker gets never does, and a script without `if __name__ == "__main__":` would train its policy again.
+    """
+    script = sys.modules[_MAIN]
+    sys.modules[_MAIN] = ModuleType(_MAIN)
+    try:
+        yield
+    finally:
+        sys.modules[_MAIN] = script
 
 
 def slow_modules(env: str, ads: str) -> tuple[str, ...]:

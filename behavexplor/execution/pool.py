@@ -22,7 +22,7 @@ from typing import Any, Final
 from behavexplor.errors import InputError
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import ADSError, Executor
-from behavexplor.execution.forkserver import CAN_SHARE, GUARD, share_imports
+from behavexplor.execution.forkserver import CAN_SHARE, share_imports, without_script
 from behavexplor.execution.messages import READY, STARTED, SUSPECT, Request, settle, split_key
 from behavexplor.execution.service import Recipe
 from behavexplor.execution.worker import CLOSED, serve
@@ -298,7 +298,8 @@ class _Worker:
         pipe = self.output.theirs if self.output else None
         arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ), pipe)
         self._process = context.Process(target=serve, args=arguments, daemon=not recipe.long_calls)
-        self._process.start()
+        with without_script():
+            self._process.start()
         theirs.close()
         if pipe is not None:
             pipe.close()
@@ -381,8 +382,7 @@ class _Worker:
 def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:
     """Return the exception for the calls of a lost worker."""
     if not worker.is_ready:
-        hint = f"; if a script has started it, {GUARD}" if message.endswith("exit code 1") else ""
-        return InputError(f"The ADS cannot be loaded: {message}{hint}")
+        return InputError(f"The ADS cannot be loaded: {message}")
     return ADSError(kind, message) if was_asking else WorkerDiedError(f"a worker ended: {message}")
 
 

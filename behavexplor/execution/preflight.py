@@ -1,6 +1,7 @@
 """Preflight: check a system under test before a campaign, so that mistakes in its setup show early."""
 
 from collections.abc import Mapping
+from itertools import chain, repeat
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -58,11 +59,11 @@ class _Witness:
 
 
 class _Playback:
-    """An ADS that repeats recorded actions, one after the other."""
+    """An ADS that repeats recorded actions, one after the other, and then the last one."""
 
     def __init__(self, actions: list[NDArray[Any]]) -> None:
         self.noise = 0
-        self._actions = iter(actions)
+        self._actions = chain(actions, repeat(actions[-1]))
 
     def predict(self, *_: Any, **__: Any) -> tuple[NDArray[Any], None]:
         return next(self._actions), None

@@ -144,7 +144,7 @@ def test_a_broken_promise_of_a_driving_system_is_named(ads, message):
 
 
 def test_what_is_odd_about_a_driving_system_is_a_warning():
-    assert any("constant" in warning for warning in check_ads("constant", env="lane-follow", scenarios=2))
+    assert any("always chooses" in warning for warning in check_ads("constant", env="lane-follow", scenarios=2))
 
 
 def stays_below_10(trace):

@@ -21,10 +21,12 @@ MAX_BYTES: Final = 1_000_000_000  # greatest size of an unpacked file
 MAX_DATA: Final = 50_000_000  # greatest size of its settings
 MAX_RATIO: Final = 20  # greatest ratio of unpacked to packed size of a large file; Stable-Baselines3 does not compress
 LARGE: Final = 10_000_000
+MAX_ABOUT: Final = 10_000  # characters of its description that are read
 
-DATA, WEIGHTS, OPTIMIZER = "data", "policy.pth", "policy.optimizer.pth"
+DATA, WEIGHTS, OPTIMIZER, SYSTEM = "data", "policy.pth", "policy.optimizer.pth", "system_info.txt"
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs", "train_freq")
 
+_PYTHON: Final = re.compile(r"Python: (3\.\d+)")
 # Names that pickles in a saved model ordinarily contain.
 _ORDINARY: Final = re.compile(
     r"(stable_baselines3|sb3_contrib|gymnasium\.spaces|gym\.spaces|numpy\.(_?core|random|dtype|ndarray))\b"
@@ -56,6 +58,7 @@ class Archive:
         numbers: all settings that are a number, such as the hyperparameters of the training.
         weights: contents of the member `policy.pth`.
         optimizer: contents of the member `policy.optimizer.pth`; None if there is none.
+        python: version of Python that wrote the file, such as "3.10"; empty if the file does not say so.
         suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, and
             pickles that could not be examined, each as a phrase that names the place.
     """
@@ -67,6 +70,7 @@ class Archive:
     numbers: Mapping[str, int | float | bool]
     weights: bytes
     optimizer: bytes | None
+    python: str
     suspicions: tuple[str, ...]
 
 
@@ -82,6 +86,7 @@ def read_archive(path: Path) -> Archive:
         with ZipFile(io.BytesIO(packed)) as file:
             _check_members(path, file, len(packed))
             data = _settings(file)
+            about = file.read(SYSTEM)[:MAX_ABOUT].decode(errors="replace") if SYSTEM in file.namelist() else ""
             tensors = {name: file.read(name) for name in file.namelist() if name.endswith(".pth")}
         settings, of_data = _read_settings(path, data, reader)
         of_tensors = [said for name, content in tensors.items() for said in _of_tensors(path, name, content, reader)]
@@ -101,6 +106,7 @@ def read_archive(path: Path) -> Archive:
         MappingProxyType(numbers),
         tensors[WEIGHTS],
         tensors.get(OPTIMIZER),
+        found[1] if (found := _PYTHON.search(about)) else "",
         (*of_data, *of_tensors),
     )
 

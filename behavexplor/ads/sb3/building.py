@@ -4,6 +4,7 @@ import inspect
 import io
 import pickle
 import re
+import sys
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from importlib import import_module
@@ -24,6 +25,8 @@ from behavexplor.errors import InputError, brief, sentence
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
 _NEEDED = ("policy_class", "observation_space", "action_space")
 _UNREADABLE = (ValueError, TypeError, AttributeError, KeyError, IndexError)  # what wrong settings raise
+_HERE = f"{sys.version_info.major}.{sys.version_info.minor}"  # version of Python
+_OWN_CLASS = ("cloudpickle.cloudpickle._make_skeleton_class", "cloudpickle.cloudpickle_fast._make_skeleton_class")
 _SPACES = re.compile(r"(gymnasium|gym)\.spaces\.(\w+\.)*(\w+)$")
 
 
@@ -73,14 +76,34 @@ def build_trusted(archive: Archive) -> BasePolicy:
     """
     from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415 - only where code may run
 
+    _check_python(archive)
     try:
         data, _, _ = load_from_zip_file(io.BytesIO(archive.packed), device="cpu")  # the bytes whose digest is trusted
     except Exception as error:  # the file's own code can raise anything
         raise InputError(f"{archive.path} cannot be loaded: {type(error).__name__}: {error}") from error
     saved = data or {}
+    if lost := [name for name in _NEEDED if saved.get(name) is None and isinstance(archive.settings.get(name), Inert)]:
+        raise InputError(
+            f"{archive.path}: its {lost[0]} is {_name(archive.settings[lost[0]])}, which cannot be loaded here: is it "
+            f"code of another version than Python {_HERE}, or is a module missing?"
+        )
     _check_complete(archive, saved)
     policy_class, observation_space, action_space = (saved[name] for name in _NEEDED)
     return assemble(archive, policy_class, observation_space, action_space, saved.get("policy_kwargs") or {})
+
+
+def _check_python(archive: Archive) -> None:
+    """Refuse a policy whose class is in the file, as code of another version of Python, which may end the process.
+
+    Raises:
+        InputError: if the versions differ.
+    """
+    policy_class = archive.settings.get("policy_class")
+    if archive.python not in ("", _HERE) and isinstance(policy_class, Inert):
+        raise InputError(
+            f"{archive.path} contains {_name(policy_class)} as code of Python {archive.python}, which Python {_HERE} "
+            f"cannot run: use Python {archive.python}, or save the model again where that class can be imported"
+        )
 
 
 def _check_complete(archive: Archive, settings: Mapping[str, Any]) -> None:
@@ -207,6 +230,8 @@ def _known(reference: Any) -> Any:
 
 
 def _name(reference: Any) -> str:
+    if isinstance(reference, Inert) and reference.name in _OWN_CLASS and len(reference.arguments) > 1:
+        return f"the class {brief(reference.arguments[1])} of its own"
     return reference.name if isinstance(reference, (Inert, Name)) else brief(reference)
 
 

@@ -1,5 +1,6 @@
 """Files beside a model: the policy's observation and action configuration, and the preparation of its observations."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,8 +21,15 @@ from behavexplor.errors import InputError, brief, unknown_name
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
-_HARMLESS: Final = tuple(  # around vector environments, as rl-zoo3 names them
-    f"stable_baselines3.common.vec_env.{name}" for name in ("VecMonitor", "VecCheckNan")
+_CHECKPOINT: Final = re.compile(r"(.+)_(\d+)_steps")  # the name of a model by Stable-Baselines3's CheckpointCallback
+# Wrappers that change neither what a policy observes nor what it does, as rl-zoo3 names them.
+_HARMLESS: Final = (
+    "stable_baselines3.common.vec_env.VecMonitor",
+    "stable_baselines3.common.vec_env.VecCheckNan",
+    "stable_baselines3.common.monitor.Monitor",
+    "gymnasium.wrappers.TimeLimit",
+    "gymnasium.wrappers.time_limit.TimeLimit",
+    "gym.wrappers.TimeLimit",
 )
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
 ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_frequency", "simulation_frequency")
@@ -93,7 +101,7 @@ def files_of_model(ads: str) -> list[Path]:
         return []
     folders = (model.parent, *(arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))))
     beside = [folder / name for folder in folders for name in ("args.yml", "config.yml", *STATISTICS)]
-    return [path for path in (model, *map(model.with_suffix, OWN), *beside) if path.is_file()]
+    return [path for path in (model, _of_checkpoint(model), *map(model.with_suffix, OWN), *beside) if path.is_file()]
 
 
 def named_env(env: str | None, ads: str) -> str | None:
@@ -169,11 +177,18 @@ def _statistics_in(folder: Path, model: Path) -> Path | None:
     Raises:
         InputError: if there are two.
     """
+    if (named := _of_checkpoint(model)).is_file():
+        return named
     found = [folder / name for name in STATISTICS if (folder / name).is_file()]
     if len(found) > 1:
         names = " and ".join(STATISTICS)
         raise InputError(f"{folder} has {names}: name one of them as `statistics` in {model.with_suffix('.yaml').name}")
     return found[0] if found else None
+
+
+def _of_checkpoint(model: Path) -> Path:
+    """Return the path at which CheckpointCallback saves the statistics of a model."""
+    return model.with_name(_CHECKPOINT.sub(r"\1_vecnormalize_\2_steps", model.stem) + ".pkl")
 
 
 def _own(path: Path) -> Description:
@@ -196,8 +211,8 @@ def _of_zoo(folder: Path, model: Path) -> Description:
     """Read the files that rl-zoo3 writes into a run's folder; it normalizes observations first, then stacks them."""
     arguments = _read(folder / "args.yml")
     settings = _read(folder / "config.yml") if (folder / "config.yml").is_file() else {}
-    for wrapper in (settings.get("env_wrapper"), settings.get("vec_env_wrapper")):
-        if wrapper and wrapper not in _HARMLESS:
+    for wrapper in _wrapper_names(settings):
+        if wrapper not in _HARMLESS:
             raise InputError(
                 f"{folder / 'config.yml'}: the policy was trained in the wrapper {wrapper!r:.80}, which is "
                 "not supported: write a driver that applies it, and name it as module:attribute"
@@ -213,6 +228,13 @@ def _of_zoo(folder: Path, model: Path) -> Description:
     values["frame_stack"] = settings.get("frame_stack") or 1
     values["statistics"] = statistics
     return _checked(folder, values)
+
+
+def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:
+    """Return the wrappers that a file of rl-zoo3 names: each a name, or a mapping from a name to its arguments."""
+    given = [settings.get("env_wrapper") or [], settings.get("vec_env_wrapper") or []]
+    listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
+    return [next(iter(one)) if isinstance(one, dict) and len(one) == 1 else one for one in listed]
 
 
 def _checked(path: Path, values: Mapping[str, Any]) -> Description:
@@ -235,8 +257,10 @@ def _checked(path: Path, values: Mapping[str, Any]) -> Description:
 def _environment(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return the configuration of a policy's training environment: highway-env's default with the policy's changes."""
     keywords = arguments.get("env_kwargs") or {}
-    changed = keywords.get("config") if isinstance(keywords, Mapping) else None
-    return {**HIGHWAY_ENVIRONMENTS.get(str(arguments.get("env")), {}), **(changed if isinstance(changed, dict) else {})}
+    changed = keywords.get("config") or {} if isinstance(keywords, Mapping) else {}
+    if not isinstance(changed, dict):
+        raise InputError(f"env_kwargs of the policy's args.yml has the config {brief(changed)}, which is no mapping")
+    return {**HIGHWAY_ENVIRONMENTS.get(str(arguments.get("env")), {}), **changed}
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,5 +1,6 @@
 """Statistics by which `VecNormalize` scaled the observations of a policy in training."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,6 +139,8 @@ class Statistics:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{path} contains no statistics of VecNormalize: {error}") from None
+        if not (clip > 0 and math.isfinite(clip) and 0 <= epsilon < math.inf):
+            raise InputError(f"{path} contains no usable statistics: clip_obs is {clip}, and epsilon is {epsilon}")
         return cls(moments, clip, epsilon, tuple(suspicions_about(path.name, names)))
 
     def scale(self, observations: Observation) -> Observation:

@@ -132,9 +132,9 @@ def load_network(archive: Archive, trust: Collection[str] = ()) -> BasePolicy:
     Raises:
         InputError: if it can be built only by executing code from a file that is not trusted.
     """
-    _warn(archive.path, archive.suspicions)
     if archive.digest in trust:
         return build_trusted(archive)
+    _warn(archive.path, archive.suspicions)
     try:
         return build_policy(archive)
     except UntrustedError as error:

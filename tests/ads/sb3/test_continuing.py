@@ -1,17 +1,19 @@
 """Models that go on learning are those that were saved, and none of their code runs."""
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from behavexplor.ads.sb3.archive import read_archive
 from behavexplor.ads.sb3.continuing import continued, learning_rate_of, sub_environments_of
 from behavexplor.errors import InputError
 from tests.ads.sb3.models import BOX, COMMANDS, META, Payload, Still, make_model
+from tests.ads.sb3.test_policy import rewritten
 
 
 def venv(observation_space=BOX, action_space=COMMANDS):
@@ -47,6 +49,25 @@ def test_weights_optimizer_and_hyperparameters_go_on(name, settings, tmp_path):
             assert getattr(again, key) == value
     again.learn(32)
     assert not same(again.policy.state_dict().values(), model.policy.state_dict().values())
+
+
+def test_an_optimizer_that_also_had_the_target_network_goes_on_with_the_other_one(tmp_path):
+    """So Stable-Baselines3 saved a DQN before 2.4.0, and so it is loaded today."""
+    model = make_model("DQN", buffer_size=500, batch_size=8, learning_starts=10).learn(64)
+    model.save(tmp_path / "new.zip")
+    saved = torch.load(BytesIO(read_archive(tmp_path / "new.zip").optimizer), weights_only=True)
+    group, count = saved["param_groups"][0], len(saved["param_groups"][0]["params"])
+    old = {"state": saved["state"], "param_groups": [{**group, "params": [*range(2 * count)]}]}
+    content = BytesIO()
+    torch.save(old, content)
+    rewritten(tmp_path / "new.zip", tmp_path / "old.zip", policy_optimizer_pth=content.getvalue())
+    again = continued(read_archive(tmp_path / "old.zip"), venv(action_space=model.action_space))
+    assert again.policy.optimizer.state_dict()["param_groups"][0]["params"] == group["params"]
+    state = again.policy.optimizer.state_dict()["state"]
+    assert all(same(state[key].values(), saved["state"][key].values()) for key in saved["state"])
+    with pytest.warns(UserWarning, match=r"DQN model saved with SB3 < 2\.4\.0"):
+        theirs = DQN.load(tmp_path / "old.zip")
+    assert theirs.policy.optimizer.state_dict()["state"].keys() == state.keys()
 
 
 def test_the_learning_rate_and_the_number_of_environments_are_read(tmp_path):

@@ -2,14 +2,17 @@
 
 import json
 import zipfile
+from contextlib import suppress
 
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.wrappers import FrameStackObservation, NormalizeObservation
 from sb3_contrib import ARS
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
     VecCheckNan,
@@ -22,9 +25,10 @@ from stable_baselines3.common.vec_env import (
 
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.archive import read_archive
-from behavexplor.ads.sb3.description import describe
+from behavexplor.ads.sb3.description import describe, files_of_model
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.model import policy_of
+from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import load_policy
 from behavexplor.errors import InputError
 from behavexplor.execution.preflight import preflight_warnings
@@ -192,3 +196,68 @@ def test_ordinary_wrappers_around_a_model_in_memory_are_not_named(caplog):
     for wrapped in (VecNormalize(VecCheckNan(envs)), VecFrameStack(envs, 2)):
         policy_of(PPO("MlpPolicy", wrapped, n_steps=8, batch_size=8, device="cpu"))
     assert not caplog.records
+
+
+class Small(ActorCriticPolicy):
+    """A policy that hands on what it gets, as many of other people do."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs, net_arch=[8])
+
+
+def trained_small(path):
+    model = PPO(Small, make_model("PPO", SEEN).get_env(), n_steps=16, batch_size=16, device="cpu", seed=0)
+    model.save(path)
+    return model
+
+
+def test_a_policy_class_of_their_own_that_hands_on_its_arguments_answers_as_it_does(tmp_path):
+    model = trained_small(tmp_path / "model.zip")
+    seen = SEEN.sample()[None]
+    expected = model.predict(seen, deterministic=True)[0]
+    np.testing.assert_array_equal(policy_of(model).predict(seen)[0], expected)
+    trust = (read_archive(tmp_path / "model.zip").digest,)
+    np.testing.assert_array_equal(load_policy(tmp_path / "model.zip", trust).predict(seen)[0], expected)
+
+
+def test_code_of_another_python_is_named_before_it_runs(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:  # as if the class stood in a notebook, so that it is in the file
+        patch.setattr(Small, "__module__", "__main__")
+        trained_small(tmp_path / "model.zip")
+    system = b"- OS: x\n- Python: 3.8.10\n- Stable-Baselines3: 2.0.0\n"
+    rewritten(tmp_path / "model.zip", tmp_path / "old.zip", system_info_txt=system)
+    archive = read_archive(tmp_path / "old.zip")
+    with pytest.raises(InputError, match=r"needs the class 'Small' of its own\. If you trust"):
+        load_policy(tmp_path / "old.zip")
+    with pytest.raises(InputError, match=r"contains the class 'Small' of its own as code of Python 3\.8"):
+        load_policy(tmp_path / "old.zip", (archive.digest,))
+
+
+def test_nothing_is_said_of_calls_that_are_trusted(tmp_path, caplog):
+    model = make_model("PPO", SEEN, policy_kwargs={"activation_fn": lambda: torch.nn.ReLU()})  # noqa: PLW0108
+    model.save(tmp_path / "model.zip")
+    with suppress(InputError):
+        load_policy(tmp_path / "model.zip")
+    assert "was not run" in caplog.text
+    caplog.clear()
+    load_policy(tmp_path / "model.zip", (read_archive(tmp_path / "model.zip").digest,))
+    assert caplog.text == ""
+
+
+def test_statistics_beside_a_checkpoint_are_found(tmp_path):
+    envs = VecNormalize(make_model("PPO", SEEN).get_env())
+    PPO("MlpPolicy", envs, n_steps=16, batch_size=16, device="cpu").save(tmp_path / "rl_model_64_steps.zip")
+    for steps in (32, 64):
+        envs.save(tmp_path / f"rl_model_vecnormalize_{steps}_steps.pkl")
+    found = describe(tmp_path / "rl_model_64_steps.zip")
+    assert found.statistics == tmp_path / "rl_model_vecnormalize_64_steps.pkl"
+    assert found.statistics in files_of_model(str(tmp_path / "rl_model_64_steps.zip"))
+
+
+@pytest.mark.parametrize(("name", "value"), [("epsilon", -1.0), ("clip_obs", float("nan")), ("clip_obs", 0.0)])
+def test_statistics_that_cannot_scale_are_refused(name, value, tmp_path):
+    envs = VecNormalize(make_model("PPO", SEEN).get_env())
+    setattr(envs, name, value)
+    envs.save(tmp_path / "vecnormalize.pkl")
+    with pytest.raises(InputError, match="contains no usable statistics: clip_obs is"):
+        Statistics.read(tmp_path / "vecnormalize.pkl")

@@ -643,6 +643,7 @@ def test_a_run_of_rl_zoo_says_what_its_policy_observes(tmp_path):
     [
         ({"env_wrapper": "os.system"}, "trained in the wrapper 'os.system', which is not supported"),
         ({"vec_env_wrapper": [{"mine.Scaled": {"by": 2}}]}, "trained in the wrapper .*mine.Scaled.*not supported"),
+        ({"env_wrapper": [{"gymnasium.wrappers.TimeLimit": {}}, "mine.Scaled"]}, "the wrapper 'mine.Scaled'"),
         ({"normalize": True}, r"observations were normalized, but vecnormalize\.pkl is missing"),
         ({"frame_stack": "many"}, "frame_stack in .*valid integer"),
         ({"frame_stack": -2}, "must be at least 1"),
@@ -653,8 +654,15 @@ def test_a_run_of_rl_zoo_that_cannot_be_repeated_is_refused(settings, message, t
         load_policy(zoo(tmp_path / "run", ppo, settings=settings))
 
 
-def test_a_run_of_rl_zoo_may_have_a_monitor_of_vector_environments(tmp_path, ppo):
-    settings = {"vec_env_wrapper": "stable_baselines3.common.vec_env.VecMonitor"}
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"vec_env_wrapper": "stable_baselines3.common.vec_env.VecMonitor"},
+        {"env_wrapper": "stable_baselines3.common.monitor.Monitor"},
+        {"env_wrapper": [{"gymnasium.wrappers.TimeLimit": {"max_episode_steps": 100}}]},
+    ],
+)
+def test_a_run_of_rl_zoo_may_have_wrappers_that_change_no_decision(settings, tmp_path, ppo):
     assert describe(zoo(tmp_path / "run", ppo, settings=settings) / "best_model.zip").env == "intersection-v1"
 
 
@@ -703,3 +711,9 @@ def test_settings_without_pickles_suffice(tmp_path, ppo):
     kept = {key: data[key] for key in ("policy_class", "policy_kwargs", "observation_space", "action_space")}
     policy = load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(kept).encode()))
     assert policy.last_trained_on is None
+
+
+def test_a_configuration_of_rl_zoo_that_is_a_text_is_named(tmp_path, ppo):
+    arguments = {"env": "highway-v0", "env_kwargs": {"config": "{'duration': 3}"}}
+    with pytest.raises(InputError, match=r"has the config .*duration.*, which is no mapping"):
+        load_policy(zoo(tmp_path / "run", ppo, arguments=arguments))
