@@ -138,7 +138,7 @@ def test_a_driver_that_does_not_repeat_its_drives_is_named(driver):
 
 def test_traffic_that_draws_elsewhere_is_named_and_its_failures_are_not_the_drivers():
     config = {"duration": 10, "other_vehicles_type": "tests.envs.highway.strange.Nervous"}
-    target = Target("highway-fast-v0", "constant:IDLE", env_config=config)
+    target = Target("highway-fast-v0", "constant:FASTER", env_config=config)  # which always crashes
     evaluator = evaluator_recipe(target).make()
     evaluator.begin()
     said = json.loads(evaluator.preflight(b""))
