@@ -252,7 +252,7 @@ class RayExecutor(Executor):
         elif losses < LOSSES and not self._stopped:
             self._hand_out(call._replace(losses=losses))
         else:
-            call.future.set_exception(_cluster_error(f"{losses} nodes were lost one after the other", error))
+            call.future.set_exception(_cluster_error(f"a node was lost in attempt {losses} of the call", error))
 
     def _stop(self) -> None:
         self._stopped = True
