@@ -1,7 +1,6 @@
-"""The executor for Ray clusters: an actor of Ray on each node holds a supervised worker, as on a single machine.
+"""The executor for Ray clusters: an actor on each node holds a supervised worker, as on a single machine.
 
-Ray places the actors and restarts lost ones. The calls of a lost actor are made again on another one that is ready,
-because Ray itself would keep them until there is room to restart the lost one.
+Ray places actors and restarts lost ones. Others repeat the calls of a lost one, which may have no room until later.
 """
 
 import asyncio
@@ -19,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from threading import Timer
 from typing import Any, Final, NamedTuple
+from weakref import WeakSet
 
 from behavexplor.errors import InputError, missing_library, unknown_name
 from behavexplor.execution.executor import Executor, available_cores
@@ -29,8 +29,7 @@ from behavexplor.execution.service import Recipe
 
 MAX_NODES: Final = 256
 LOSSES: Final = 3  # number of lost nodes after which a call fails
-CONNECT_SECONDS: Final = 20.0  # time limit for a cluster to answer [s]
-ENDING_SECONDS: Final = 5.0  # time limit for the nodes to end their workers [s]
+ANSWER_SECONDS: Final = 10.0  # time limit for a cluster to answer, and for its nodes to end their workers [s]
 STORE_BYTES: Final = 128 * 2**20  # size of a local cluster's object store, used for answers of more than 100 kB
 
 Limits = tuple[float, float]  # time limit of one call [s], and memory limit of one worker [GiB]
@@ -96,8 +95,7 @@ class Node:
         if self._problem:
             return self._problem
         try:
-            answer = await asyncio.wrap_future(self._pool.submit(function, data))
-            return RESULT + answer
+            return b"".join([RESULT, await asyncio.wrap_future(self._pool.submit(function, data))])
         except (Exception, asyncio.CancelledError) as error:
             return error_answer(error, self._place)
 
@@ -122,8 +120,6 @@ class _Call(NamedTuple):
 class RayExecutor(Executor):
     """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
 
-    One thread makes all decisions. Other threads, among them Ray's, tell it what to do next.
-
     Args:
         cluster: name of the cluster, see `parse_cluster`.
         nodes: number of nodes; 0 for one node for each core. Those for which there is no room begin when there is.
@@ -143,9 +139,10 @@ class RayExecutor(Executor):
     def __init__(self, cluster: str, nodes: int, recipe: Recipe, limits: Limits, ads: tuple[str, ...]) -> None:
         self._ray = _joined(parse_cluster(cluster), nodes)
         self.n_nodes = nodes or max(min(int(self._ray.cluster_resources().get("CPU", 0)), MAX_NODES), 1)
-        self._thread = ThreadPoolExecutor(1)
+        self._thread = ThreadPoolExecutor(1)  # makes all decisions; others, such as Ray's threads, tell it what is next
+        self._room = 1 if recipe.long_calls else sys.maxsize  # calls of one actor at a time
         self._left = self._stopped = False
-        self._open: set[Future[bytes]] = set()  # of all unanswered calls; the thread owns this and the following fields
+        self._calls: WeakSet[Future[bytes]] = WeakSet()  # all calls; the thread owns this and the following fields
         self._waiting: list[_Call] = []
         self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
         self._timer = Timer(BEGIN_SECONDS, self._next)
@@ -166,7 +163,7 @@ class RayExecutor(Executor):
         if self._left:
             raise RuntimeError("the cluster has been left")
         future: Future[bytes] = Future()
-        self._next(self._hand_out, _Call(future, function, data, 0))
+        self._next(self._add, _Call(future, function, data, 0))
         return future
 
     def stop(self) -> None:
@@ -178,14 +175,14 @@ class RayExecutor(Executor):
         if self._left:
             return
         if wait:
-            wait_for(self._thread.submit(lambda: list(self._open)).result())
+            wait_for(self._thread.submit(self._unanswered).result())
         self._left = True
         self._next(self._stop)
         self._next(self._give_up, ClusterError("the cluster has been left"))
         self._thread.shutdown()
         with suppress(Exception):  # Ray may be gone
             ends = [actor.end.remote() for actor in self._ready]
-            self._ray.wait(ends, num_returns=len(ends), timeout=ENDING_SECONDS)
+            self._ray.wait(ends, num_returns=len(ends), timeout=ANSWER_SECONDS)
         self._ray.shutdown()  # this ends the actors
 
     def _next(self, step: Callable[..., None], *arguments: Any) -> None:
@@ -196,6 +193,7 @@ class RayExecutor(Executor):
     def _take(self, step: Callable[..., None], *arguments: Any) -> None:
         try:
             step(*arguments)
+            self._hand_out()
         except Exception as error:
             self._give_up(_cluster_error("the cluster cannot be used", error))
 
@@ -220,23 +218,25 @@ class RayExecutor(Executor):
             self._ready[actor] = set()
             if not self._first.done():
                 self._first.set_result(None)
-            while self._waiting:
-                self._hand_out(self._waiting.pop(0))
 
-    def _hand_out(self, call: _Call) -> None:
-        """Give a call to the least busy actor, or keep it until there is one."""
-        self._open.add(call.future)
+    def _unanswered(self) -> list["Future[bytes]"]:
+        return [future for future in self._calls if not future.done()]
+
+    def _add(self, call: _Call) -> None:
+        self._calls.add(call.future)
+        self._waiting.append(call)
         if self._error is not None:
             self._give_up(self._error)
-        elif not self._ready:
-            self._waiting.append(call)
-        elif call.future.running() or call.future.set_running_or_notify_cancel():
-            actor = min(self._ready, key=lambda actor: len(self._ready[actor]))
-            self._ready[actor].add(call.future)
-            answer = actor.ask.options(max_task_retries=0).remote(call.function, call.data).future()
-            answer.add_done_callback(partial(self._next, self._answered, actor, call))
-        else:
-            self._open.remove(call.future)
+
+    def _hand_out(self) -> None:
+        """Give waiting calls to the least busy actors that have room for them."""
+        while self._waiting and (free := [actor for actor in self._ready if len(self._ready[actor]) < self._room]):
+            call = self._waiting.pop(0)
+            if not call.future.done() and (call.future.running() or call.future.set_running_or_notify_cancel()):
+                actor = min(free, key=lambda actor: len(self._ready[actor]))
+                self._ready[actor].add(call.future)
+                answer = actor.ask.options(max_task_retries=0).remote(call.function, call.data).future()
+                answer.add_done_callback(partial(self._next, self._answered, actor, call))
 
     def _answered(self, actor: Any, call: _Call, answer: "Future[bytes]") -> None:
         """Pass an answer on; or wait for a lost actor to be restarted, and make its call again on another one."""
@@ -244,22 +244,20 @@ class RayExecutor(Executor):
         error, losses = answer.exception(), call.losses + 1
         if error is not None and actor in self._ready:
             self._begin(actor)
-        if call.future not in self._open:  # the cluster was given up
+        if call.future.done():  # the cluster was given up
             return
-        self._open.remove(call.future)
         if error is None:
             settle(call.future, answer.result())
         elif losses < LOSSES and not self._stopped:
-            self._hand_out(call._replace(losses=losses))
+            self._waiting.append(call._replace(losses=losses))
         else:
             call.future.set_exception(_cluster_error(f"a node was lost in attempt {losses} of the call", error))
 
     def _stop(self) -> None:
         self._stopped = True
-        for call in self._waiting:
-            if call.future.cancel() and not call.future.set_running_or_notify_cancel():  # told those that wait for it
-                self._open.remove(call.future)
-        self._waiting = [call for call in self._waiting if call.future in self._open]
+        for future in self._unanswered():
+            if future.cancel():
+                future.set_running_or_notify_cancel()  # for those that wait for it
         for actor in self._ready:
             actor.stop.remote()
 
@@ -269,10 +267,9 @@ class RayExecutor(Executor):
         self._error = self._error or error
         if not self._first.done():
             self._first.set_exception(self._error)
-        for future in self._open:
+        for future in self._unanswered():
             if future.running() or future.set_running_or_notify_cancel():
                 future.set_exception(self._error)
-        self._open.clear()
         self._waiting.clear()
 
 
@@ -282,22 +279,20 @@ def _joined(address: str, nodes: int) -> Any:
         import ray  # noqa: PLC0415 - need not be installed
     except ModuleNotFoundError as error:
         raise missing_library("--cluster ray", error.name, "ray") from None
-    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
-    if not address:
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # do not send usage statistics
-        room = {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
-        options |= {**room, "include_dashboard": False}
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here sends no usage statistics
+    room = {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL} | ({} if address else room)
     try:
         if found := _ADDRESS.fullmatch(address):  # if nobody answers, Ray tries for minutes and then ends the process
-            socket.create_connection((found["host"].strip("[]"), int(found["port"])), CONNECT_SECONDS).close()
-        ray.init(address=address or "local", **options)
+            socket.create_connection((found["host"].strip("[]"), int(found["port"])), ANSWER_SECONDS).close()
+        ray.init(address=address or "local", include_dashboard=False, **options)
     except (OSError, RuntimeError, ValueError) as error:
-        reason = str(error).strip().splitlines()[0]
+        reason = str(error).strip().partition("\n")[0]
         raise InputError(f"The Ray cluster {address or 'on this machine'} cannot be joined: {reason}") from error
     return ray
 
 
 def _cluster_error(what: str, error: BaseException) -> ClusterError:
     """Return the error with one of Ray's as its cause in one line: its type, and its last line, which says most."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return ClusterError(f"{what}: {type(error).__name__}: {lines[-1] if lines else ''}")
+    last = str(error).strip().rpartition("\n")[2].strip()
+    return ClusterError(f"{what}: {type(error).__name__}: {last}")

@@ -25,6 +25,7 @@ from behavexplor.execution.executor import ADSError
 from behavexplor.execution.fingerprint import FINGERPRINT, machine_fingerprint
 from behavexplor.execution.messages import ADS_FAILED, FAILED, REFUSED, RESULT
 from behavexplor.execution.ray_cluster import LOSSES, ClusterError, Node, RayExecutor, parse_cluster
+from behavexplor.execution.service import Recipe
 from behavexplor.execution.simulation import Simulation, logical_scenario
 
 PATIENCE = 20.0  # for what comes at once [s]
@@ -183,11 +184,12 @@ class Ray:
 def make(monkeypatch):
     executors = []
 
-    def made(*greetings):
+    def made(*greetings, long_calls=False):
         """An executor, and the actors of its cluster."""
         made.cluster = Ray(*greetings)
         monkeypatch.setitem(sys.modules, "ray", made.cluster)
-        executors.append(RayExecutor("ray", 0, None, (1.0, 1.0), ("constant",)))
+        recipe = Recipe("tests.faults:NoService", long_calls=long_calls)
+        executors.append(RayExecutor("ray", 0, recipe, (1.0, 1.0), ("constant",)))
         return executors[-1], made.cluster.actors
 
     yield made
@@ -230,6 +232,22 @@ def test_calls_go_to_the_node_that_has_the_least_to_do(make):
     first.answer(RESULT)
     late.answer(RESULT)
     assert [call.result(PATIENCE) for call in calls] == [b""] * 9
+
+
+def test_a_node_has_one_long_call_at_a_time(make):
+    executor, (first, late) = make(RESULT, None, long_calls=True)
+    calls = submitted(executor, 3)
+    assert [len(first.calls), len(late.calls)] == [1, 0]
+    late.begins()
+    catch_up(executor)
+    assert [len(first.calls), len(late.calls)] == [1, 1]
+    late.answer()
+    catch_up(executor)
+    assert [data for _, data in first.calls + late.calls] == [b"0", b"2"]
+    executor.stop()
+    late.answer()
+    first.answer()
+    assert [call.result(PATIENCE) for call in calls] == [b"0", b"1", b"2"]
 
 
 def test_the_calls_of_a_lost_node_are_made_on_one_that_is_ready(make):
@@ -403,7 +421,7 @@ def test_the_answers_of_a_node_are_those_of_a_worker(start):
     chosen = scenarios(5)
     simulation = Simulation(ENV, "tests.drivers:Cruiser")
     expected = [RESULT + simulation.run(scenario).to_bytes() for scenario in chosen]
-    node = start("tests.faults:Printing", checked=("tests.faults:Printing",))
+    node = start("tests.drivers:Cruiser", checked=("tests.drivers:Cruiser",))
     assert asyncio.run(node.begin()) == RESULT
     assert asked(node, *((EXECUTE, scenario.to_json().encode()) for scenario in chosen)) == expected
 
