@@ -95,7 +95,8 @@ class Node:
         if self._problem:
             return self._problem
         try:
-            return b"".join([RESULT, await asyncio.wrap_future(self._pool.submit(function, data))])
+            answer = await asyncio.wrap_future(self._pool.submit(function, data))
+            return RESULT + answer
         except (Exception, asyncio.CancelledError) as error:
             return error_answer(error, self._place)
 
