@@ -21,7 +21,7 @@ from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.pool import WorkerPool
-from behavexplor.execution.start import start_on_cluster
+from behavexplor.execution.ray_cluster import RayExecutor
 
 _LOOK_SECONDS: Final = 0.5  # interval at which the run folders are checked [s]
 
@@ -114,7 +114,7 @@ class ExperimentRunner:
         root: the experiment's folder.
         jobs: number of runs at a time; on a cluster, the number of nodes, or 0 for one node for each core.
         workers: number of processes that execute the scenarios of one run; with 0, the run's own process does.
-        cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
 
     Attributes:
         progress: progress of the experiment.
@@ -159,8 +159,6 @@ class ExperimentRunner:
                 if self.stopping and not told:
                     executor.stop()
                     told = True
-                    if self._cluster:  # a campaign on a node cannot be stopped early
-                        break
                 self._fill(executor, at_a_time)
                 for future in wait(self._running, timeout=_LOOK_SECONDS, return_when=FIRST_COMPLETED).done:
                     self._end(self._running.pop(future), future)
@@ -175,7 +173,7 @@ class ExperimentRunner:
         recipe, without_limit = campaign_recipe(run.config.target for run in self._waiting), math.inf
         if not self._cluster:
             return WorkerPool(self._jobs, recipe, without_limit, without_limit), self._jobs
-        executor = start_on_cluster(self._cluster, self._jobs, recipe, without_limit, without_limit, self._ads)
+        executor = RayExecutor(self._cluster, self._jobs, recipe, (without_limit, without_limit), self._ads)
         return executor, executor.n_nodes
 
     def _fill(self, executor: Executor, at_a_time: int) -> None:

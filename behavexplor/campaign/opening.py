@@ -71,7 +71,7 @@ def opened(
         workers: greatest number of processes that execute scenarios; they start when they are needed. 0 means this
             process, or on a cluster one node for each core.
         resume: whether to resume the campaign in the folder.
-        cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
         driver: object of this process that drives in place of the driving system that the configuration names. There
             are no workers then. None for none.
         stop_after: number of failures after which the campaign stops; None for no such number.

@@ -27,8 +27,8 @@ from behavexplor.commands.report import PAGE
 from behavexplor.commands.wording import clock, say, text
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.cluster.address import parse_cluster
 from behavexplor.execution.executor import available_cores
+from behavexplor.execution.ray_cluster import parse_cluster
 from behavexplor.execution.start import check_loading, fewest_workers, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.report.experiment_page import experiment_page
@@ -41,7 +41,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     *,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: runs/NAME)")] = None,
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the available cores)")] = None,
-    cluster: Annotated[str, tyro.conf.arg(metavar="ray|dask[:ADDRESS]", help_behavior_hint="")] = "",
+    cluster: Annotated[str, tyro.conf.arg(metavar="ray[:ADDRESS]", help_behavior_hint="")] = "",
     trust: Trust = (),
     dry_run: bool = False,
     tables_only: bool = False,
@@ -57,7 +57,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
             "default-planner" or "policies".
         out: Folder of the experiment.
         jobs: Number of campaigns at a time, each on one core; with --cluster, the number of nodes.
-        cluster: Run the campaigns on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
+        cluster: Run the campaigns on a Ray cluster (docs/robustness.md); without ADDRESS, on this machine.
         trust: Allow the policy file with this digest ("sha256:...") to execute code on load. May be repeated.
         dry_run: Only show the number of campaigns and how long they will take.
         tables_only: Only write the tables of the finished campaigns.

@@ -33,7 +33,7 @@ from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.flags import check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.cluster.address import MAX_NODES, parse_cluster
+from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
 from behavexplor.fuzz.methods import METHODS, describe_method
 from behavexplor.judge.specs import DIFFERS, ERROR
 
@@ -51,7 +51,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     given: Annotated[dict[str, Any], _SETTINGS],
     config: Annotated[str | None, flag("FILE", None)] = None,
     workers: Annotated[int | None, flag("N", "the available cores")] = None,
-    cluster: Annotated[str | None, flag("ray|dask[:ADDRESS]", None)] = None,
+    cluster: Annotated[str | None, flag("ray[:ADDRESS]", None)] = None,
     out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, flag("RUN", None)] = None,
     stop_after: Annotated[int | None, flag("N", None)] = None,
@@ -68,7 +68,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         config: YAML file with a configuration, or name of a preset such as "paper". Flags override it.
         workers: Greatest number of worker processes (no effect on the records). 0: this process, with no limits for the
             ADS; an ADS that is not shipped with behavexplor then needs --unconfined.
-        cluster: Run the workers on a Ray or Dask cluster (docs/robustness.md); without ADDRESS, on this machine.
+        cluster: Run the workers on a Ray cluster (docs/robustness.md); without ADDRESS, on this machine.
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
         stop_after: Stop after this many failures, before the budget is used up.

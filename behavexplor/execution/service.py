@@ -1,10 +1,9 @@
 """Services: functions from bytes to bytes that worker processes offer, and the recipes by which they are made."""
 
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 
 class Batch(Protocol):
@@ -85,13 +84,3 @@ class Recipe:
         module, _, name = self.service.partition(":")
         service: Service = getattr(import_module(module), name)(**self.settings)
         return service
-
-    def to_json(self) -> str:
-        """Return the recipe as JSON."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> Self:
-        """Return the recipe that `to_json` wrote."""
-        values = json.loads(text)
-        return cls(**{**values, "preload": tuple(values["preload"])})

@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 from behavexplor.ads.interface import ADS
@@ -14,12 +13,11 @@ from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError, sentence
-from behavexplor.execution.cluster.address import open_cluster
-from behavexplor.execution.cluster.supervisor import ClusterExecutor
 from behavexplor.execution.evaluator import LOGICAL, PREFLIGHT, evaluator_recipe, needs_confinement
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.fingerprint import FINGERPRINT
 from behavexplor.execution.pool import WorkerPool
+from behavexplor.execution.ray_cluster import RayExecutor
 from behavexplor.execution.service import Batch, Recipe, Service
 from behavexplor.execution.simulation import logical_scenario
 
@@ -31,7 +29,7 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
         target: the driving system and its environment.
         workers: greatest number of worker processes, or number of nodes of a cluster. 0 means this process, without
             limits of time and memory, or on a cluster one node for each core.
-        cluster: name of a cluster, see `behavexplor.execution.cluster.address.parse_cluster`; empty for this machine.
+        cluster: name of a cluster, see `behavexplor.execution.ray_cluster.parse_cluster`; empty for this machine.
         recipe: recipe of the service for the target; by default that of an `Evaluator`.
 
     Raises:
@@ -41,7 +39,8 @@ def start_executor(target: Target, workers: int, cluster: str = "", recipe: Reci
     check_name(target.ads)
     recipe = recipe or evaluator_recipe(target)
     if cluster:
-        return start_on_cluster(cluster, workers, recipe, target.time_limit, target.memory_limit, (target.ads,))
+        limits = (target.time_limit, target.memory_limit)
+        return RayExecutor(cluster, workers, recipe, limits, (target.ads,))
     if workers < fewest_workers(target):
         raise InputError(
             f"--workers 0 would run {target.ads!r} in this process, which cannot be confined: use --workers 1, or let "
@@ -75,27 +74,6 @@ def start_in_process(target: Target, driver: ADS, recipe: Recipe | None = None) 
 def fewest_workers(target: Target) -> int:
     """Return the least number of workers: 1 if the ADS must be confined, which only a process of its own can be."""
     return int(needs_confinement(target))
-
-
-def start_on_cluster(
-    cluster: str, nodes: int, recipe: Recipe, time_limit: float, memory_limit: float, ads: tuple[str, ...]
-) -> ClusterExecutor:
-    """Start an executor on a cluster, with one supervised worker on each of its nodes.
-
-    Args:
-        cluster: name of the cluster, see `behavexplor.execution.cluster.address.parse_cluster`.
-        nodes: number of nodes; 0 for one node for each core.
-        recipe: recipe of each worker's service. The service must have the function "fingerprint".
-        time_limit: time limit of one call [s].
-        memory_limit: memory limit of one worker [GiB].
-        ads: names of the driving systems that must be equal on all machines.
-
-    Raises:
-        InputError: if there is no such cluster, or if a node would not reproduce this machine's results.
-    """
-    opened, count = open_cluster(cluster, nodes)
-    settings = json.dumps({"recipe": recipe.to_json(), "time_limit": time_limit, "memory_limit": memory_limit})
-    return ClusterExecutor(opened, count, ads, (settings, str(Path.cwd())))
 
 
 def logical_of_target(executor: Executor, env: str) -> LogicalScenario:

@@ -1,0 +1,298 @@
+"""The executor for Ray clusters: an actor on each node holds a supervised worker, as on a single machine.
+
+Ray places actors and restarts lost ones. Others repeat the calls of a lost one, which may have no room until later.
+"""
+
+import asyncio
+import json
+import logging
+import os
+import re
+import socket
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import wait as wait_for
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from threading import Timer
+from typing import Any, Final, NamedTuple
+from weakref import WeakSet
+
+from behavexplor.errors import InputError, missing_library, unknown_name
+from behavexplor.execution.executor import Executor, available_cores
+from behavexplor.execution.fingerprint import FINGERPRINT, difference, machine_fingerprint
+from behavexplor.execution.messages import REFUSED, RESULT, answered_error, error_answer, settle
+from behavexplor.execution.pool import BEGIN_SECONDS, WorkerPool
+from behavexplor.execution.service import Recipe
+
+MAX_NODES: Final = 256
+LOSSES: Final = 3  # number of lost nodes after which a call fails
+ANSWER_SECONDS: Final = 10.0  # time limit for a cluster to answer, and for its nodes to end their workers [s]
+STORE_BYTES: Final = 128 * 2**20  # size of a local cluster's object store, used for answers of more than 100 kB
+
+Limits = tuple[float, float]  # time limit of one call [s], and memory limit of one worker [GiB]
+_ADDRESS = re.compile(r"(?:ray://)?(?P<host>\[[0-9a-fA-F:.]+\]|[\w.-]+):(?P<port>\d{1,5})")
+
+
+class ClusterError(RuntimeError):
+    """The cluster has repeatedly lost nodes, or has none. This is not a failure of the ADS."""
+
+
+def parse_cluster(text: str) -> str:
+    """Return the address in the name of a cluster, as Ray takes it. An empty one means a new cluster on this machine.
+
+    Args:
+        text: "ray", alone or followed by ":" and an address: "ray:10.0.0.5:6379", "ray://10.0.0.5:10001". "ray:auto" is
+            the cluster that this machine belongs to.
+
+    Raises:
+        InputError: if the name is none of these.
+    """
+    kind, separator, address = text.partition(":")
+    if kind != "ray":
+        raise unknown_name('cluster ("ray", with or without ":" and an address)', kind, ["ray"])
+    if not separator or address == "auto":
+        return address
+    address = f"ray:{address}" if address.startswith("//") else address
+    found = _ADDRESS.fullmatch(address)
+    if found is None or not 0 < int(found["port"]) < 65536:
+        raise InputError(f"--cluster {text} has an invalid address: write ray:10.0.0.5:6379 or ray://10.0.0.5:10001")
+    return address
+
+
+class Node:
+    """The actor on a node: it calls its worker, and answers with tagged bytes, see `behavexplor.execution.messages`.
+
+    Args:
+        recipe: recipe of the worker's service.
+        limits: limits of its worker.
+        ads: JSON list of the driving systems that must be equal on all machines.
+        fingerprint: fingerprint of the campaign's machine. A worker with another one refuses all calls.
+        folder: working directory of the campaign. The worker works there if this node has such a folder.
+    """
+
+    def __init__(self, recipe: Recipe, limits: Limits, ads: bytes, fingerprint: bytes, folder: str) -> None:
+        if Path(folder).is_dir():
+            os.chdir(folder)
+        sys.path.append(str(Path.cwd()))
+        self._place = f" (on the node {socket.gethostname()})"
+        try:
+            self._pool = WorkerPool(1, recipe, *limits)
+            problem = difference(self._pool.submit(FINGERPRINT, ads).result(), fingerprint)
+        except Exception as error:
+            problem = error_answer(error, self._place)[1:].decode()
+        self._problem = REFUSED + problem.encode() if problem else b""
+
+    async def begin(self) -> bytes:
+        """Answer with an empty result if the node is ready, or else with its problem."""
+        return self._problem or RESULT
+
+    async def ask(self, function: str, data: bytes) -> bytes:
+        """Call a function of the worker's service."""
+        if self._problem:
+            return self._problem
+        try:
+            answer = await asyncio.wrap_future(self._pool.submit(function, data))
+            return RESULT + answer
+        except (Exception, asyncio.CancelledError) as error:
+            return error_answer(error, self._place)
+
+    async def stop(self) -> None:
+        """Ask the worker of a node that is ready to end a long call early."""
+        self._pool.stop()
+
+    async def end(self) -> None:
+        """End the worker of a node that is ready."""
+        await asyncio.to_thread(self._pool.shutdown, wait=False)
+
+
+class _Call(NamedTuple):
+    """A call of a function, and the number of actors that were lost while they processed it."""
+
+    future: "Future[bytes]"
+    function: str
+    data: bytes
+    losses: int
+
+
+class RayExecutor(Executor):
+    """Calls functions of a service on the nodes of a Ray cluster. Each node has a supervised worker of its own.
+
+    Args:
+        cluster: name of the cluster, see `parse_cluster`.
+        nodes: number of nodes; 0 for one node for each core. Those for which there is no room begin when there is.
+        recipe: recipe of each worker's service. The service must have the function "fingerprint".
+        limits: limits of each worker.
+        ads: names of the driving systems, which must be equal on all machines.
+
+    Attributes:
+        n_nodes: number of nodes.
+
+    Raises:
+        InputError: if there is no such cluster, if Ray is not installed, or if the first node to answer cannot load the
+            ADS or the environment, or would not reproduce this machine's results.
+        ClusterError: if no node can begin.
+    """
+
+    def __init__(self, cluster: str, nodes: int, recipe: Recipe, limits: Limits, ads: tuple[str, ...]) -> None:
+        self._ray = _joined(parse_cluster(cluster), nodes)
+        self.n_nodes = nodes or max(min(int(self._ray.cluster_resources().get("CPU", 0)), MAX_NODES), 1)
+        self._thread = ThreadPoolExecutor(1)  # makes all decisions; others, such as Ray's threads, tell it what is next
+        self._room = 1 if recipe.long_calls else sys.maxsize  # calls of one actor at a time
+        self._left = self._stopped = False
+        self._calls: WeakSet[Future[bytes]] = WeakSet()  # all calls; the thread owns this and the following fields
+        self._waiting: list[_Call] = []
+        self._ready: dict[Any, set[Future[bytes]]] = {}  # the calls of each actor that has begun and is not lost
+        self._timer = Timer(BEGIN_SECONDS, self._next)
+        self._error: Exception | None = None
+        self._first: Future[None] = Future()
+        node = self._ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=LOSSES - 1)(Node)
+        settings = (recipe, limits, json.dumps(ads).encode(), machine_fingerprint(ads), str(Path.cwd()))
+        self._actors = [node.remote(*settings) for _ in range(self.n_nodes)]
+        self._next(self._begin, *self._actors)
+        try:
+            self._first.result()
+        except BaseException:
+            self.shutdown(wait=False)
+            raise
+
+    def submit(self, function: str, data: bytes) -> "Future[bytes]":
+        """Call a function on the least busy node; see `Executor.submit`."""
+        if self._left:
+            raise RuntimeError("the cluster has been left")
+        future: Future[bytes] = Future()
+        self._next(self._add, _Call(future, function, data, 0))
+        return future
+
+    def stop(self) -> None:
+        """Cancel calls that have not started, and ask running calls to end early."""
+        self._next(self._stop)
+
+    def shutdown(self, *, wait: bool = True) -> None:
+        """Leave the cluster: after all calls if `wait`, else at once."""
+        if self._left:
+            return
+        if wait:
+            wait_for(self._thread.submit(self._unanswered).result())
+        self._left = True
+        self._next(self._stop)
+        self._next(self._give_up, ClusterError("the cluster has been left"))
+        self._thread.shutdown()
+        with suppress(Exception):  # Ray may be gone
+            ends = [actor.end.remote() for actor in self._ready]
+            self._ray.wait(ends, num_returns=len(ends), timeout=ANSWER_SECONDS)
+        self._ray.shutdown()  # this ends the actors
+
+    def _next(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Let the thread take a step after the present ones."""
+        with suppress(RuntimeError):  # the cluster has been left
+            self._thread.submit(self._take, step, *arguments)
+
+    def _take(self, step: Callable[..., None], *arguments: Any) -> None:
+        try:
+            step(*arguments)
+            self._hand_out()
+        except Exception as error:
+            self._give_up(_cluster_error("the cluster cannot be used", error))
+
+    def _begin(self, *actors: Any) -> None:
+        """Wait until actors have begun, or until Ray has restarted lost ones."""
+        for actor in actors:
+            self._ready.pop(actor, None)
+            actor.begin.remote().future().add_done_callback(partial(self._next, self._begun, actor))
+        if not self._ready:
+            error = ClusterError(f"no node of the cluster has been ready for {BEGIN_SECONDS:g} s")
+            self._timer = Timer(BEGIN_SECONDS, self._next, [self._give_up, error])
+            self._timer.daemon = True
+            self._timer.start()
+
+    def _begun(self, actor: Any, answer: "Future[bytes]") -> None:
+        lost = answer.exception()
+        problem = _cluster_error("a node cannot begin", lost) if lost else answered_error(answer.result())
+        if problem is not None:
+            self._give_up(problem)
+        elif self._error is None:
+            self._timer.cancel()
+            self._ready[actor] = set()
+            if not self._first.done():
+                self._first.set_result(None)
+
+    def _unanswered(self) -> list["Future[bytes]"]:
+        return [future for future in self._calls if not future.done()]
+
+    def _add(self, call: _Call) -> None:
+        self._calls.add(call.future)
+        self._waiting.append(call)
+        if self._error is not None:
+            self._give_up(self._error)
+
+    def _hand_out(self) -> None:
+        """Give waiting calls to the least busy actors that have room for them."""
+        while self._waiting and (free := [actor for actor in self._ready if len(self._ready[actor]) < self._room]):
+            call = self._waiting.pop(0)
+            if not call.future.done() and (call.future.running() or call.future.set_running_or_notify_cancel()):
+                actor = min(free, key=lambda actor: len(self._ready[actor]))
+                self._ready[actor].add(call.future)
+                answer = actor.ask.options(max_task_retries=0).remote(call.function, call.data).future()
+                answer.add_done_callback(partial(self._next, self._answered, actor, call))
+
+    def _answered(self, actor: Any, call: _Call, answer: "Future[bytes]") -> None:
+        """Pass an answer on; or wait for a lost actor to be restarted, and make its call again on another one."""
+        self._ready.get(actor, set()).discard(call.future)
+        error, losses = answer.exception(), call.losses + 1
+        if error is not None and actor in self._ready:
+            self._begin(actor)
+        if call.future.done():  # the cluster was given up
+            return
+        if error is None:
+            settle(call.future, answer.result())
+        elif losses < LOSSES and not self._stopped:
+            self._waiting.append(call._replace(losses=losses))
+        else:
+            call.future.set_exception(_cluster_error(f"a node was lost in attempt {losses} of the call", error))
+
+    def _stop(self) -> None:
+        self._stopped = True
+        for future in self._unanswered():
+            if future.cancel():
+                future.set_running_or_notify_cancel()  # for those that wait for it
+        for actor in self._ready:
+            actor.stop.remote()
+
+    def _give_up(self, error: Exception) -> None:
+        """Fail all calls that were or will be submitted."""
+        self._timer.cancel()
+        self._error = self._error or error
+        if not self._first.done():
+            self._first.set_exception(self._error)
+        for future in self._unanswered():
+            if future.running() or future.set_running_or_notify_cancel():
+                future.set_exception(self._error)
+        self._waiting.clear()
+
+
+def _joined(address: str, nodes: int) -> Any:
+    """Join a cluster, or start one on this machine, and return the module `ray`."""
+    try:
+        import ray  # noqa: PLC0415 - need not be installed
+    except ModuleNotFoundError as error:
+        raise missing_library("--cluster ray", error.name, "ray") from None
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here sends no usage statistics
+    room = {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL} | ({} if address else room)
+    try:
+        if found := _ADDRESS.fullmatch(address):  # if nobody answers, Ray tries for minutes and then ends the process
+            socket.create_connection((found["host"].strip("[]"), int(found["port"])), ANSWER_SECONDS).close()
+        ray.init(address=address or "local", include_dashboard=False, **options)
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise InputError(f"The Ray cluster {address or 'on this machine'} cannot be joined: {reason}") from error
+    return ray
+
+
+def _cluster_error(what: str, error: BaseException) -> ClusterError:
+    """Return the error with one of Ray's as its cause in one line: its type, and its last line, which says most."""
+    last = str(error).strip().rpartition("\n")[2].strip()
+    return ClusterError(f"{what}: {type(error).__name__}: {last}")
