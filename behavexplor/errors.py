@@ -38,7 +38,17 @@ def printable(text: str) -> str:
     return "".join(char if char.isprintable() or char in "\n\t" else ascii(char)[1:-1] for char in text)
 
 
-def place_of(error: Exception) -> str:
+def described(error: BaseException) -> str:
+    """Return the type and the message of an exception of foreign code, which may be long, unprintable or none."""
+    try:
+        message = str(error)[: LONGEST + 1]
+    except Exception:  # its own `__str__` raises
+        message = "it has no message"
+    shown = printable(f"{type(error).__name__:.80}: {message}")
+    return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 4].rstrip()} ..."
+
+
+def place_of(error: BaseException) -> str:
     """Return the file and line in which code of a user raised an exception, such as " (my_driver.py, line 12)"."""
     frames = traceback.extract_tb(error.__traceback__)
     return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if len(frames) > 1 else ""

@@ -213,6 +213,8 @@ class Store:
         Returns:
             The executions that were written.
         """
+        if not self.folder.is_dir():  # SQLite would go on writing to a file without a name
+            raise FileNotFoundError(f"{self.folder} was deleted")
         rows = []
         for execution in self._pending:
             record = execution.record.to_json().encode()

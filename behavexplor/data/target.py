@@ -7,10 +7,12 @@ description from here.
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from typing import Any, Final
 
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.errors import InputError
+
+LEAST_MEMORY: Final = 0.5  # [GiB]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +46,10 @@ class Conditions:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trust", tuple(self.trust))  # JSON has lists only
-        for name, limit in (("time_limit", self.time_limit), ("memory_limit", self.memory_limit)):
-            if not 0 < limit < 1e9:
-                raise InputError(f"{name} {limit} must be greater than 0")
+        if not 0 < self.time_limit < 1e9:
+            raise InputError(f"time_limit {self.time_limit} must be greater than 0")
+        if not LEAST_MEMORY <= self.memory_limit < 1e9:
+            raise InputError(f"memory_limit {self.memory_limit} must be at least {LEAST_MEMORY} GiB: workers need that")
         check_digests(self.trust)
 
 

@@ -1,17 +1,21 @@
 """Asking an ADS for actions: every failure becomes an `ADSError`, and wrong answers are explained."""
 
+import os
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from behavexplor.data.observations import Observation
-from behavexplor.errors import brief, place_of
+from behavexplor.errors import brief, described, place_of
 from behavexplor.execution.executor import ADSError
 
+COPIED: Final = 84  # exit code of a copy of a worker's process that an ADS has made
+
 _asking: list[Any] = [SimpleNamespace(value=0)]  # 1 while the ADS is being called
+_worker: list[int] = []  # the process in which it is called, if that is a worker
 
 
 def share_asking(flag: Any) -> None:
@@ -21,6 +25,7 @@ def share_asking(flag: Any) -> None:
         flag: object whose `value` is set to 1 during a call of the ADS, and to 0 otherwise.
     """
     _asking[0] = flag
+    _worker[:] = [os.getpid()]
 
 
 def ask(
@@ -57,9 +62,11 @@ def ask(
         raise ADSError("memory", "it ran out of memory") from error
     except SystemExit as error:
         raise ADSError("exit", f"it called sys.exit({error.code!r})") from error
-    except Exception as error:
-        raise ADSError("raised", f"{type(error).__name__}: {error}", place_of(error)) from error
+    except (Exception, GeneratorExit) as error:
+        raise ADSError("raised", described(error), place_of(error)) from error
     finally:
+        if _worker and _worker[0] != os.getpid():
+            os._exit(COPIED)  # or each decision would double the number of processes
         _asking[0].value = 0
 
 

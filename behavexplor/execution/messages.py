@@ -4,7 +4,7 @@ import json
 from concurrent.futures import Future
 from typing import Any, Final, NamedTuple, Self
 
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, described
 from behavexplor.execution.executor import ADSError
 
 STARTED: Final = b""  # the supervisor's first message: it has written all that a process is started with
@@ -67,7 +67,7 @@ def error_answer(error: BaseException, place: str = "") -> bytes:
         return ADS_FAILED + json.dumps({"kind": error.kind, "message": error.message, "place": error.place}).encode()
     if isinstance(error, InputError):
         return REFUSED + str(error).encode(errors="replace")
-    words = str(error) if type(error) is RuntimeError else f"{type(error).__name__}: {error}"
+    words = str(error) if type(error) is RuntimeError else described(error)
     return FAILED + f"{words}{place}".encode(errors="replace")
 
 

@@ -7,6 +7,9 @@ import math
 import multiprocessing
 import os
 import signal
+import socket
+import struct
+import sys
 import time
 from collections import deque
 from collections.abc import Iterable
@@ -19,7 +22,7 @@ from tempfile import TemporaryDirectory
 from threading import Lock, Thread
 from typing import Any, Final
 
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, described
 from behavexplor.execution.demand import AwaitedFuture, Demand
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.forkserver import CAN_SHARE, share_imports, without_script
@@ -30,6 +33,8 @@ from behavexplor.execution.worker_output import CAN_LEAVE, WorkerOutput
 
 BEGIN_SECONDS: Final = 600.0  # time limit for a worker to get ready [s]
 CRASHES: Final = 2  # an ADS is blamed after this many worker crashes during the same single execution
+MOST_BYTES: Final = 2**29  # of an answer; a trace has at most 450 MB
+PAUSE_SECONDS: Final = 10  # greatest pause within an answer [s]
 ENDING_SECONDS: Final = 2.0  # time limit for the end of a worker that has closed its connection [s]
 
 
@@ -156,6 +161,9 @@ class WorkerPool(Executor):
                         output.pass_on()
         except OSError as error:  # the system is out of processes, files or memory
             self._failed = f"no worker could be started: {error}"
+        except Exception as error:
+            self._failed = f"the supervision of the workers has failed: {described(error)}"
+            raise
         finally:
             with self._lock:
                 self._failed = self._failed or ("" if self._closed else "the workers have failed")
@@ -213,7 +221,10 @@ class WorkerPool(Executor):
             self._lost(worker, "crash", worker.ending())
             return
         if answer is not None:
-            self._take(worker, *answer)
+            try:
+                self._take(worker, *answer)
+            except (KeyError, ValueError):  # the ADS has written to the pipe
+                self._lost(worker, "crash", "its process sent what is no answer")
         elif time.monotonic() > worker.deadline:
             self._lost(worker, "hang", f"no answer within {worker.patience:g} s")
 
@@ -249,7 +260,7 @@ class WorkerPool(Executor):
 
     def _lost(self, worker: "_Worker", kind: str, message: str) -> None:
         """Remove a worker that has died or hangs, and repeat or fail its calls."""
-        was_asking = bool(worker.asking.value) or (kind == "crash" and worker.has_closed())
+        was_asking = bool(worker.asking.value) or (kind == "crash" and (worker.is_confined or worker.has_closed()))
         self._remove(worker)
         tasks = list(worker.tasks.values())
         if worker.capacity == 1 or worker.is_alone:
@@ -282,6 +293,7 @@ class _Worker:
         connection: the supervisor's end of the pipe.
         output: what a confined worker prints; None for another one, which prints on the supervisor's terminal itself.
         tasks: unanswered calls by key.
+        is_confined: whether third-party code runs in the worker, which is to blame if the process dies at any time.
         capacity: number of calls that the worker can process in one batch.
         is_ready: whether the worker has loaded its service.
         asking: shared flag, 1 while the worker calls its ADS; see `behavexplor.execution.asking.share_asking`.
@@ -294,6 +306,7 @@ class _Worker:
         self.connection: Connection
         self.connection, theirs = context.Pipe()
         self.asking = context.RawValue("b", 0)
+        self.is_confined = is_confined
         self.output = WorkerOutput() if is_confined and CAN_LEAVE else None
         pipe = self.output.theirs if self.output else None
         arguments = (theirs, self.asking, recipe, memory_limit, folder, dict(os.environ), pipe)
@@ -301,6 +314,7 @@ class _Worker:
         with without_script():
             self._process.start()
         theirs.close()
+        _limit_waiting(self.connection)
         if pipe is not None:
             pipe.close()
         with suppress(OSError):  # the worker has died, which `_listen` will notice
@@ -339,7 +353,7 @@ class _Worker:
             EOFError: if the process has died.
             OSError: if the process has died.
         """
-        message = self.connection.recv_bytes()
+        message = self.connection.recv_bytes(MOST_BYTES)
         self._wait_for(time_limit)
         return split_key(message)
 
@@ -377,6 +391,14 @@ class _Worker:
 
     def _wait_for(self, seconds: float) -> None:
         self.patience, self.deadline = seconds, time.monotonic() + seconds
+
+
+def _limit_waiting(connection: Connection) -> None:
+    """Let the reading of a message fail if the rest of it does not come, where the connection is a socket."""
+    if sys.platform == "win32":
+        return
+    with socket.socket(fileno=os.dup(connection.fileno())) as same:
+        same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", PAUSE_SECONDS, 0))
 
 
 def _error(worker: _Worker, kind: str, message: str, *, was_asking: bool) -> Exception:

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
 
-from behavexplor.errors import InputError
+from behavexplor.errors import InputError, described
 from behavexplor.execution.asking import share_asking
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.messages import READY, RESULT, SUSPECT, Request, error_answer, with_key
@@ -69,6 +69,7 @@ def serve(
     with suppress(EOFError, OSError):  # the supervisor has ended
         connection.recv_bytes()  # `STARTED`
         _be_killed_with_supervisor(with_children=output is not None)
+    os.register_at_fork(after_in_child=connection.close)  # a copy that an ADS makes of this process answers nothing
     service = recipe.make()
     if recipe.long_calls:
         signal.signal(signal.SIGTERM, lambda *_: service.stop())
@@ -128,10 +129,13 @@ def _send(connection: Connection, key: int, answer: bytes) -> None:
 def _call(service: Service, request: Request) -> bytes:
     try:
         return RESULT + service.functions[request.function](request.data)
+    except (OSError, ImportError) as error:  # nothing here raises these, unless the ADS has used up files or modules
+        cannot = ADSError("crash", f"its process cannot go on: {described(error)}")
+        return error_answer(cannot if service.is_confined else error)
     except Exception as error:
         return error_answer(error)
     except BaseException as error:  # such as KeyboardInterrupt, which only an ADS can raise here
-        return error_answer(ADSError("raised", f"{type(error).__name__}: {error}"))
+        return error_answer(ADSError("raised", described(error)))
 
 
 def _begin(batch: Batch, request: Request) -> bytes | None:

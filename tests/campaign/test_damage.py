@@ -282,3 +282,12 @@ def test_a_folder_that_cannot_be_written_can_be_read(tmp_path, whole):
     assert begun.returncode == BAD_INPUT
     assert begun.stderr.splitlines()[-1].endswith("cannot be written: Read-only file system")
     assert [path.name for path in here.iterdir()] == [path.name for path in whole.iterdir()]
+
+
+def test_a_folder_that_is_deleted_while_a_campaign_runs_is_named(tmp_path):
+    store = Store.create(tmp_path / "run", CAMPAIGN_CONFIG)
+    store.add(execution(0, []))
+    shutil.rmtree(tmp_path / "run")
+    with pytest.raises(FileNotFoundError, match="was deleted"):
+        store.commit()
+    store.close()

@@ -1,0 +1,133 @@
+"""Drivers that do what none should: their executions fail, and the campaign, its records and its terminal do not."""
+
+import os
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.opening import opened
+from behavexplor.errors import LONGEST, InputError, described
+from tests.drivers import Cruiser
+
+HERE = __name__
+
+
+class WithoutWordsError(Exception):
+    def __str__(self):
+        raise RuntimeError("there are none")
+
+    __repr__ = __str__
+
+
+class Driver(Cruiser):
+    """Does something before each of its decisions."""
+
+    def act(self):
+        """Nothing."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.act()
+        return super().predict(observation, state)
+
+
+class Verbose(Driver):
+    def act(self):
+        raise ValueError("x" * 10**7)
+
+
+class Unprintable(Driver):
+    def act(self):
+        raise ValueError("\ud800\x1b[2J \u202e and a\nsecond line")
+
+
+class Wordless(Driver):
+    def act(self):
+        raise WithoutWordsError
+
+
+class Generating(Driver):
+    def act(self):
+        raise GeneratorExit
+
+
+class Hoarding(Driver):
+    """Leaves no file descriptors."""
+
+    def act(self):
+        self.files = []
+        while True:
+            try:
+                self.files.append(os.dup(0))
+            except OSError:
+                return
+
+
+class Chatty(Driver):
+    """Announces two gigabytes on each pipe and socket of its process."""
+
+    def act(self):
+        for file in Path("/proc/self/fd").iterdir():
+            with suppress(OSError):  # the listing's own
+                if str(file.readlink()).startswith("socket:"):
+                    os.write(int(file.name), b"\x7f\xff\xff\xff")
+
+
+class Forking(Driver):
+    def act(self):
+        os.fork()
+
+
+class Leaving(Driver):
+    """Asks for a signal that comes when the environment is at work, and ends the process."""
+
+    def act(self):
+        signal.signal(signal.SIGALRM, lambda *_: os._exit(9))
+        signal.setitimer(signal.ITIMER_REAL, 0.0005)
+
+
+def records(name, folder, **settings):
+    config = CampaignConfig(env="lane-follow", ads=f"{HERE}:{name}", method="uniform", budget="3", seed=1, **settings)
+    with opened(config, folder, 1, resume=False) as ready:
+        ready.campaign.run(lambda _: None)
+        return list(ready.store.records())
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "words"),
+    [
+        ("Verbose", "raised", "ValueError: xxx"),
+        ("Unprintable", "raised", r"ValueError: \ud800\x1b[2J \u202e and a"),
+        ("Wordless", "raised", "WithoutWordsError: it has no message"),
+        ("Generating", "raised", "GeneratorExit"),
+        ("Hoarding", "crash", "its process cannot go on: OSError: [Errno 24] Too many open files"),
+        ("Chatty", "crash", ""),
+        ("Leaving", "crash", "its process ended with exit code 9"),
+    ],
+)
+def test_what_a_driver_does_to_its_process_is_its_failure(name, kind, words, tmp_path):
+    found = records(name, tmp_path / "run")
+    assert [record.error["kind"] for record in found] == [kind] * 3
+    assert all(record.error["message"].startswith(words) for record in found)
+    assert all(len(record.error["message"]) <= LONGEST for record in found)
+
+
+def test_copies_of_a_workers_process_end_and_answer_nothing(tmp_path):
+    begun = time.monotonic()
+    forked, plain = (records(name, tmp_path / name) for name in ("Forking", "Driver"))
+    assert [record.to_json() for record in forked] == [record.to_json() for record in plain]
+    assert time.monotonic() - begun < 300
+
+
+def test_exceptions_are_described_in_bounds():
+    assert described(ValueError("a" * 5000)) == f"ValueError: {'a' * (LONGEST - 16)} ..."
+    assert described(type("E" * 500, (Exception,), {})("x")) == f"{'E' * 80}: x"
+    assert described(KeyError()) == "KeyError: "
+
+
+def test_a_limit_of_memory_that_no_worker_could_keep_is_refused():
+    with pytest.raises(InputError, match=r"memory_limit 0\.15 must be at least 0\.5 GiB"):
+        CampaignConfig(memory_limit=0.15)
