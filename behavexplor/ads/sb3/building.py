@@ -24,7 +24,9 @@ from behavexplor.errors import InputError, brief, sentence
 # Modules whose classes a policy may be built from; any other class is code that came with the file.
 _KNOWN = ("stable_baselines3.", "sb3_contrib.", "torch.nn.modules.activation.", "torch.optim.")
 _NEEDED = ("policy_class", "observation_space", "action_space")
-_UNREADABLE = (ValueError, TypeError, AttributeError, KeyError, IndexError)  # what wrong settings raise
+_UNREADABLE = (ValueError, TypeError, AttributeError, KeyError, IndexError, OverflowError)  # what wrong settings raise
+MOST_LAYERS = 100  # of one network
+_LEAST_DEFAULT = 64  # weights of a network whose layers are not given, at least
 _HERE = f"{sys.version_info.major}.{sys.version_info.minor}"  # version of Python
 _OWN_CLASS = ("cloudpickle.cloudpickle._make_skeleton_class", "cloudpickle.cloudpickle_fast._make_skeleton_class")
 _SPACES = re.compile(r"(gymnasium|gym)\.spaces\.(\w+\.)*(\w+)$")
@@ -169,6 +171,8 @@ def new_policy(
         given["optimizer_class"] = _NoOptimizer
     if "use_sde" in accepted:
         given.setdefault("use_sde", use_sde)
+    if "ortho_init" in accepted:
+        given["ortho_init"] = False  # it takes long for large layers, and the weights are loaded afterwards
     schedule = [lambda _: 0.0] if "lr_schedule" in accepted else []  # the third argument, as algorithms give it
     return policy_class(observation_space, action_space, *schedule, **given)
 
@@ -197,14 +201,17 @@ def _check_size(archive: Archive, spaces: Sequence[gymnasium.Space[Any]], keywor
     layers = list(net_arch.values()) if isinstance(net_arch, Mapping) else [net_arch or []]
     if not all(isinstance(widths, list | tuple) and all(type(width) is int for width in widths) for widths in layers):
         raise InputError(f"{archive.path}: its net_arch must be a list of layer widths, or a dictionary of such lists")
+    if max(map(len, layers), default=0) > MOST_LAYERS:
+        raise InputError(f"{archive.path}: its net_arch has more than {MOST_LAYERS} layers")
     count = sum(sum(widths) + sum(before * after for before, after in pairwise(widths)) for widths in layers)
     given = {key: value for key, value in keywords.items() if type(value) is int}
     memory = given.get("lstm_hidden_size", 0) ** 2 * given.get("n_lstm_layers", 1)
+    critics = given.get("n_critics", 0) * (count or _LEAST_DEFAULT)
     outputs = given.get("n_quantiles", 0) * given.get("n_critics", 1)
     extractor = keywords.get("features_extractor_kwargs")
     features = [n for n in extractor.values() if type(n) is int] if isinstance(extractor, Mapping) else []
     widths = [gymnasium.spaces.flatdim(space) for space in spaces]
-    if max(count, memory, outputs, *features, *widths) > len(archive.weights):
+    if max(count, memory, critics, outputs, *features, *widths) > len(archive.weights):
         raise InputError(f"{archive.path}: its weights are too few for the network that its settings describe")
 
 

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import math
 import pickle
 import time
 import zipfile
@@ -564,6 +565,8 @@ def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path,
         ({"features_extractor_kwargs": {"features_dim": 10**9}}, None),
         ({"lstm_hidden_size": 30_000}, None),
         ({"n_quantiles": 10**9}, None),
+        ({"n_critics": 500_000}, None),
+        ({"n_critics": 3000, "net_arch": [64, 64]}, None),
         ({}, gymnasium.spaces.Discrete(10**9)),
         ({}, gymnasium.spaces.MultiDiscrete([2, 10**8])),
     ],
@@ -574,6 +577,8 @@ def test_keywords_of_a_policy_that_have_no_names_are_refused(keywords, tmp_path,
         "many features",
         "wide memory",
         "many quantiles",
+        "many critics",
+        "many critics of some width",
         "many actions",
         "many actions of an axis",
     ],
@@ -584,7 +589,18 @@ def test_a_network_larger_than_its_weights_is_never_made(settings, space, tmp_pa
         data = json.loads(file.read("data")) | {"policy_kwargs": settings}
     if space is not None:
         data["action_space"] = {":serialized:": base64.b64encode(pickle.dumps(space)).decode()}
-    with pytest.raises(InputError, match="its weights are too few for the network"):
+    with pytest.raises(InputError, match="its weights are too few for the network|more than 100 layers"):
+        load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(data).encode()))
+
+
+@pytest.mark.parametrize("n", [math.inf, 10**400, -3])
+def test_a_space_without_a_usable_size_is_refused(n, tmp_path, ppo):
+    space = gymnasium.spaces.Discrete(5)
+    space.n = n
+    with zipfile.ZipFile(ppo) as file:
+        data = json.loads(file.read("data"))
+    data["action_space"] = {":serialized:": base64.b64encode(pickle.dumps(space)).decode()}
+    with pytest.raises(InputError, match="cannot be read"):
         load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(data).encode()))
 
 
