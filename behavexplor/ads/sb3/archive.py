@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
-from zipfile import ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 
 from behavexplor.ads.sb3.inert import LOAD_TENSOR, OLD_TORCH, PickleReader, TooLongError, check_extent
 from behavexplor.data.untrusted import read_file
@@ -123,6 +123,8 @@ def _check_members(path: Path, file: ZipFile, packed: int) -> None:
     """Check the members of a zip file before anything is unpacked."""
     if missing := {DATA, WEIGHTS} - set(file.namelist()):
         raise InputError(f"{path} is not a model of Stable-Baselines3: it has no {', '.join(sorted(missing))}")
+    if any(member.compress_type not in (ZIP_STORED, ZIP_DEFLATED) for member in file.infolist()):
+        raise InputError(f"{path} was compressed in another way than by Stable-Baselines3 or zip; it was not read")
     unpacked = sum(member.file_size for member in file.infolist())
     if unpacked > min(MAX_BYTES, max(LARGE, MAX_RATIO * packed)) or file.getinfo(DATA).file_size > MAX_DATA:
         raise InputError(f"{path} would unpack to {unpacked} bytes, which no model needs; it was not read")

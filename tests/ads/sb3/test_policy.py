@@ -589,8 +589,17 @@ def test_a_network_larger_than_its_weights_is_never_made(settings, space, tmp_pa
         data = json.loads(file.read("data")) | {"policy_kwargs": settings}
     if space is not None:
         data["action_space"] = {":serialized:": base64.b64encode(pickle.dumps(space)).decode()}
-    with pytest.raises(InputError, match="its weights are too few for the network|more than 100 layers"):
+    with pytest.raises(InputError, match=r"its weights are too few for the network|more than 100 layers"):
         load_policy(rewritten(ppo, tmp_path / "model.zip", data=json.dumps(data).encode()))
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_members_that_cannot_be_unpacked_in_bounds_are_refused(method, tmp_path, ppo):
+    with zipfile.ZipFile(ppo) as old, zipfile.ZipFile(tmp_path / "model.zip", "w", method) as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    with pytest.raises(InputError, match="was compressed in another way than by Stable-Baselines3 or zip"):
+        load_policy(tmp_path / "model.zip")
 
 
 @pytest.mark.parametrize("n", [math.inf, 10**400, -3])
