@@ -5,6 +5,7 @@ Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wro
 70 a bug in this package, 130 interrupted.
 """
 
+import errno
 import logging
 import os
 import sys
@@ -49,6 +50,8 @@ COMMANDS = (
 )
 _MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise
 
+_OUTPUT_FAILS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of errors that name no file
+
 _DESCRIPTION = "Find out how a driving policy fails."
 
 
@@ -65,6 +68,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given == ["--version"]:
         say(f"behavexplor {version('behavexplor')}")
         return OK
+    if sys.stdout is None:  # it is closed
+        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115 - for the whole process
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names may not be valid text
     with _notices(quiet="--quiet" in given), folder_for_matplotlib():
@@ -98,11 +103,16 @@ def _run(given: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of the output, such as `head`, has exited
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return OK
     except Exception as error:
         return _failed(error)
     return code
+
+
+def _drop_output() -> None:
+    """Let what is still to be printed go nowhere, so that Python does not try to write it at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _command(name: str) -> Callable[..., Any]:
@@ -116,6 +126,10 @@ def _failed(error: Exception) -> int:
     if isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None):
         say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return BAD_INPUT
+    if isinstance(error, OSError) and error.errno in _OUTPUT_FAILS:
+        _drop_output()
+        say(f"{program()}: The output cannot be written: {error.strerror}", file=sys.stderr)
+        return EXECUTION_FAILED
     if isinstance(error, OSError) and not has_temporary_folder():
         say(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
         return BAD_INPUT

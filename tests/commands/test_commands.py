@@ -18,7 +18,7 @@ from PIL import Image
 from behavexplor import commands
 from behavexplor.campaign.config import CampaignConfig, run_folder, stored_config
 from behavexplor.campaign.store import Store
-from behavexplor.commands import BAD_INPUT, INTERNAL_ERROR, main
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, OK, main
 from behavexplor.errors import InputError
 from behavexplor.fuzz.uniform import Uniform
 from behavexplor.report import drawing
@@ -472,3 +472,15 @@ def test_an_execution_without_an_avoidance_says_why(finished):
     passed = next(record["id"] for record in records(folder) if not record["violated"])
     assert "has not been examined yet" in run("replay", folder, hit, "--avoided").stderr
     assert "has no collision that could be avoided" in run("replay", folder, passed, "--avoided").stderr
+
+
+def test_output_that_cannot_be_written_is_said_in_a_sentence(tmp_path):
+    folder = stored_run(tmp_path / "run", "ads: constant\nenv: lane-follow\n", 3)
+    command = [sys.executable, "-m", "behavexplor", "records", str(folder)]
+    with Path("/dev/full").open("w") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert result.returncode == EXECUTION_FAILED
+    assert result.stderr.endswith(": The output cannot be written: No space left on device\n")
+    assert "Traceback" not in result.stderr
+    closed = subprocess.run(["sh", "-c", '"$@" >&-', "sh", *command], capture_output=True, text=True, check=False)
+    assert (closed.returncode, closed.stderr) == (OK, "")
