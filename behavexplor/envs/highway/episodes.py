@@ -236,14 +236,14 @@ def infos_of(kind: TaskKind, numbers: Floats, flags: Bools, actions: NDArray[Any
     if beside is not None:
         numbers[SPEED:, beside] = flags[CRASHED:, beside] = actions[beside] = 0
     rewards: dict[str, Any] = {}
-    for k, (name, (_, wanted)) in enumerate(kind.terms.items()):
+    for k, (name, mask_name, wanted) in enumerate(kind.named_terms):
         if wanted is float:
             rewards[name] = numbers[FIRST_TERM + k]
         elif wanted is int:
             rewards[name] = numbers[FIRST_TERM + k].astype(int)
         else:
             rewards[name] = _flag(flags[FIRST_FLAG + k], wanted, beside)
-        rewards[f"_{name}"] = chosen
+        rewards[mask_name] = chosen
     infos: dict[str, Any] = {
         "speed": numbers[SPEED],
         "_speed": chosen,

@@ -122,6 +122,7 @@ class HighwayVectorEnv(LockStepVectorEnv):
         n_logged = int(self._engine.world.rules[0].n_frames) if log_frames else 0
         self.frame_log = make_log(num_envs, n_logged, n_places)
         self._outcome = engine_making.make_outcome(self._single, self._engine, num_envs, self.frame_log)
+        self._decided = self._outcome.numbers, self._outcome.flags  # copies after the latest decision
 
     def _given(self, options: dict[str, Any], mask: Bools) -> tuple[Any, ...]:
         starts = engine_making.chosen_starts(options.get("starts"), type(self._single), self.config, mask)
@@ -135,19 +136,19 @@ class HighwayVectorEnv(LockStepVectorEnv):
     def _decide(self, actions: NDArray[Any]) -> tuple[Floats, Bools, Bools, Bools]:
         self._advance(episodes.DECISION, self._everywhere, actions)
         self._shown = actions.copy()
-        flags = self._outcome.flags.copy()
+        self._decided = numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
         return (
-            self._outcome.numbers[episodes.REWARD].copy(),
+            numbers[episodes.REWARD],
             flags[episodes.TERMINATED],
             flags[episodes.TRUNCATED],
             flags[episodes.STEPPED],
         )
 
     def _infos(self, stepped: Bools, begun: Bools | None = None) -> dict[str, Any]:
-        numbers, flags = self._outcome.numbers.copy(), self._outcome.flags.copy()
-        return episodes.infos_of(
-            self._kind, numbers, flags, self._shown.copy(), stepped if begun is None else stepped | begun
-        )
+        if begun is None:
+            return episodes.infos_of(self._kind, *self._decided, self._shown.copy(), stepped)
+        now = self._outcome.numbers.copy(), self._outcome.flags.copy()
+        return episodes.infos_of(self._kind, *now, self._shown.copy(), stepped | begun)
 
     def state(self, b: int) -> SlotState:
         """Return a copy of the state of sub-environment b."""

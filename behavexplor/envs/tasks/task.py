@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -161,6 +162,11 @@ class TaskKind:
     keys: Mapping[str, Kind] = field(default_factory=lambda: MappingProxyType({}))
     unread: frozenset[str] = frozenset()
     check: Callable[[Config], None] = lambda _: None
+
+    @cached_property
+    def named_terms(self) -> tuple[tuple[str, str, type], ...]:
+        """Name, name of the mask and type of each term in infos."""
+        return tuple((name, f"_{name}", wanted) for name, (_, wanted) in self.terms.items())
 
     def normalizes(self, config: Config) -> bool:
         """Return whether rewards are mapped to [0, 1]."""
