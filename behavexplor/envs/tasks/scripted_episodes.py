@@ -117,9 +117,10 @@ class ScriptedEpisodes:
 
     def trace(self, b: int) -> Trace:
         """Return the trace of the episode that has ended in slot b."""
-        run, n_vehicles = self.slots.runs[b], self.slots.state.episodes[b].n_vehicles
-        frames, traits = int(run.frame) + 1, self.slots.state.traits[b, :n_vehicles]
-        decisions = np.arange(0, frames - 1, self._substeps)
+        runs, n_vehicles = self.slots.runs, int(self.slots.state.episodes["n_vehicles"][b])
+        frames, traits = int(runs["frame"][b]) + 1, self.slots.state.traits[b, :n_vehicles]
+        decisions, sizes = np.arange(0, frames - 1, self._substeps), np.empty((n_vehicles, 2))
+        sizes[:, 0], sizes[:, 1] = traits["length"], traits["width"]
         motion = np.empty((frames, n_vehicles - 1, N_COLUMNS))
         self._fill_table(*self._motion_of(b), self._time[:frames], motion)
         return episode_trace(
@@ -127,10 +128,10 @@ class ScriptedEpisodes:
             time=self._time[:frames],
             ego=self.slots.poses[b, :frames],
             motion=motion,
-            sizes=np.stack([traits["length"], traits["width"]], axis=1),
+            sizes=sizes,
             actions=self.slots.actions[b, : len(decisions)],
             action_frames=decisions,
-            end=ENDS[run.end],
+            end=ENDS[runs["end"][b]],
         )
 
     def _observed(self, observation: Any) -> tuple[Any, ...]:

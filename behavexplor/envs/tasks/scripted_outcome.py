@@ -61,7 +61,7 @@ def episode_trace(
         time: time of each frame, shape (T,) [s].
         ego: the ego's poses, shape (T,) of `POSE`.
         motion: the NPCs' motion table, shape (T, n_npcs, 5).
-        sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m].
+        sizes: length and width of the ego and of every NPC, shape (1 + n_npcs, 2) [m]; it becomes part of the trace.
         actions: the commands, shape (D, A).
         action_frames: frame at which each command was given, shape (D,).
         end: kind of end, one of `behavexplor.data.trace.ENDS`.
@@ -79,7 +79,7 @@ def episode_trace(
         position=_read_only(position),
         heading=_read_only(heading),
         velocity=_read_only(velocity),
-        size=_read_only(np.array(sizes)),
+        size=_read_only(sizes),
         actions=_read_only(np.array(actions, dtype=np.float64)),
         action_frame=_read_only(action_frames),
         route=roadmap.ego_line,
