@@ -105,7 +105,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(ready.store.repaired)
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
-        code = _run(ready.campaign, ready.store, display)
+        code = _run(ready.campaign, ready.store, display, chosen.method)
         if ready.campaign.progress.executions:
             code = _checked(code, ready.campaign.progress, folder, checks, summary)
         return code
@@ -129,7 +129,7 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, file: 
     return code
 
 
-def _run(campaign: Campaign, store: Store, display: Display) -> int:
+def _run(campaign: Campaign, store: Store, display: Display, method: str) -> int:
     gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     code, failure = OK, None
     with display:
@@ -143,7 +143,7 @@ def _run(campaign: Campaign, store: Store, display: Display) -> int:
             failure = ended
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
-        say(campaign_summary(progress, store, program()))
+        say(campaign_summary(progress, store, program(), method))
     if failure:
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
