@@ -15,6 +15,7 @@ from behavexplor.errors import InputError
 PACKAGE = Path(behavexplor.__file__).parent
 OTHERS = {  # modules that write elsewhere than into a folder that a user names
     "data/durable.py": "writes all others",
+    "commands/__init__.py": "the null device, in place of an output that is closed",
     "campaign/database_file.py": "the lock, which check_file looks at",
     "jit.py": "compiled code, in a folder of its own",
     "campaign/provenance.py": "the list of own folders, in the user's state folder",
