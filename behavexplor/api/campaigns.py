@@ -14,6 +14,7 @@ from behavexplor.api.run import Run
 from behavexplor.campaign.config import CampaignConfig, campaign_config, run_folder
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, brief
+from behavexplor.execution.simulation import default_method
 
 Requirement = str | Callable[[Trace], float]
 
@@ -22,7 +23,7 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
     driver: Any,
     env: str | gymnasium.Env[Any, Any] | None = None,
     *,
-    method: str = CampaignConfig.method,
+    method: str | None = None,
     budget: int | str = CampaignConfig.budget,
     seed: int = CampaignConfig.seed,
     specs: Sequence[Requirement] = (),
@@ -42,7 +43,8 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
             Stable-Baselines3, whose policy is tested as it is now; or a name, as `--ads` takes it.
         env: id of the environment, or an environment of gymnasium, whose id and configuration are taken. By default
             the environment in which the model was trained, or else intersection-straight.
-        method: search method, see docs/methods.md; by default BehAVExplor.
+        method: search method, see docs/methods.md; by default BehAVExplor, or uniform draws in highway-env's
+            environments, where no guided method of this package finds more.
         budget: number of executions, or running time such as "90s" or "30m"; by default 750 executions.
         seed: random seed, by default 0. The same seed gives the same records.
         specs: requirements in addition to R1, R2 and R3: functions from a trace to its signed robustness, defined at
@@ -64,7 +66,8 @@ def find_failures(  # noqa: PLR0913 - one argument for each choice
             driver.
     """
     given = given_driver(driver)
-    config = config_of(given, env, env_config, specs, method=method, budget=str(budget), seed=seed, **settings)
+    chosen = {} if method is None else {"method": method}
+    config = config_of(given, env, env_config, specs, **chosen, budget=str(budget), seed=seed, **settings)
     folder = Path(out) if out is not None else run_folder(config)
     conduct(config, folder, given, workers=workers, stop_after=stop_after, progress=progress)
     return Run(folder, given)
@@ -91,7 +94,8 @@ def config_of(
     """
     name, changes = environment_of(given.trained_in(env) or CampaignConfig.env)
     found = {"env": name, "ads": given.name, "specs": [_spec_name(spec) for spec in specs]}
-    return campaign_config({**found, "env_config": given_config(changes, env_config), **values})
+    whole = {**found, "env_config": given_config(changes, env_config), **values}
+    return campaign_config({"method": default_method(name), **whole})
 
 
 def _spec_name(spec: Requirement) -> str:

@@ -125,7 +125,7 @@ class Display:
         return clock((self._budget.executions - progress.executions) / rate(progress))
 
 
-def summary(progress: Progress, store: Store, program: str) -> str:
+def summary(progress: Progress, store: Store, program: str, method: str) -> str:
     """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
     lines = [
         f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
@@ -142,7 +142,7 @@ def summary(progress: Progress, store: Store, program: str) -> str:
     lines += [hanging("", f"{failed}; each failure is counted under its most severe type:")]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
-    lines += [*_errors(failures, progress, store), *_listed_classes(failures), *_outlook(kinds, progress)]
+    lines += [*_errors(failures, progress, store), *_listed_classes(failures), *_outlook(kinds, progress, method)]
     lines += [f"All results are in {store.folder}", "with a file for each failure in its folder failures."]
     folder = shlex.quote(str(store.folder))
     lines += ["Replay the first failure:", f"{program} replay {folder} {failures[0].number}"]  # on lines of their own,
@@ -155,14 +155,11 @@ def _at_fault(progress: Progress) -> str:
     return f"{sum(progress.at_fault.values())} at fault in {class_count(len(progress.at_fault))}"
 
 
-def _outlook(kinds: Sequence[str], progress: Progress) -> list[str]:
+def _outlook(kinds: Sequence[str], progress: Progress, method: str) -> list[str]:
     """Return a line on what has not been found yet; none without classes."""
     if not kinds:
         return []
-    found = Discovery.of(kinds, progress.executions)
-    chance = f"The next execution shows a new class with a probability of about {found.new_chance:.2%}"
-    unseen = f"{found.unseen:.0f} (95 %: {found.unseen_low:.0f} to {found.unseen_high:.0f})"
-    return [hanging("", f"{chance}; estimated number of classes not seen yet: {unseen}")]
+    return [hanging("", Discovery.of(kinds, progress.executions).outlook(method))]
 
 
 class _Failure(NamedTuple):

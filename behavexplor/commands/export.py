@@ -22,7 +22,7 @@ from behavexplor.data.durable import folder_in
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.road_shape import RoadPlan, plan_of_map
 from behavexplor.data.scenario import Scenario
-from behavexplor.envs.making import make_env, make_recorded
+from behavexplor.envs.making import is_highway, make_env, make_recorded
 from behavexplor.errors import InputError, missing_library
 from behavexplor.exchange.scenes import SceneFile, movers_of, write_table
 from behavexplor.execution.simulation import logical_of
@@ -66,6 +66,11 @@ def export(
     try:
         chosen = numbers or tuple(record.id for record in store.records() if record.failed)
         config = stored_config(run).says if format == "csv" else _accepted(run, trust)
+        if ego == "free" and is_highway(config.env):
+            raise InputError(
+                f"The vehicles of {config.env} react to the ego, and a scene has only what they did with the recorded "
+                "one: --ego free is for the environments with scripted vehicles"
+            )
         write = _Scenes(run, config, folder_in(out), is_ego_free=ego == "free", as_routes=npcs == "routes").write
         for number in chosen:
             execution = store.execution(number)

@@ -34,6 +34,7 @@ from behavexplor.commands.flags import check_unchanged, chosen_workers, flag, pa
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
+from behavexplor.execution.simulation import default_method
 from behavexplor.fuzz.methods import METHODS, describe_method
 from behavexplor.judge.specs import DIFFERS, ERROR
 
@@ -42,7 +43,10 @@ _SETTINGS = settings(
     CampaignConfig,
     "env ads env_config method budget seed batch specs trust unconfined traffic confirm stochastic",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
-    method=(CampaignConfig.method, "".join(f"\n{name}: {describe_method(name)}" for name in METHODS)),
+    method=(
+        "behavexplor; in highway-env's environments uniform",
+        "".join(f"\n{name}: {describe_method(name)}" for name in METHODS),
+    ),
 )
 
 
@@ -105,7 +109,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(ready.store.repaired)
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
-        code = _run(ready.campaign, ready.store, display)
+        code = _run(ready.campaign, ready.store, display, chosen.method)
         if ready.campaign.progress.executions:
             code = _checked(code, ready.campaign.progress, folder, checks, summary)
         return code
@@ -129,7 +133,7 @@ def _checked(code: int, progress: Progress, folder: Path, checks: Checks, file: 
     return code
 
 
-def _run(campaign: Campaign, store: Store, display: Display) -> int:
+def _run(campaign: Campaign, store: Store, display: Display, method: str) -> int:
     gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     code, failure = OK, None
     with display:
@@ -143,7 +147,7 @@ def _run(campaign: Campaign, store: Store, display: Display) -> int:
             failure = ended
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
-        say(campaign_summary(progress, store, program()))
+        say(campaign_summary(progress, store, program(), method))
     if failure:
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
@@ -173,7 +177,8 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     check_said_twice(said, given, file or "")
     values = {**said, **given, "specs": (*said.get("specs", ()), *given.get("specs", ()))}
     trained = named_env(values.get("env"), values["ads"]) if isinstance(values.get("ads"), str) else None
-    return campaign_config({**({"env": trained} if trained else {}), **values})
+    env = values.get("env") or trained or CampaignConfig.env
+    return campaign_config({"method": default_method(env), **values, "env": env})
 
 
 def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:

@@ -91,19 +91,22 @@ def read_script(name: str, kind: str, route: str, text: str) -> NPC:
 def route_points(npc: NPC, roadmap: RoadMap) -> Floats:
     """Return points of a vehicle's route as they are written, shape (P, 2) [m].
 
-    They are the start, the ends of the lanes that it passes, and the place where it parks.
+    They are the start and the place where it parks. Points between them, at the ends of lanes and in junctions, would
+    belong to several roads.
     """
     route = roadmap.routes[npc.route]
-    first, last = npc.waypoints[0].position, npc.waypoints[-1].position
-    between = [end for end in route.bounds.tolist() if first < end < last]
-    points = route.pose(np.array([first, *between, last]))[:, :2]
+    points = route.pose(np.array([npc.waypoints[0].position, npc.waypoints[-1].position]))[:, :2]
     return np.asarray(np.round(mirrored_points(points), DIGITS) + 0.0)
 
 
 def speed_profile(npc: NPC) -> Floats:
-    """Return the speed at the end of each phase [m/s] and the duration of the phase [s], shape (P, 2)."""
+    """Return the speed at the end of each phase [m/s] and the duration of the phase [s], shape (P, 2).
+
+    In the last phase, of a second, the vehicle stands. Without it, a player may go on with the last deceleration.
+    """
     waypoints = waypoint_array(npc)
     phases = np.empty((len(waypoints) + 1, N_PHASE_COLUMNS))
     phases = phases[: fill_phases(waypoints, phases)]
     profile = np.column_stack([phases[1:, PHASE_SPEED], np.diff(phases[:, BEGIN])])
+    profile = np.concatenate([profile, [[0.0, 1.0]]])
     return np.asarray(np.round(profile, DIGITS))

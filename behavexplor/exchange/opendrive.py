@@ -277,9 +277,12 @@ def _linked(layout: RoadLayout, i: int, other: int, *, is_before: bool) -> tuple
 
 
 def _enters_junction(layout: RoadLayout, i: int, begin: int, end: int) -> bool:
-    """Return whether the link between two roads, of which i is one, leads from i into a junction."""
-    is_branching = len(layout.after(begin)) > 1 or len(layout.before(end)) > 1
-    return is_branching and layout.junction[i] == NOWHERE
+    """Return whether the link between two roads, of which i is one, leads from i into a junction.
+
+    Such a road is linked to the junction, not to the road that crosses it (OpenDRIVE 1.7, section 12.4).
+    """
+    other = end if i == begin else begin
+    return layout.junction[i] == NOWHERE and layout.junction[other] != NOWHERE
 
 
 def _junction_id(junction: int) -> int:

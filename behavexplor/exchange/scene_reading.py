@@ -82,6 +82,17 @@ KNOWN: Final[Mapping[str, frozenset[str]]] = MappingProxyType(  # the elements t
 )
 
 
+_ROOT: Final = "OpenSCENARIO"
+_KINDS: Final = MappingProxyType(  # of other files, by their roots
+    {
+        _ROOT: "an OpenSCENARIO file of another program",
+        "OpenDRIVE": "an OpenDRIVE road",
+        "commonRoad": "a CommonRoad scenario",
+        "net": "a network of SUMO",
+        "routes": "a file of routes of SUMO",
+        "osm": "a map of OpenStreetMap",
+    }
+)
 _FROM_THEN_ON: Final = ("greaterThan", "greaterOrEqual", "equalTo")
 _SAME_TIME: Final = 1e-6  # [s]
 _SAME_PLACE: Final = 0.01  # greatest distance between a start and the first point of a trajectory [m]
@@ -96,8 +107,6 @@ def read_scene(path: Path) -> SceneFile:
     """
     root = _parsed(path)
     facts = _properties(root.find("FileHeader"))
-    if axes.ENVIRONMENT not in facts:
-        raise InputError(f"{path} does not say its environment: its FileHeader needs the property {axes.ENVIRONMENT}")
     motions = {name: _Motion(name) for name in _names(root)}
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         _motion(motions, private.get("entityRef"), private).begin(private)
@@ -133,8 +142,13 @@ def _take_act(motions: dict[str, "_Motion"], act: Element) -> None:
 def _parsed(path: Path) -> Element:
     """Return the root of a file, in which all references to parameters are replaced by their values."""
     root = read_xml(path)
-    if root.tag != "OpenSCENARIO" or root.find("FileHeader") is None:
-        raise InputError(f"{path} is not an OpenSCENARIO XML file with a scenario")
+    kind = "an OpenSCENARIO catalog" if root.find("Catalog") is not None else _KINDS.get(root.tag, "another XML file")
+    header = root.find("FileHeader")
+    if root.tag != _ROOT or header is None or axes.ENVIRONMENT not in _properties(header):
+        raise InputError(
+            f"{path} is {kind}, and not a scene of behavexplor's environments: only what `behavexplor export` has "
+            f"written can be taken, changed or not (it has the property {axes.ENVIRONMENT} in its FileHeader)"
+        )
     _check_known(root)
     _insert_parameters(root)
     return root

@@ -7,7 +7,8 @@ catchability", Biometrics 43, 1987. M. Boehme, "STADS: Software testing as speci
 them for fuzzers.
 
 The estimates hold for independent executions, as uniform sampling makes them. The executions of a guided search are not
-independent, so its estimates are rough.
+independent: in docs/results.md, the intervals of BehAVExplor held in 27 of 40 campaigns, and those of encounters in 11.
+So nothing is said of what such a search has not found.
 """
 
 import math
@@ -16,6 +17,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Self
 
+import scipy
+
+INDEPENDENT: Final = frozenset({"uniform"})  # search methods whose executions are independent
+LEVEL: Final = 0.95
+_STRICT: Final = 0.995
 _Z: Final = 1.96  # quantile of the normal distribution for an interval of 95 %
 
 
@@ -30,6 +36,7 @@ class Discovery:
         unseen: estimated number of classes not found yet (Chao1). It is a lower bound on average.
         unseen_low: lower end of the 95 % interval of `unseen`.
         unseen_high: upper end of the 95 % interval of `unseen`.
+        once: number of classes that were seen once.
     """
 
     executions: int
@@ -38,6 +45,40 @@ class Discovery:
     unseen: float
     unseen_low: float
     unseen_high: float
+    once: int = 0
+
+    @property
+    def new_chance_limit(self) -> float:
+        """Upper 95 % limit of the probability that the next execution shows a new class.
+
+        The classes seen once are as many as a Poisson draw with `executions` times the mean of that probability as its
+        own. The probability itself varies around its mean, so a stricter level is needed: with `_STRICT`, the limit
+        holds in at least 95 % of campaigns for populations of 40 classes of all kinds, and it is above the rule of
+        three, 3 / `executions`, if no class was seen once.
+        """
+        return min(float(scipy.stats.chi2.ppf(_STRICT, 2 * (self.once + 1))) / 2 / self.executions, 1.0)
+
+    @property
+    def next_limit(self) -> int:
+        """Upper 95 % limit of the number of new classes in as many further executions.
+
+        They are a Poisson draw of at most the mean of `once`. So the limit is the quantile of a negative binomial
+        distribution, which a flat prior for that mean gives.
+        """
+        return int(scipy.stats.nbinom.ppf(LEVEL, self.once + 1, 0.5))
+
+    def outlook(self, method: str) -> str:
+        """Return a sentence on what a campaign has not found yet.
+
+        Args:
+            method: name of the search method.
+        """
+        if method not in INDEPENDENT:
+            return "A guided search cannot tell how many classes it has not found; another seed finds more."
+        return (
+            f"The next execution shows a new class with a probability of at most {self.new_chance_limit:.1%}, and as "
+            f"many further ones, as with another seed, show at most {self.next_limit} new classes (95 %)."
+        )
 
     @classmethod
     def of(cls, classes: Iterable[str], executions: int) -> Self:
@@ -50,7 +91,7 @@ class Discovery:
         counts = Counter(Counter(classes).values())
         found, once, twice = counts.total(), counts[1], counts[2]
         unseen, low, high = _chao1(found, once, twice, executions)
-        return cls(executions, found, once / executions if executions else math.nan, unseen, low, high)
+        return cls(executions, found, once / executions if executions else math.nan, unseen, low, high, once)
 
 
 def _chao1(found: int, once: int, twice: int, executions: int) -> tuple[float, float, float]:

@@ -75,8 +75,8 @@ class FuzzCallback(BaseCallback):
         out: folder for the rounds' run folders and the best policy; by default a new one in runs/.
         seed: seed of every round.
         specs: requirements in addition to R1, R2 and R3, each as "module:attribute".
-        method: search method. With "uniform", the rates are those in ordinary scenarios of the environment. Other
-            methods search for failures.
+        method: search method, see docs/methods.md; by default as for `behavexplor.find_failures`. With "uniform", the
+            rates are those in ordinary scenarios of the environment. Other methods search for failures.
         settings: further keys of the configuration, see `behavexplor.campaign.config.CampaignConfig`.
 
     Attributes:
@@ -98,7 +98,7 @@ class FuzzCallback(BaseCallback):
         out: str | None = None,
         seed: int = 0,
         specs: Sequence[str] = (),
-        method: str = "behavexplor",
+        method: str | None = None,
         verbose: int = 0,
         **settings: Any,
     ) -> None:
@@ -110,7 +110,8 @@ class FuzzCallback(BaseCallback):
         self._env, self._every, self._share, self._stop_below = env, every, share, stop_below
         self._out = None if out is None else Path(out)
         self._folder: Path | None = None
-        self._settings = {"budget": budget, "seed": seed, "specs": tuple(specs), "method": method, **settings}
+        self._settings = {"budget": budget, "seed": seed, "specs": tuple(specs), **settings}
+        self._settings |= {} if method is None else {"method": method}
         self._begin = self._spent = 0.0
         self._next = every
         self.rounds: list[FuzzingRound] = []

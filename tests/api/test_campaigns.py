@@ -172,3 +172,14 @@ def test_the_interface_is_imported_when_it_is_used():
     assert set(behavexplor.__all__) <= set(dir(behavexplor))
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         behavexplor.nothing  # noqa: B018
+
+
+@pytest.mark.filterwarnings("ignore:The driver always chooses")
+@pytest.mark.parametrize(("env", "method"), [("merge-v0", "uniform"), ("lane-follow", "behavexplor")])
+def test_the_search_method_that_is_not_chosen_depends_on_the_environment(env, method, tmp_path):
+    run = behavexplor.find_failures("constant:IDLE" if "-v" in env else "constant", env, budget=1, out=tmp_path / "run")
+    assert run.config.method == method
+    chosen = behavexplor.find_failures(
+        "constant:IDLE" if "-v" in env else "constant", env, budget=1, method="random", out=tmp_path / "other"
+    )
+    assert chosen.config.method == "random"

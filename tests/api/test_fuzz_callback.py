@@ -127,7 +127,7 @@ def test_values_out_of_range_are_refused(name, value):
         ({"method": "unifrom"}, "Unknown search method 'unifrom'"),
         ({"env": "nonexist-v0"}, "Unknown environment 'nonexist-v0'"),
         ({"specs": ["nomod:f"]}, "The spec 'nomod:f' cannot be imported"),
-        ({"options": {"epsilon": 3}}, "options of behavexplor"),
+        ({"options": {"epsilon": 3}}, "options of uniform"),
     ],
 )
 def test_a_mistake_is_named_before_the_training_begins(settings, message, tmp_path):

@@ -92,7 +92,7 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
     for number in range(3, 8):
         store.add(execution(number, ["collision", "destination"] if number < 7 else ["destination"]))
     store.commit()
-    text = summary(PROGRESS, store, "behavexplor")
+    text = summary(PROGRESS, store, "behavexplor", "nsga2")
     assert "collision        4   executions 3, 4, 5, ..." in text
     assert "destination      1   executions 7\n" in text
     assert f"\nbehavexplor replay {store.folder} 3\n" in text  # on a line of its own, to be copied
@@ -101,23 +101,23 @@ def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811
 def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
     store.add(execution(0, ["collision"], "R1/kind"))
     store.commit()
-    text = summary(PROGRESS, store, "behavexplor")
+    text = summary(PROGRESS, store, "behavexplor", "nsga2")
     assert "in 1 class, 3 at fault in 2 classes; each failure is counted" in text
-    assert "The next execution shows a new class with a probability of about 2.00%" in text  # 1 of 50
+    assert "A guided search cannot tell how many classes it has not found; another seed\nfinds more.\n" in text
 
 
 def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
     for number in range(30):
         store.add(execution(number, ["collision"], f"R1/kind-{min(number // 2, 10):02}"))
     store.commit()
-    text = summary(PROGRESS, store, "behavexplor")
+    text = summary(PROGRESS, store, "behavexplor", "uniform")
     assert all(len(line) <= 80 for line in text.splitlines() if str(store.folder) not in line)
     assert "6 failed (12.0%) in 11 classes, 3 at fault in 2 classes; each failure is" in text
     assert "The 8 most frequent classes:\n     10  R1/kind-10\n         R1/kind-10, first 20\n" in text
     assert "kind-07" not in text
     assert (
-        "a new class with a probability of about 0.00%;\nestimated number of classes not seen yet: 0 (95 %: 0 to 0)"
-        in text
+        "The next execution shows a new class with a probability of at most 10.6%, and as\n"
+        "many further ones, as with another seed, show at most 4 new classes (95 %).\n" in text
     )
 
 
@@ -126,13 +126,13 @@ def test_what_is_not_confirmed_is_no_failure_of_the_driver(store):  # noqa: F811
         one = execution(number, ["error"], f"error/{kind}")
         store.add(replace(one, record=replace(one.record, error={"kind": kind, "message": f"m{number}"})))
     store.commit()
-    text = summary(replace(PROGRESS, violations={"error": 3}), store, "behavexplor")
+    text = summary(replace(PROGRESS, violations={"error": 3}), store, "behavexplor", "nsga2")
     assert "The driver itself failed in 1 executions, first in 1: m1\n" in text
     assert "highway-env did not confirm the failure in 2 executions, first in 0: m0\n" in text
 
 
 def test_the_summary_of_a_campaign_without_failures(store):  # noqa: F811 - the fixture
-    text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor")
+    text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor", "uniform")
     assert "None failed." in text
     assert "replay" not in text
 

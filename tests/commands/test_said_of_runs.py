@@ -27,7 +27,7 @@ def ended(store, reason=None, **campaign):  # noqa: F811 - the fixture
     """What fuzzing says at the end of a campaign: its exit code and its notes."""
     stream = io.StringIO()
     campaign = SimpleNamespace(**{"run": lambda _: reason, "stopping": False, **campaign})
-    return fuzz._run(campaign, store, Display(stream, Budget(executions=9), quiet=False)), stream.getvalue()
+    return fuzz._run(campaign, store, Display(stream, Budget(executions=9), quiet=False), "nsga2"), stream.getvalue()
 
 
 def test_only_a_used_budget_completes_a_run(store):  # noqa: F811

@@ -10,12 +10,14 @@ from lxml import etree
 
 import behavexplor.commands.export
 from behavexplor.commands import main
+from behavexplor.commands.export import road_of
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.road_shape import plan_of_map
 from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ABSENT, Trace
+from behavexplor.envs.making import is_highway, make_env
 from behavexplor.errors import InputError
 from behavexplor.exchange.opendrive import MAX_ERROR, write_road
 from behavexplor.exchange.openscenario import write_scene
@@ -34,6 +36,10 @@ S1 = logical_scenario("intersection-straight")
 def test_failures_are_valid_and_the_same_when_imported(campaign, tmp_path, ego, npcs):
     run, env, ads = campaign
     executions = failures(run)
+    if ego == "free" and is_highway(env):
+        assert main(["export", str(run), "--out", str(tmp_path), "--ego", ego, "--npcs", npcs]) == 2
+        assert list(tmp_path.iterdir()) == []
+        return
     assert main(["export", str(run), "--out", str(tmp_path), "--ego", ego, "--npcs", npcs]) == 0
     paths = [tmp_path / f"{execution.id:06d}.xosc" for execution in executions]
     assert {*tmp_path.iterdir()} == {*paths, tmp_path / f"{env}.xodr"}
@@ -242,7 +248,10 @@ PRIVATE = "Storyboard/Init/Actions/Private/PrivateAction"
             set_attribute(first(f"{PRIVATE}//WorldPosition"), "x", "0"),
             "Ego begins at another place than its trajectory",
         ),
-        (set_attribute(first("FileHeader/Properties/Property"), "name", "x"), "does not say its environment"),
+        (
+            set_attribute(first("FileHeader/Properties/Property"), "name", "x"),
+            "is an OpenSCENARIO file of another program",
+        ),
         (set_attribute(lambda root: entity(root, "NPC1"), "name", "NPC2"), "Two entities are named 'NPC2'"),
         (
             set_attribute(lambda root: entity(root, "NPC1"), "name", "Other"),
@@ -394,7 +403,15 @@ def test_a_scene_does_not_choose_which_code_is_loaded(exported, capsys):
     ("text", "message"),
     [
         ("", "is not an XML file"),
-        ("<OpenDRIVE/>", "is not an OpenSCENARIO XML file with a scenario"),
+        ("<OpenDRIVE/>", "is an OpenDRIVE road, and not a scene of behavexplor's environments"),
+        ("<OpenSCENARIO><FileHeader/><Catalog/></OpenSCENARIO>", "is an OpenSCENARIO catalog, and not a scene"),
+        (
+            "<OpenSCENARIO><FileHeader/><Entities><ScenarioObject><CatalogReference/></ScenarioObject></Entities>"
+            "</OpenSCENARIO>",
+            "is an OpenSCENARIO file of another program",
+        ),
+        ("<commonRoad/>", "is a CommonRoad scenario"),
+        ("<html/>", "is another XML file"),
         ('<!DOCTYPE x [<!ENTITY a "b">]><OpenSCENARIO>&a;</OpenSCENARIO>', "has entities of its own"),
     ],
 )
@@ -465,3 +482,33 @@ def test_a_damaged_scene_is_a_scenario_or_one_sentence(scene, tmp_path):
         except InputError:
             continue
     assert 5 < taken < 55
+
+
+@pytest.mark.parametrize("env", ["intersection-straight", "merge-v0", "exit-v0"])
+def test_roads_beside_a_junction_are_linked_to_it(env, tmp_path):
+    """OpenDRIVE 1.7, section 12.4: neither an incoming nor an outgoing road is linked to a connecting road."""
+    plan, _ = road_of(DrawnScenario(make_env(env, {}).unwrapped.logical.setup, 0, ()) if "-v" in env else None, env, {})
+    write_road(plan, "road", tmp_path / "road.xodr")
+    roads = {one.get("id"): one for one in etree.parse(tmp_path / "road.xodr").getroot().iterfind("road")}
+    crossing = {number for number, road in roads.items() if road.get("junction") != "-1"}
+    assert crossing
+    linked = 0
+    for number in roads.keys() - crossing:
+        for link in roads[number].iterfind("link/*"):
+            assert link.get("elementType") == "junction" or link.get("elementId") not in crossing
+            linked += link.get("elementType") == "junction"
+    assert linked >= 3
+
+
+def test_a_route_has_its_ends_only_and_its_profile_ends_at_rest(tmp_path):
+    scenario = S1.sample(np.random.default_rng(3))
+    trace = repeated([scenario], "intersection-straight", "tests.drivers:cruiser")[0]
+    write(tmp_path / "scene.xosc", scenario, trace, as_routes=True)
+    root = etree.parse(tmp_path / "scene.xosc").getroot()
+    routes, profiles = list(root.iter("Route")), list(root.iter("SpeedProfileAction"))
+    assert len(routes) == len(profiles) == len(scenario.npcs)
+    assert all(len(route.findall("Waypoint")) == 2 for route in routes)
+    for profile in profiles:
+        before, last = profile.findall("SpeedProfileEntry")[-2:]
+        assert float(before.get("speed")) == float(last.get("speed")) == 0
+        assert float(last.get("time")) == 1
