@@ -12,7 +12,7 @@ import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
@@ -111,8 +111,9 @@ def _run(given: Sequence[str]) -> int:
 
 
 def _drop_output() -> None:
-    """Let what is still to be printed go nowhere, so that Python does not try to write it at the end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Discard buffered output, so that Python does not try to write it on exit."""
+    with suppress(OSError):  # standard output may be an object without a file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _command(name: str) -> Callable[..., Any]:

@@ -149,7 +149,7 @@ class _Scenes:
         plan, logical = road_of(scenario, self._config.env, self._config.env_config or {})
         follows_script = not logical.has_original
         record = execution.record
-        goes_on = trace.duration == 0 or (self._is_ego_free and follows_script)
+        goes_on = trace.duration == 0 or self._is_ego_free
         scene = SceneFile(
             title=f"Execution {execution.id} of {self._config.env}: it {outcome(record.violated, record.end)}",
             environment=self._config.env,

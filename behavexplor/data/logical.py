@@ -136,7 +136,7 @@ class LogicalScenario(Protocol):
 
     @property
     def has_original(self) -> bool:
-        """Whether highway-env can execute the scenarios, too: the environment is its own, and ours is equal to it."""
+        """Whether this is one of highway-env's environments, so that highway-env itself can also run the scenarios."""
         ...
 
     @property

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import sys
 import warnings
 from collections.abc import Mapping
@@ -81,8 +82,10 @@ def ignored_keys(name: str, config: Mapping[str, Any]) -> frozenset[str]:
     made: Any = make_registered(name, {}).unwrapped
     check_space_keys(made, config)
     for key, value in config.items():
-        if isinstance(value, str) and isinstance(made.config.get(key), int | float):
-            hint = " (in YAML, a number with an exponent needs a point: 1.0e-1)" if "e" in value else ""
+        default = made.config.get(key)
+        if isinstance(value, str) and isinstance(default, int | float) and not isinstance(default, bool):
+            is_exponent = re.fullmatch(r"[-+]?\d+e[-+]?\d+", value)
+            hint = " (in YAML, a number with an exponent needs a point: 1.0e-1)" if is_exponent else ""
             raise InputError(f"{key} of {name}: expected a number, got {value!r:.80}{hint}")
     ignored = frozenset(map(str, config.keys() - made.config.keys()))
     for key in sorted(ignored):

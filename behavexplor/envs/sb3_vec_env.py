@@ -148,7 +148,7 @@ def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[],
         if _program(make) == _program(env_fns[0]):
             continue
         other: Any = make()
-        differs = type(other.unwrapped) is not type(made) or other.unwrapped.config != made.config
+        differs = type(other.unwrapped) is not type(made) or _config_text(other) != _config_text(single)
         other.close()
         if differs:
             raise InputError(
@@ -156,10 +156,15 @@ def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[],
             )
 
 
+def _config_text(env: Any) -> str:
+    """Return the configuration of an environment as a text, since its values may be arrays."""
+    return repr(sorted(env.unwrapped.config.items()))
+
+
 def _program(make: Any) -> tuple[Any, ...]:
-    """Return the code of a function and all that it refers to."""
-    cells = [cell.cell_contents for cell in getattr(make, "__closure__", None) or ()]
-    return getattr(make, "__code__", make), getattr(make, "__defaults__", None), cells
+    """Return the code of a function and the identities of the variables and defaults that it uses."""
+    used = (*(getattr(make, "__closure__", None) or ()), *(getattr(make, "__defaults__", None) or ()))
+    return getattr(make, "__code__", make), tuple(map(id, used))
 
 
 class HighwayVecEnv(LockStepVecEnv):

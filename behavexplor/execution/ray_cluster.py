@@ -283,7 +283,7 @@ def _joined(address: str, nodes: int) -> Any:
     room = {"num_cpus": nodes or available_cores(), "object_store_memory": STORE_BYTES}
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL} | ({} if address else room)
     try:
-        if found := _ADDRESS.fullmatch(address):  # if nobody answers, Ray tries for minutes and then ends the process
+        if found := _ADDRESS.fullmatch(address):  # without a server, Ray retries for minutes and then exits
             socket.create_connection((found["host"].strip("[]"), int(found["port"])), ANSWER_SECONDS).close()
         ray.init(address=address or "local", include_dashboard=False, **options)
     except (OSError, RuntimeError, ValueError) as error:

@@ -129,3 +129,15 @@ def test_what_a_driver_declares_is_checked_as_well_from_python(tmp_path):
     config = {"action": {"type": "DiscreteAction", "laterl": True}}
     with pytest.raises(InputError, match="Unknown key of action 'laterl': did you mean 'lateral'"):
         evaluate(lambda _: 4, "highway-fast-v0", scenarios=1, env_config=config)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"duration": "5"}, r"duration of highway-fast-v0: expected a number, got '5'$"),
+        ({"collision_reward": "-1e-1"}, r"got '-1e-1' \(in YAML, a number with an exponent needs a point: 1\.0e-1\)"),
+    ],
+)
+def test_a_text_in_place_of_a_number_is_refused(config, message):
+    with pytest.raises(InputError, match=message):
+        ignored_keys("highway-fast-v0", config)

@@ -80,9 +80,9 @@ def test_a_library_that_is_not_installed_is_named(capsys, monkeypatch, tmp_path)
 
 def test_a_cluster_that_does_not_answer_is_named(capsys, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace())  # it is not even asked
-    with socket.socket() as nobody:  # it does not listen
-        nobody.bind(("127.0.0.1", 0))
-        port = nobody.getsockname()[1]
+    with socket.socket() as unused:  # bound, but not listening
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
         code, said = fuzz(capsys, "--cluster", f"ray:127.0.0.1:{port}", "--out", str(tmp_path / "run"))
     assert code == BAD_INPUT
     assert f"The Ray cluster 127.0.0.1:{port} cannot be joined: [Errno" in said

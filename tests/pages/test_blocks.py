@@ -32,7 +32,7 @@ NOT_RUN = {  # shell lines that do not run, or their beginnings up to a space, a
     "./run bench paper": "it takes hours",
     "./run bench paper --tables-only": "it needs the campaigns of the line before",
     "pip install ": "it would change the environment of the tests",
-    "esmini ": "another program, and the page says that this was not tried",
+    "esmini ": "another program, which is not installed here",
     "behavexplor fuzz --env lane-follow --ads rule:hardened --cluster ": "tests/execution starts clusters",
     "ray ": "for other machines",
     "export ": "it has to be set before Python starts",

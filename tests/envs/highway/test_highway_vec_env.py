@@ -141,3 +141,13 @@ def test_what_is_no_environment_of_highway_env_is_refused():
         HighwayVecEnv([lambda: gymnasium.make("CartPole-v1")])
     with pytest.raises(InputError, match="at least one function"):
         HighwayVecEnv([])
+
+
+def test_configurations_with_arrays_are_compared():
+    def make(speeds):
+        action = {"type": "DiscreteMetaAction", "target_speeds": np.array(speeds)}
+        return lambda: gymnasium.make("highway-fast-v0", config={"vehicles_count": 3, "action": action})
+
+    assert HighwayVecEnv([make([20, 25, 30]), make([20, 25, 30])]).num_envs == 2
+    with pytest.raises(InputError, match=r"env_fns\[1\] makes another environment"):
+        HighwayVecEnv([make([20, 25, 30]), make([10, 25, 30])])
