@@ -15,12 +15,14 @@ from PIL import Image
 from behavexplor.ads.in_memory import GivenDriver, given_driver
 from behavexplor.api.conducting import conduct, worker_count
 from behavexplor.api.dataframes import frame_of
+from behavexplor.api.episode import Episode
 from behavexplor.api.observers import Observer
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.judgment import Repetition, repeat_execution
-from behavexplor.campaign.provenance import ALL, DRIVING, JUDGED, Consent, accepted
+from behavexplor.campaign.provenance import ALL, DRIVING, JUDGED, Consent
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import RunSummary, by_class, summarize
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import new_file, write_durably
 from behavexplor.data.road_shape import RoadShape
@@ -28,7 +30,10 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import Executor
+from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import fewest_workers, start_executor, start_in_process
+from behavexplor.judge.robustness import load_specs
+from behavexplor.judge.specs import judge
 from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road
@@ -137,18 +142,19 @@ class Run:
         """The configuration of the campaign, as the folder says it. What is executed goes through `_accepted`."""
         return stored_config(self.folder).says
 
-    def _accepted(self, runs: Collection[str] = DRIVING) -> CampaignConfig:
+    def _accepted(self, runs: Collection[str] = DRIVING, *, goes_on: bool = False) -> CampaignConfig:
         """Return the configuration by which something may be executed.
 
         Args:
             runs: keys of the code that would be run, see `behavexplor.campaign.provenance`.
+            goes_on: whether the campaign is to go on.
 
         Raises:
             InputError: if the folder names code that the user has not agreed to.
         """
         given = self._given
         consent = replace(self._consent, names=(given.name,) if given.is_named or given.driver is not None else ())
-        return accepted(stored_config(self.folder), consent, runs)
+        return accepted_run(self.folder, consent, runs, goes_on=goes_on)
 
     @property
     def summary(self) -> RunSummary:
@@ -215,6 +221,39 @@ class Run:
             InputError: if there is no execution of that number.
         """
         return Replay(self._execution(number), known_road(self.config.env, self.folder) or RoadShape(()))
+
+    def env(self, number: int, render_mode: str | None = None) -> Episode:
+        """Return the environment of an execution, for a loop of your own: its `reset` begins the scenario.
+
+            env = run.env(17)
+            observation, info = env.reset()
+            while "trace" not in info:
+                observation, reward, terminated, truncated, info = env.step(env.driver(observation))
+            print(run.violated(info["trace"]))
+
+        `env.driver` is the driver of the run, loaded in this process, where nothing confines it. Any other policy with
+        the same observations can take its place.
+
+        Args:
+            number: number of the execution.
+            render_mode: what `render` returns or shows, such as "human" or "rgb_array".
+
+        Raises:
+            InputError: if there is no execution of that number, or the driver cannot be loaded.
+        """
+        config, scenario = self._accepted(), self.scenario(number)
+        ads = config.ads if self._given.driver is None else self._given.driver
+        conditions: dict[str, Any] = {"stochastic": config.stochastic, "render_mode": render_mode}
+        made = Simulation(config.env, ads, config.trust, config.env_config, config.traffic, **conditions)
+        return Episode(made, scenario)
+
+    def violated(self, trace: Trace) -> tuple[str, ...]:
+        """Return the names of the run's requirements that a trace violates, the most severe one first.
+
+        Raises:
+            InputError: if a requirement of the run cannot be loaded.
+        """
+        return judge(trace, load_specs(self._accepted(JUDGED).specs)).violated
 
     def repeat(self, number: int) -> Repetition:
         """Execute a scenario of the run again, and tell whether the trace is the same.
@@ -309,7 +348,7 @@ class Run:
             behavexplor.Interrupted: after Ctrl-C.
         """
         self._given = self._given if driver is None else self._checked(driver)
-        config = self._accepted(ALL)
+        config = self._accepted(ALL, goes_on=True)
         config = config if budget is None else replace(config, budget=str(budget))
         choices: dict[str, Any] = {"workers": workers, "stop_after": stop_after, "progress": progress}
         try:

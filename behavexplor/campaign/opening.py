@@ -17,6 +17,7 @@ from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.progress import STARTING, StageClock
 from behavexplor.campaign.provenance import own_run, remember
+from behavexplor.campaign.same_driver import check_identity, identity_of
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import unpack_motion
@@ -86,7 +87,7 @@ def opened(
     """
     begun = time.monotonic()
     check_revision(stored_config(folder).says if resume else config, str(folder))
-    own = own_run(config, folder)  # before the code that it names is run
+    own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
     recipe = evaluator_recipe(config.target, config.batch)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
@@ -108,6 +109,7 @@ def opened(
             warnings.append(warning)
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
+        check_identity(store, identity)
         if logical.has_original and not (folder / ROAD_FILE).is_file():
             write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
         clock = StageClock(store.stages)

@@ -2,11 +2,12 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
+from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Store
 from behavexplor.judge.classes import words_of
@@ -48,6 +49,8 @@ class RunSummary:
         at_fault: number of the failures for which the driving system was at fault, as far as their traces can tell.
         violations: numbers of failures by the most severe spec that they violate.
         classes: the classes of failures, the most frequent first.
+        digests: SHA-256 of the files of the driver, by name, when the campaign began.
+        libraries: versions of the libraries then, by name.
     """
 
     env: str
@@ -62,6 +65,8 @@ class RunSummary:
     at_fault: int
     violations: Mapping[str, int]
     classes: tuple[ClassSummary, ...]
+    digests: Mapping[str, str] = field(default_factory=dict)
+    libraries: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def failure_rate(self) -> float:
@@ -92,7 +97,9 @@ def summarize(run: Path) -> RunSummary:
     config = stored_config(run).says
     store = Store.read(run)
     try:
-        return summary_of(config, list(store.records()), store.elapsed)
+        begun = begun_with(store) or Identity()
+        found = summary_of(config, list(store.records()), store.elapsed)
+        return replace(found, digests=begun.digests, libraries=begun.libraries)
     finally:
         store.close()
 
@@ -138,3 +145,17 @@ def by_class(records: Iterable[Record]) -> dict[str, list[Record]]:
         if record.violation_class is not None:
             groups.setdefault(record.violation_class, []).append(record)
     return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
+
+
+def snippet(run: Path | str, number: int | str) -> str:
+    """Return lines of Python that drive an execution again in an environment and print what it violates."""
+    return (
+        "import behavexplor\n"
+        f"run = behavexplor.open_run({str(run)!r})\n"
+        f"env = run.env({number})\n"
+        "observation, info = env.reset()\n"
+        'while "trace" not in info:\n'
+        "    action = env.driver(observation)\n"
+        "    observation, reward, terminated, truncated, info = env.step(action)\n"
+        'print(run.violated(info["trace"]))'
+    )

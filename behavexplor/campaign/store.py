@@ -183,11 +183,17 @@ class Store:
     def stages(self) -> dict[str, float]:
         """Time of the campaign in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known."""
         try:
-            return known_stages(
-                parse_json(database.read_note(self._connection, _STAGES).decode(), "the time in each stage")
-            )
+            return known_stages(parse_json(self.note(_STAGES).decode(), "the time in each stage"))
         except ValueError:
             return {}
+
+    def note(self, name: str) -> bytes:
+        """Return a note that `add_note` wrote; nothing if there is none."""
+        return database.read_note(self._connection, name)
+
+    def add_note(self, name: str, text: str) -> None:
+        """Write a text to disk under a name."""
+        database.insert(self._connection, [], {name: text})
 
     def _ask(self, query: str) -> Any:
         try:

@@ -11,13 +11,14 @@ import os
 import sys
 import sysconfig
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import tyro
 
@@ -78,16 +79,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _notices(*, quiet: bool) -> Iterator[None]:
-    """Silence notices that are of no use to the user, and if `quiet` also the one that kernels are being compiled."""
+    """Silence notices that are of no use to the user, and if `quiet` also the one that kernels are being compiled.
+
+    Warnings are shown as sentences, without the line of the program that issued them.
+    """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it complains about a HOME that cannot be written
     compiling = logging.getLogger("behavexplor.jit")
     before = compiling.level
     if quiet:
         compiling.setLevel(logging.ERROR)
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            yield
     finally:
         compiling.setLevel(before)
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,  # noqa: ARG001 - the signature that `warnings` calls
+    line: str | None = None,  # noqa: ARG001
+) -> None:
+    is_told_to_user = issubclass(category, UserWarning)
+    text = f"Warning: {message}" if is_told_to_user else warnings.formatwarning(message, category, filename, lineno)
+    say(sentence(text), file=sys.stderr)
 
 
 def _run(given: Sequence[str]) -> int:

@@ -147,6 +147,8 @@ def summary(progress: Progress, store: Store, program: str, method: str) -> str:
     folder = shlex.quote(str(store.folder))
     lines += ["Replay the first failure:", f"{program} replay {folder} {failures[0].number}"]  # on lines of their own,
     lines += ["Write a report on the run:", f"{program} report {folder}"]  # so that they can be copied
+    lines += ["Drive it in a loop of your own, in Python (replay shows the loop):"]
+    lines += [f"env = behavexplor.open_run({str(store.folder)!r}).env({failures[0].number})"]
     return "\n".join(line for line in lines if line)
 
 

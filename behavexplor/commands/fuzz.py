@@ -23,8 +23,9 @@ from behavexplor.campaign.config import (
 )
 from behavexplor.campaign.opening import opened, stopped_by_signals
 from behavexplor.campaign.progress import Progress
-from behavexplor.campaign.provenance import Consent, accepted
+from behavexplor.campaign.provenance import ALL, Consent
 from behavexplor.campaign.run_summary import summarize
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
@@ -190,7 +191,8 @@ def _resumed_config(run: Path, given: dict[str, Any]) -> CampaignConfig:
     stored, said = stored_config(run), {name: value for name, value in given.items() if name != "trust"}
     check_unchanged({name: value for name, value in said.items() if name != "budget"}, stored.says, "run")
     names = tuple(value for value in said.values() if isinstance(value, str))
-    config = accepted(stored, Consent(given.get("trust", ()), given.get("unconfined", False), names))
+    consent = Consent(given.get("trust", ()), given.get("unconfined", False), names)
+    config = accepted_run(run, consent, ALL, goes_on=True)
     return replace(config, budget=given.get("budget", config.budget))
 
 

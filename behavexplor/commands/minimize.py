@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.provenance import JUDGED, Consent, accepted
+from behavexplor.campaign.provenance import JUDGED, Consent
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
@@ -53,7 +53,7 @@ def minimize(
     """
     if every and numbers:
         raise InputError("Give either numbers of executions or --all")
-    count, config = chosen_workers(workers), accepted(stored_config(run), Consent(trust, unconfined), JUDGED)
+    count, config = chosen_workers(workers), accepted_run(run, Consent(trust, unconfined), JUDGED)
     with closing(Store.read(run)) as store:
         chosen = chosen_failures(store, numbers, every=every)
         findings = known_findings(run)

@@ -2,15 +2,18 @@
 
 import shlex
 import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import repeat_execution
-from behavexplor.campaign.provenance import DRIVING, Consent, accepted
+from behavexplor.campaign.provenance import DRIVING, Consent
+from behavexplor.campaign.run_summary import snippet
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
 from behavexplor.commands.flags import Trust
@@ -61,7 +64,7 @@ def replay(
     store = Store.read(run)
     execution = store.execution(number)
     store.close()
-    config = accepted(stored_config(run), Consent(trust, unconfined), DRIVING)
+    config = accepted_run(run, Consent(trust, unconfined), DRIVING)
     place = (run, "replays") if out is None else (out,)
     if avoided:
         return _avoid(execution, config, run, place)
@@ -69,6 +72,8 @@ def replay(
         say(sentence(f"Execution {number}: {ADSError(failure['kind'], failure['message'])}"))
     else:
         _show(execution, _road(config, run), place)
+        say("The same episode in a loop of your own; any policy can take the place of env.driver:")
+        say(textwrap.indent(snippet(run, number), "    "))
     return _compare(execution, config)
 
 

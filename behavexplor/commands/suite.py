@@ -9,8 +9,9 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.config import CampaignConfig, stored_config
-from behavexplor.campaign.provenance import JUDGED, Consent, accepted
+from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.provenance import JUDGED, Consent
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
@@ -51,7 +52,7 @@ def suite(
         raise InputError("Give at least one run folder, such as runs/my-run")
     check_free(out)  # before failures are minimized, which takes minutes
     count = chosen_workers(workers)
-    configs = [(run, accepted(stored_config(run), Consent(trust, unconfined), JUDGED)) for run in runs]
+    configs = [(run, accepted_run(run, Consent(trust, unconfined), JUDGED)) for run in runs]
     check_same_driving(configs[0], configs[1:])
     cases: dict[str, Case] = {}
     try:

@@ -9,8 +9,8 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.provenance import JUDGED, Consent, accepted
+from behavexplor.campaign.provenance import JUDGED, Consent
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust, chosen_workers
@@ -46,7 +46,7 @@ def triage(
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         quiet: Print only the tables.
     """
-    count, config = chosen_workers(workers), accepted(stored_config(run), Consent(trust, unconfined), JUDGED)
+    count, config = chosen_workers(workers), accepted_run(run, Consent(trust, unconfined), JUDGED)
     running = RunTriage(run, config, count, afresh=afresh)
     try:
         with Meter(sys.stderr, len(running.waiting), "failures", quiet=quiet) as meter:

@@ -4,6 +4,7 @@ Each of these settings is stated here alone. Files, flags and the Python interfa
 description from here.
 """
 
+import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -69,6 +70,10 @@ class Target(Conditions):
     env: str = "intersection-straight"
     ads: str = "rule"
     env_config: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "ads", os.path.expanduser(self.ads))  # noqa: PTH111 - a name, not always a path
 
     @property
     def target(self) -> "CheckedTarget":

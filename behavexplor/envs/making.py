@@ -113,13 +113,16 @@ def has_own_config(name: str) -> bool:
     return bool(made.spec.kwargs.get("config")) or not stated.startswith(f"{HIGHWAY_ENV}.")
 
 
-def make_env(name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT) -> gymnasium.Env[Any, Any]:
+def make_env(
+    name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT, render_mode: str | None = None
+) -> gymnasium.Env[Any, Any]:
     """Make an environment that runs concrete scenarios.
 
     Args:
         name: name of the environment, see `environment_id`.
         config: configuration of the environment, as far as it differs from its own.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
+        render_mode: what `render` returns or shows, as in gymnasium.
 
     Returns:
         An environment that takes `reset(options={"scenario": ...})` and ends an episode with `info["trace"]`.
@@ -127,7 +130,7 @@ def make_env(name: str, config: Mapping[str, Any], traffic: Traffic = DEFAULT) -
     Raises:
         InputError: if there is no such environment, it cannot be configured, or one driver cannot drive in it.
     """
-    made = make_registered(name, config)
+    made = make_registered(name, config, render_mode)
     if not _is_highway(made):
         return made
     _check_ego(name, made)
@@ -252,7 +255,7 @@ def _is_highway(made: gymnasium.Env[Any, Any]) -> bool:
     return isinstance(inner, AbstractEnv) and not hasattr(inner, "logical")
 
 
-def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+def make_registered(name: str, config: Mapping[str, Any], render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
     """Make an environment as gymnasium does.
 
     Raises:
@@ -265,6 +268,7 @@ def make_registered(name: str, config: Mapping[str, Any]) -> gymnasium.Env[Any, 
         spec = gymnasium.spec(own)
         merged = _with_tuples({**(spec.kwargs.get("config") or {}), **config})
         keywords: dict[str, Any] = {"config": merged} if merged else {}
+        keywords |= {"render_mode": render_mode} if render_mode else {}
         with warnings.catch_warnings(), ExitStack() as stack:
             warnings.filterwarnings("ignore", message=".*out of date", category=DeprecationWarning)
             stack.enter_context(_kept_classes(spec))

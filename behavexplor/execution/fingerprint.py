@@ -43,7 +43,12 @@ def machine_fingerprint(ads: Iterable[str]) -> bytes:
     Args:
         ads: names of driving systems.
     """
-    return _fingerprint(ads, [name for name in _LIBRARIES.values() if _is_installed(name)])
+    return _fingerprint(ads, library_versions())
+
+
+def library_versions() -> dict[str, str]:
+    """Return the versions of the installed libraries that compute results, by name."""
+    return {name: version(name) for name in _LIBRARIES.values() if _is_installed(name)}
 
 
 def _fingerprint(ads: Iterable[str], libraries: Iterable[str]) -> bytes:

@@ -37,17 +37,44 @@ def rollout(env: gymnasium.Env[Any, Any], ads: Any, scenario: Scenario) -> Trace
         ADSError: if the ADS fails, or its answer is not a valid action of the environment.
     """
     observation, info = env.reset(options={"scenario": scenario})
-    _begin(ads, 0, scenario)
-    state, start, log = None, np.ones(1, dtype=bool), DecisionRecorder(ads, 1)
+    driver, log = EpisodeDriver(ads, env.action_space, scenario), DecisionRecorder(ads, 1)
     done = False
     while not done:
-        actions, state = ask(ads, mapped(_batch_of_one, observation), state, start, env.action_space)
-        observation, _, terminated, truncated, info = env.step(actions[0])
-        log.add(state)
-        start = np.zeros(1, dtype=bool)
+        observation, _, terminated, truncated, info = env.step(driver(observation))
+        log.add(driver.state)
         done = terminated or truncated
     trace: Trace = info["trace"]
     return log.completed(trace, 0)
+
+
+class EpisodeDriver:
+    """A driving system in one episode: a function from an observation of the environment to an action.
+
+    Args:
+        ads: driving system, see `behavexplor.ads.interface.ADS`.
+        space: action space of the environment.
+        scenario: the scenario of the episode, by which a stochastic policy draws its actions.
+
+    Attributes:
+        state: state that `predict` returned last.
+    """
+
+    def __init__(self, ads: Any, space: gymnasium.Space[Any], scenario: Scenario) -> None:
+        self._ads, self._space = ads, space
+        self._start = np.ones(1, dtype=bool)
+        self.state: Any = None
+        _begin(ads, 0, scenario)
+
+    def __call__(self, observation: Observation) -> Any:
+        """Return the action after an observation.
+
+        Raises:
+            ADSError: if the ADS fails, or its answer is not a valid action of the environment.
+        """
+        batch = mapped(_batch_of_one, observation)
+        actions, self.state = ask(self._ads, batch, self.state, self._start, self._space)
+        self._start = np.zeros(1, dtype=bool)
+        return actions[0]
 
 
 def _begin(ads: Any, row: int, scenario: Scenario | None) -> None:

@@ -44,13 +44,14 @@ class Simulation:
             `reset(options={"scenario": ...})`, declares the scenarios that it can run in its attribute `logical`, and
             ends an episode with `info["trace"]`.
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
-            `policy_frequency` and `simulation_frequency`, where it has them, configure the environment; in a stock
-            environment, so does its attribute `env_config`, or its method `fitted`, which makes a configuration in
-            which it drives from the environment's own.
+            `policy_frequency` and `simulation_frequency`, where it has them, configure the environment. In an
+            environment of highway-env, so does its attribute `env_config`, or its method `fitted`, which makes a
+            configuration in which it drives from the environment's own.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
+        render_mode: what the environment's `render` returns or shows, as in gymnasium.
 
     Attributes:
         env: the environment.
@@ -74,6 +75,7 @@ class Simulation:
         traffic: Traffic = DEFAULT,
         *,
         stochastic: bool = False,
+        render_mode: str | None = None,
     ) -> None:
         is_theirs = is_highway(env)
         roadmap = None if is_theirs else logical_scenario(env).roadmap
@@ -90,7 +92,7 @@ class Simulation:
             trained, given = ({k: v for k, v in one.items() if k not in ignored} for one in (trained, given))
         if is_theirs and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
-        self.env = make_env(env, {**declared, **trained, **given}, traffic)
+        self.env = make_env(env, {**declared, **trained, **given}, traffic, render_mode)
         self.logical = logical_of(self.env, env)
         self.plain = ""
         self.stochastic = stochastic

@@ -1,5 +1,6 @@
 """Suites and their cases as plain data: a folder with `suite.yaml` and one YAML file for each case."""
 
+import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,6 +12,7 @@ import yaml
 from behavexplor.campaign.config import CampaignConfig, read_yaml
 from behavexplor.campaign.provenance import Claim, code_of, own_digests, remember
 from behavexplor.campaign.record import ERROR, Record
+from behavexplor.campaign.same_driver import driver_digests
 from behavexplor.campaign.store import Store
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.data.durable import folder_in, write_durably
@@ -104,11 +106,12 @@ class Suite:
 
     Attributes:
         env: name of the environment.
-        driver: name of the driver that failed.
+        driver: name of the driver that failed. In the file, the path of a policy is meant from the suite's folder.
         specs: names of the user's specs.
         env_config: configuration of the environment, as far as it differs from what a driver declares.
         traffic: kind of traffic in a highway-env environment.
         stochastic: whether the driver that failed drew its actions. It does so in checks, too.
+        digests: SHA-256 of the files of this driver, see `behavexplor.campaign.identity.driver_digests`.
         cases: the cases in the order of their names.
     """
 
@@ -118,6 +121,7 @@ class Suite:
     env_config: Mapping[str, Any] = field(default_factory=dict)
     traffic: Traffic = DEFAULT
     stochastic: bool = False
+    digests: Mapping[str, str] = field(default_factory=dict)
     cases: tuple[Case, ...] = ()
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
@@ -154,14 +158,18 @@ class Suite:
         suite = checked(cls, values, str(folder / SUITE))
         for path, case in zip(paths, cases, strict=True):
             _check(path, case)
-        return cls(**{**asdict(suite), "cases": tuple(cases)})
+        driver = folder / suite.driver
+        return cls(
+            **{**asdict(suite), "driver": str(driver) if driver.exists() else suite.driver, "cases": tuple(cases)}
+        )
 
     @property
     def claim(self) -> Claim:
         """What the suite says that may have code run."""
         target = self.target(self.driver)
         config = None if target.env_config is None else dict(target.env_config)
-        values = {name: value for name, value in asdict(self).items() if name != "cases"}
+        values = {name: value for name, value in asdict(self).items() if name not in ("cases", "digests")}
+        values["driver"] = Path(self.driver).name  # whose path depends on the working directory
         code = code_of(self.env, self.driver, "", self.specs, config)
         return Claim(Path(SUITE), {**values, "env_config": config}, code, self.driver, hint=", or name it by --ads")
 
@@ -180,11 +188,12 @@ class Suite:
             write_durably(folder / TEST, _TEST_TEXT)
             values: dict[str, Any] = {
                 "env": self.env,
-                "driver": self.driver,
+                "driver": os.path.relpath(self.driver, folder) if Path(self.driver).exists() else self.driver,
                 "specs": list(self.specs),
                 "traffic": self.traffic,
             }
             values |= {"stochastic": True} if self.stochastic else {}
+            values |= {"digests": digests} if (digests := driver_digests(self.driver, self.claim.code)) else {}
             config = {"env_config": dict(self.env_config)} if self.env_config else {}
             write_durably(folder / SUITE, _yaml({"format": FORMAT, **values, **config}))
         except OSError as error:

@@ -1,12 +1,15 @@
 """Checks of a driver against a suite."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from behavexplor.campaign.identity import changes
 from behavexplor.campaign.provenance import ADS, JUDGED, Consent, agreed
+from behavexplor.campaign.same_driver import driver_digests
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
@@ -116,6 +119,9 @@ def opened_driver(
     """
     consent = Consent(tuple(trust), names=() if ads is None else (ads,))
     found = agreed(suite.claim, consent, JUDGED if ads in (None, suite.driver) else JUDGED - {ADS})
+    changed = changes(suite.digests, driver_digests(suite.driver, suite.claim.code)) if ads is None else ""
+    if suite.digests and changed:
+        warnings.warn(f"The driver is not the one that failed in the suite: {changed}", stacklevel=3)
     target = suite.target(ads or suite.driver, trust=consent.trust, modules=found.modules, **settings)
     executor = start_executor(target, workers)
     try:

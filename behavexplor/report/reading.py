@@ -5,11 +5,13 @@ import json
 import math
 import shlex
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
+from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
@@ -72,7 +74,7 @@ class ReportedRun:
         examined: numbers of the failures that triage has examined; only the classes of other failures are known.
         weaknesses: coverage of weaknesses by name, see `behavexplor.triage.findings.Triage`.
         minimized: minimized failures by the numbers of their executions.
-        digests: SHA-256 of the read data, by name.
+        digests: SHA-256 of the read data and of the driver's files, by name.
         stages: time in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known.
     """
 
@@ -153,13 +155,15 @@ def read_run(folder: Path) -> ReportedRun:
         again = f"`behavexplor fuzz --resume {shlex.quote(str(folder))}`"
         raise InputError(f"{folder} has no executions yet: resume it with {again}")
     digests = {CONFIG: _digest(folder / CONFIG), "executions": digest.hexdigest()}
+    identity, stages = _notes(folder)
+    digests |= identity.digests
     if triage:
         digests[TRIAGE] = _digest(folder / TRIAGE)
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
-    return ReportedRun(folder, config, *found, digests, _stages(folder))
+    return ReportedRun(folder, config, *found, digests, stages)
 
 
 def stored(folder: Path) -> Iterator[Execution]:
@@ -171,12 +175,10 @@ def stored(folder: Path) -> Iterator[Execution]:
         store.close()
 
 
-def _stages(folder: Path) -> dict[str, float]:
-    store = Store.read(folder)
-    try:
-        return store.stages
-    finally:
-        store.close()
+def _notes(folder: Path) -> tuple[Identity, dict[str, float]]:
+    """Return what the run tested, and its time in each stage."""
+    with closing(Store.read(folder)) as store:
+        return begun_with(store) or Identity(), store.stages
 
 
 def _finding(execution: Execution) -> Finding:

@@ -10,6 +10,7 @@ import numpy as np
 from behavexplor.behavior.features import TIME_STEP
 from behavexplor.behavior.miner import NOVELTY_THRESHOLD
 from behavexplor.campaign.record import Record
+from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.store import Store
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import VEHICLE_SIZES
@@ -133,6 +134,11 @@ class Section:
     def stages(self) -> tuple[StagePart, ...]:
         """Where the time of the run went; empty if it is not known."""
         return stage_parts(self.run.stages)
+
+    @property
+    def snippet(self) -> str:
+        """Lines of Python that drive the first failure again."""
+        return snippet(self.run.name, self.run.findings[0].id)
 
     @property
     def parameters(self) -> list[tuple[str, str]]:

@@ -1,6 +1,8 @@
 """A run as an object: its tables, replays, page and triage."""
 
 import io
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from PIL import Image
 
 import behavexplor
 from behavexplor.api.dataframes import frame_of
+from behavexplor.campaign.run_summary import snippet
 from behavexplor.errors import InputError
 from behavexplor.judge.classes import words_of
 from tests.drivers import Cruiser
@@ -102,3 +105,45 @@ def test_failures_are_minimized_with_the_driver_in_memory(run):
     passed = next(record.id for record in run.records if not record.failed)
     with pytest.raises(InputError, match="has no failure"):
         run.minimize([passed])
+
+
+@pytest.mark.filterwarnings("ignore:The (ADS|driver) always")
+@pytest.mark.parametrize(("env", "driver"), [("intersection-straight", Cruiser), ("merge-v0", None)])
+def test_an_execution_goes_on_in_a_loop_of_ones_own(env, driver, tmp_path):
+    driver = driver() if driver else "constant:FASTER"
+    found = behavexplor.find_failures(driver, env, budget=12, method="uniform", seed=5, out=tmp_path / "run")
+    run = behavexplor.open_run(found.folder, driver)
+    assert len(run.failures)
+    for number in run.failures.index:
+        env = run.env(number)
+        for _ in range(2):  # a reset begins the same scenario again
+            observation, info = env.reset()
+            while "trace" not in info:
+                observation, _, _, _, info = env.step(env.driver(observation))
+            assert info["trace"].to_bytes() == run.trace(number).to_bytes()
+        assert run.violated(info["trace"]) == run.records[number].violated
+        env.close()
+
+
+def test_an_episode_of_ones_own_is_rendered_and_must_begin(run):
+    env = run.env(0, render_mode="rgb_array")
+    with pytest.raises(InputError, match="call reset first"):
+        env.driver(None)
+    env.reset()
+    assert env.render().ndim == 3
+    env.close()
+
+
+def test_a_driver_in_memory_must_be_given_again_for_its_episode(run):
+    with pytest.raises(InputError, match="give it again in Python"):
+        behavexplor.open_run(run.folder).env(0)
+
+
+def test_the_printed_lines_reproduce_a_failure(tmp_path):
+    folder = tmp_path / "run"
+    run = behavexplor.find_failures("idm", "intersection-left", budget=6, seed=1, out=folder)
+    number = int(run.failures.index[0])
+    told = subprocess.run(
+        [sys.executable, "-c", snippet(folder, number)], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert told.stdout.strip() == repr(run.records[number].violated)

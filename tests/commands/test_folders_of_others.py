@@ -34,6 +34,7 @@ from tests.confining import confines
 ROOT = Path(__file__).parents[2]
 SEED = 1  # its first execution with a constant driver is a collision
 EVIL = "from pathlib import Path\nPath(r'{canary}').write_text('was here')\n"
+pytestmark = pytest.mark.filterwarnings("default:The driver is not")
 CODE = {
     "ads": {"ads": "evil:Driver"},
     "env": {"env": "evil:evil/x-v0"},
@@ -246,9 +247,10 @@ def test_a_pickle_is_not_run_because_its_folder_trusts_it(theirs, a_run, capsys)
     (theirs / "canary").unlink(missing_ok=True)
     digest = read_archive(theirs / "model.zip").digest
     run = a_run(theirs / "run", ads=str(theirs / "model.zip"), trust=(digest,), unconfined=True)
-    for command in (["replay", str(run), "0"], ["fuzz", "--resume", str(run), "--budget", "2", "--workers", "1"]):
+    resume = ["fuzz", "--resume", str(run), "--budget", "2", "--workers", "1"]
+    for command, said in ((["replay", str(run), "0"], f"add --trust {digest}"), (resume, "another driver: model.zip")):
         assert main(command) == BAD_INPUT
-        assert f"add --trust {digest}" in capsys.readouterr().err
+        assert said in capsys.readouterr().err
         assert not (theirs / "canary").exists()
     main(["replay", str(run), "0", "--trust", digest, "--unconfined"])
     assert (theirs / "canary").exists()  # where the user says so
@@ -316,7 +318,7 @@ def test_an_own_run_needs_no_flag_also_when_it_is_moved(own, tmp_path):
     assert main(["fuzz", "--resume", str(moved), "--budget", "3", "--workers", "1", "--quiet"]) == OK
 
 
-def test_an_own_run_whose_driver_has_changed_needs_a_word_until_it_is_resumed(own, tmp_path, capsys):
+def test_an_own_run_whose_driver_has_changed_needs_a_word_and_does_not_go_on(own, tmp_path, capsys):
     (own / "mine.py").write_text(MINE.replace("pass", "x = 1"))
     replay = ["replay", str(own / "run"), "0", "--out", str(tmp_path / "out")]
     resume = ["fuzz", "--resume", str(own / "run"), "--budget", "3", "--workers", "1", "--quiet"]
@@ -326,7 +328,11 @@ def test_an_own_run_whose_driver_has_changed_needs_a_word_until_it_is_resumed(ow
         digest = re.search(r"mine.py run.*add --trust (sha256:\w{64})", one_sentence(capsys))[1]
     assert main([*replay, "--trust", digest]) == OK
     assert main(replay) == BAD_INPUT  # one word, for one command
-    assert main([*resume, "--ads", "mine:Mine"]) == OK  # the driver's name is a word, too
+    capsys.readouterr()
+    assert main([*resume, "--ads", "mine:Mine"]) == BAD_INPUT  # the driver's name is a word, too, but no way to mix two
+    assert "would test another driver: module mine (SHA-256" in one_sentence(capsys)
+    (own / "mine.py").write_text(MINE)
+    assert main(resume) == OK
     assert main(replay) == OK
     assert not stored_config(own / "run").says.trust
     assert open_run(own / "run").repeat(0).reproduced

@@ -52,6 +52,7 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         self.observation_space = self._env.observation_space
         self.action_space = self._env.action_space
         self.metadata = self._env.metadata
+        self.render_mode = self._env.render_mode
         self.record: EpisodeRecord | None = None
         self.vehicle_classes = VehicleClasses()
         self.generator = DrawnGenerator({}, 0, __file__)

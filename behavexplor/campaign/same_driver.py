@@ -1,0 +1,120 @@
+"""Whether a campaign tests what it tested when it began, by the digests of the driver's files."""
+
+import hashlib
+import warnings
+from collections.abc import Collection, Iterable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+from behavexplor.ads.sb3.description import files_of_model
+from behavexplor.campaign.config import CampaignConfig, stored_config
+from behavexplor.campaign.identity import NOTE, Identity, begun_with, changes
+from behavexplor.campaign.provenance import ADS, AcceptedConfig, Consent, accepted, code_of
+from behavexplor.campaign.store import Store
+from behavexplor.data.named_code import Code
+from behavexplor.errors import InputError
+from behavexplor.execution.checked_imports import digests_of
+from behavexplor.execution.fingerprint import library_versions
+
+
+def identity_of(config: CampaignConfig) -> Identity:
+    """Return the identity of what a campaign tests now.
+
+    Raises:
+        InputError: if a file cannot be read.
+    """
+    code = code_of(config.env, config.ads, config.method, config.specs, config.env_config)
+    return Identity(driver_digests(config.ads, code), library_versions(), str(Path.cwd()))
+
+
+def driver_digests(ads: str, code: Iterable[Code]) -> dict[str, str]:
+    """Return SHA-256 of the files of a policy, and of the modules of code, by name.
+
+    Args:
+        ads: name of the driving system.
+        code: the code that is named beside it.
+
+    Raises:
+        InputError: if a file cannot be read.
+    """
+    path = Path(ads)
+    files = [path] if path.is_file() and path.suffix == ".npz" else files_of_model(ads)
+    try:
+        found = {one.name: hashlib.sha256(one.read_bytes()).hexdigest() for one in files}
+    except OSError as error:
+        raise InputError(f"{error.filename} cannot be read: {error.strerror}") from None
+    modules = digests_of(one.module for one in code)
+    return found | {f"module {name}": digest for name, digest in modules.items()}
+
+
+def check_identity(store: Store, now: Identity) -> None:
+    """Keep what a campaign tests in its store, or compare it with what is kept there.
+
+    Raises:
+        InputError: if it tests another driver now.
+    """
+    begun = begun_with(store)
+    if begun is None:
+        store.add_note(NOTE, now.to_json())
+    elif changed := changes(begun.digests, now.digests):
+        raise _another(store.folder, changed)
+
+
+def accepted_run(run: Path, consent: Consent, runs: Collection[str], *, goes_on: bool = False) -> AcceptedConfig:
+    """Return the configuration of a run, by which something may be executed. Its policy is found from any folder.
+
+    A warning is issued if the driver is not the one with which the run began.
+
+    Args:
+        run: the run folder.
+        consent: what the user agrees to.
+        runs: keys of the code that would be run, see `behavexplor.campaign.provenance.accepted`.
+        goes_on: whether the campaign is to go on, which another driver must not.
+
+    Raises:
+        InputError: see `behavexplor.campaign.provenance.accepted`; also if the file of its policy has gone, or the
+            campaign would go on with another driver.
+    """
+    config = accepted(stored_config(run), consent, runs)
+    if ADS not in runs or (begun := _known(run)) is None:
+        return config
+    config = replace(config, ads=_found(config, begun))
+    changed = changes(begun.digests, identity_of(config).digests)
+    if changed and goes_on:
+        raise _another(run, changed)
+    if changed:
+        warnings.warn(f"The driver is not the one with which {run} began: {changed}", stacklevel=3)
+    return config
+
+
+def _known(run: Path) -> Identity | None:
+    """Return what a run tested when it began; None if that is not known, as in a damaged folder."""
+    try:
+        with closing(Store.read(run)) as store:
+            return begun_with(store)
+    except InputError:
+        return None
+
+
+def _another(run: Path, changed: str) -> InputError:
+    return InputError(
+        f"{run} cannot be continued, because its campaign would test another driver: {changed}. Put back what has "
+        f"changed, or start a new run"
+    )
+
+
+def _found(config: CampaignConfig, begun: Identity) -> str:
+    """Return the name of a campaign's driver, from this working directory.
+
+    Raises:
+        InputError: if it is a policy whose file has gone.
+    """
+    if not begun.digests or ":" in config.ads or Path(config.ads).exists():
+        return config.ads
+    there = Path(begun.folder) / config.ads
+    if there.exists():
+        return str(there)
+    raise InputError(
+        f"The policy {config.ads} of this run is neither here nor in {begun.folder}, where the run began: put it back"
+    )
