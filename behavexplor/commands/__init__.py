@@ -22,38 +22,18 @@ from typing import Any, TextIO
 
 import tyro
 
+from behavexplor.commands.overview import COMMANDS, overview, with_joined_lines, wrapped_head
 from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.commands.wording import say
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import InputError, sentence, unknown_name
 
 OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-COMMANDS = (
-    "fuzz",
-    "replay",
-    "records",
-    "status",
-    "triage",
-    "minimize",
-    "suite",
-    "check",
-    "report",
-    "export",
-    "import",
-    "evaluate",
-    "compare",
-    "envs",
-    "bench",
-    "train",
-    "retrain",
-    "zip",
-    "demo",
-)
 _MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise
 
 _OUTPUT_FAILS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of errors that name no file
 
-_DESCRIPTION = "Find out how a driving policy fails."
+_SEVERAL_TIMES = ("--spec", "--trust")  # flags that may be given more than once
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -114,11 +94,7 @@ def _run(given: Sequence[str]) -> int:
     if "" not in sys.path and not sys.flags.safe_path:  # the user's modules are in the working directory
         sys.path.append("")  # last, so that no file in a foreign folder takes the place of a library
     try:
-        if given and given[0] in COMMANDS:  # importing only this command is faster
-            code: int = tyro.cli(_command(given[0]), prog=f"{program()} {given[0]}", args=given[1:])
-        else:
-            commands = {name: _command(name) for name in COMMANDS}
-            code = tyro.extras.subcommand_cli_from_dict(commands, prog=program(), args=given, description=_DESCRIPTION)
+        code = _begun(given)
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of the output, such as `head`, has exited
@@ -129,6 +105,25 @@ def _run(given: Sequence[str]) -> int:
     return code
 
 
+def _begun(given: Sequence[str]) -> int:
+    """Run the command that the arguments name, or show all commands."""
+    name = given[0] if given else ""
+    if name in ("", "-h", "--help"):
+        say(overview(program()))
+        return OK if name else BAD_INPUT
+    if name.startswith("--tyro-"):  # to print a completion script
+        commands = {one: _command(one) for one in COMMANDS}
+        code: int = tyro.extras.subcommand_cli_from_dict(commands, prog=program(), args=given)
+        return code
+    if name not in COMMANDS:
+        raise unknown_name("command", name, COMMANDS)
+    flags = [one.partition("=")[0] for one in given if one.startswith("--")]
+    if twice := [one for one in flags if flags.count(one) > 1 and one not in _SEVERAL_TIMES]:
+        raise InputError(f"{twice[0]} is given twice: give it once")
+    command: Callable[..., int] = _command(name)
+    return tyro.cli(command, prog=f"{program()} {name}", args=given[1:], description=wrapped_head(command))
+
+
 def _drop_output() -> None:
     """Discard buffered output, so that Python does not try to write it on exit."""
     with suppress(OSError):  # standard output may be an object without a file
@@ -137,8 +132,7 @@ def _drop_output() -> None:
 
 def _command(name: str) -> Callable[..., Any]:
     module = _MODULES.get(name, name)
-    command: Callable[..., Any] = getattr(import_module(f"{__name__}.{module}"), module)
-    return command
+    return with_joined_lines(getattr(import_module(f"{__name__}.{module}"), module))
 
 
 def _failed(error: Exception) -> int:

@@ -22,7 +22,7 @@ from behavexplor.campaign.config import RUNS, check_said_twice
 from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust
+from behavexplor.commands.flags import Switch, Trust
 from behavexplor.commands.report import PAGE
 from behavexplor.commands.wording import clock, say, text
 from behavexplor.data.durable import folder_in, write_durably
@@ -43,10 +43,10 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the available cores)")] = None,
     cluster: Annotated[str, tyro.conf.arg(metavar="ray[:ADDRESS]", help_behavior_hint="")] = "",
     trust: Trust = (),
-    dry_run: bool = False,
-    tables_only: bool = False,
-    unconfined: bool = False,
-    quiet: bool = False,
+    dry_run: Switch = False,
+    tables_only: Switch = False,
+    unconfined: Switch = False,
+    quiet: Switch = False,
 ) -> int:
     """Compare search methods: run each with several seeds in every environment and with every driving system.
 

@@ -10,7 +10,7 @@ import tyro
 from junitparser import Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import Trust, chosen_workers, patience
+from behavexplor.commands.flags import Switch, Trust, chosen_workers, patience
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_given
 from behavexplor.errors import InputError, sentence
@@ -24,10 +24,10 @@ def check(
     ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Trust = (),
-    stochastic: bool = False,
-    unconfined: bool = False,
+    stochastic: Switch = False,
+    unconfined: Switch = False,
     junit: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    quiet: bool = False,
+    quiet: Switch = False,
 ) -> int:
     """Drive every scenario of a regression suite. The exit code is 1 if one of them fails.
 

@@ -17,7 +17,7 @@ from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import chosen_workers, flag, patience, settings
+from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
@@ -46,10 +46,10 @@ def compare(
     *,
     given: Annotated[dict[str, Any], _SETTINGS],
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
-    search: bool = False,
+    search: Switch = False,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     out: Annotated[Path | None, flag("FOLDER", "in runs/")] = None,
-    quiet: bool = False,
+    quiet: Switch = False,
 ) -> int:
     """Drive the same scenarios with two drivers, and report what the second one fixes and what it breaks.
 

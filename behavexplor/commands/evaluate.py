@@ -17,7 +17,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import chosen_workers, flag, patience, settings
+from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
@@ -58,7 +58,7 @@ def evaluate(
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
     controls: bool = True,
-    quiet: bool = False,
+    quiet: Switch = False,
 ) -> int:
     """Drive uniformly sampled scenarios, and report how often the driver arrives, collides and touches illegal lines.
 

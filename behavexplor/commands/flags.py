@@ -15,6 +15,7 @@ from behavexplor.campaign.config import read_yaml
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
+Switch = tyro.conf.FlagCreatePairsOff[bool]  # off without the flag
 Trust = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIGEST")]
 _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     "budget": "N|TIME",
@@ -27,6 +28,7 @@ _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     int: "N",
     int | None: "N",
 }
+_ONE_FLAG: Final[Any] = tyro.conf.FlagCreatePairsOff  # without --no-...
 _SINGULAR: Final = {"specs": "spec"}  # flags that are given several times
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
@@ -63,7 +65,9 @@ def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
             help_behavior_hint=shown,
             help=f"{texts[one.name]}{more}",
         )
-        parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=_flag_type(types[one.name], what)))
+        annotation = _flag_type(types[one.name], what)
+        annotation = _ONE_FLAG[annotation] if one.default is False else annotation
+        parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=annotation))
     return tyro.conf.arg(name="", constructor=_taker(parameters))
 
 

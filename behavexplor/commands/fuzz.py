@@ -31,7 +31,7 @@ from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK
 from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
-from behavexplor.commands.flags import check_unchanged, chosen_workers, flag, patience, settings
+from behavexplor.commands.flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
@@ -61,8 +61,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     resume: Annotated[Path | None, flag("RUN", None)] = None,
     stop_after: Annotated[int | None, flag("N", None)] = None,
     summary: Annotated[Path | None, flag("FILE", None)] = None,
-    quiet: bool = False,
-    fail_on_violation: bool = False,
+    quiet: Switch = False,
+    fail_on_violation: Switch = False,
     fail_above: Annotated[float | None, flag("SHARE", None)] = None,
     known_classes: Annotated[Path | None, flag("FILE", None)] = None,
 ) -> int:

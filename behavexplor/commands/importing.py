@@ -12,6 +12,7 @@ from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.export import check_libraries, road_of
+from behavexplor.commands.flags import Switch
 from behavexplor.commands.wording import say
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code
@@ -34,7 +35,7 @@ def importing(
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
     env: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the scene's own)")] = None,
     trust: Annotated[str | None, tyro.conf.arg(metavar="DIGEST", help_behavior_hint="")] = None,
-    unconfined: bool = False,
+    unconfined: Switch = False,
 ) -> int:
     """Make a scenario from a scene that `export` wrote, even if it was changed by hand (docs/exchange.md).
 

@@ -14,7 +14,7 @@ from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.flags import Switch, Trust, chosen_workers
 from behavexplor.commands.wording import counted, grid, plain_text, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.triage.findings import known_findings
@@ -28,12 +28,12 @@ def minimize(
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
     numbers: Annotated[tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]")] = (),
     *,
-    every: Annotated[bool, tyro.conf.arg(name="all")] = False,
+    every: Annotated[Switch, tyro.conf.arg(name="all")] = False,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Trust = (),
-    afresh: bool = False,
-    unconfined: bool = False,
-    quiet: bool = False,
+    afresh: Switch = False,
+    unconfined: Switch = False,
+    quiet: Switch = False,
 ) -> int:
     """Find the simplest scenario in which a failure still happens: the fewest vehicles, and the plainest values.
 

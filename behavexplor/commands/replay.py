@@ -16,7 +16,7 @@ from behavexplor.campaign.run_summary import snippet
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import CHECK_FAILED, OK, program
-from behavexplor.commands.flags import Trust
+from behavexplor.commands.flags import Switch, Trust
 from behavexplor.commands.wording import say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, new_file
@@ -46,8 +46,8 @@ def replay(
         Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: replays/ in RUN)")
     ] = None,
     trust: Trust = (),
-    avoided: bool = False,
-    unconfined: bool = False,
+    avoided: Switch = False,
+    unconfined: Switch = False,
 ) -> int:
     """Draw one execution as an animation (GIF) and its decisive frame (PNG), and run it again.
 

@@ -14,7 +14,7 @@ from behavexplor.campaign.config import RUNS, CampaignConfig
 from behavexplor.campaign.provenance import Consent, agreed, own_digests, remember
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, check_unchanged, flag, settings
+from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag, settings
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.errors import InputError, missing_library, sentence
@@ -36,7 +36,7 @@ def retrain(
     out: Annotated[Path | None, flag("FOLDER", "runs/ENV-retrain-SEED")] = None,
     resume: Annotated[Path | None, flag("FOLDER", None)] = None,
     trust: Trust = (),
-    quiet: bool = False,
+    quiet: Switch = False,
 ) -> int:
     """Train a policy further on a mixture of ordinary scenarios and those in which it fails, and keep the best round.
 

@@ -11,13 +11,14 @@ from behavexplor.campaign.database_file import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
+from behavexplor.commands.flags import Switch
 from behavexplor.commands.wording import class_count, clock, hanging, say
 
 
 def status(
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
     *,
-    json_file: Annotated[bool, tyro.conf.arg(name="json")] = False,
+    json_file: Annotated[Switch, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Print how far a run is and what it has found, also while a campaign writes it.
 

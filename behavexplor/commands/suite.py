@@ -15,7 +15,7 @@ from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.flags import Switch, Trust, chosen_workers
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import TEST, Case, Suite, candidates, case_of, check_free, check_same_driving
@@ -32,8 +32,8 @@ def suite(
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Trust = (),
-    unconfined: bool = False,
-    quiet: bool = False,
+    unconfined: Switch = False,
+    quiet: Switch = False,
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
 

@@ -12,7 +12,7 @@ from behavexplor.campaign.config import RUNS, read_yaml
 from behavexplor.commands import INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.evaluate import table
-from behavexplor.commands.flags import check_unchanged, flag
+from behavexplor.commands.flags import Switch, check_unchanged, flag
 from behavexplor.commands.wording import say
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.target import Target
@@ -40,7 +40,7 @@ def train(
     envs: Annotated[int | None, flag("N", 64)] = None,
     out: Annotated[Path | None, flag("FOLDER", "runs/ENV-ALGO-SEED")] = None,
     resume: Annotated[Path | None, flag("FOLDER", None)] = None,
-    quiet: bool = False,
+    quiet: Switch = False,
 ) -> int:
     """Train a driving policy on one functional scenario, and evaluate it.
 

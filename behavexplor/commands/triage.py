@@ -13,7 +13,7 @@ from behavexplor.campaign.provenance import JUDGED, Consent
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.flags import Switch, Trust, chosen_workers
 from behavexplor.commands.wording import class_count, grid, hanging, plain_text, say
 from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
@@ -29,9 +29,9 @@ def triage(
     *,
     workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
     trust: Trust = (),
-    afresh: bool = False,
-    unconfined: bool = False,
-    quiet: bool = False,
+    afresh: Switch = False,
+    unconfined: Switch = False,
+    quiet: Switch = False,
 ) -> int:
     """Classify the failures of a run, and find out whose fault they were and how they could have been avoided.
 
