@@ -29,7 +29,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 
-from behavexplor import FUNCTIONAL_SCENARIOS
+from behavexplor import FUNCTIONAL_SCENARIOS, HIGHWAY_ENV, NAMESPACE
 from behavexplor.ads.learned.driver import POLICY_FREQUENCY, LearnedDriver
 from behavexplor.ads.learned.learning import LearningVecEnv
 from behavexplor.ads.learned.network_file import Layers, TrainedNetwork, write_network
@@ -88,7 +88,7 @@ class TrainingConfig:
 
     def __post_init__(self) -> None:
         if self.env not in FUNCTIONAL_SCENARIOS:
-            raise unknown_name("functional scenario", self.env, FUNCTIONAL_SCENARIOS)
+            raise _not_trained(self.env)
         if self.algo not in ALGORITHMS:
             raise unknown_name("algorithm", self.algo, ALGORITHMS)
         ranges = {"steps": (1, 10**12), "seed": (0, 2**63 - 1), "envs": (1, MOST_ENVS), "stage": (1, 10**12)}
@@ -207,6 +207,16 @@ def trained_network(model: BaseAlgorithm) -> TrainedNetwork:
     return TrainedNetwork(layer_arrays(dense_layers(model.policy)))
 
 
+def _not_trained(env: str) -> InputError:
+    """Return the error for an environment whose policies are not trained by this module."""
+    if env.removeprefix(f"{NAMESPACE}/") in HIGHWAY_ENV:
+        return InputError(
+            f"Policies for {env} are trained by Stable-Baselines3 itself, for example on HighwayVecEnv, which is "
+            f"compiled (docs/highway-env.md): this trains on {', '.join(FUNCTIONAL_SCENARIOS)}"
+        )
+    return unknown_name("functional scenario", env, FUNCTIONAL_SCENARIOS)
+
+
 def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
     """Return the vector environment in which policies of this package are trained, for Stable-Baselines3.
 
@@ -221,7 +231,7 @@ def learning_env(env: str, num_envs: int = 64) -> LearningVecEnv:
         InputError: if there is no functional scenario of that name.
     """
     if env not in FUNCTIONAL_SCENARIOS:
-        raise unknown_name("functional scenario", env, FUNCTIONAL_SCENARIOS)
+        raise _not_trained(env)
     settings = {"observation": dict(OBSERVATION), "action": dict(ACTION), "policy_frequency": POLICY_FREQUENCY}
     envs: Any = gymnasium.make_vec(
         environment_id(env),

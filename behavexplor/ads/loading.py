@@ -52,6 +52,8 @@ def check_name(name: str) -> None:
         raise InputError(f"{name!r} is a Python module: name the driver in it, such as {module}:MyDriver")
     if not (separator or Path(name).exists()) and Path(f"{name}.zip").is_file():
         raise InputError(f"There is no file {name}: did you mean {name}.zip?")
+    if name.endswith((".zip", ".npz")) and not Path(name).exists():
+        raise InputError(f"There is no file {name}")
     if not (separator or system in SYSTEMS or name.endswith((".zip", ".npz")) or Path(name).exists()):
         raise unknown_name('ADS (a known name, a policy file, or your own "module:attribute")', name, SYSTEMS)
 

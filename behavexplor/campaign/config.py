@@ -1,9 +1,11 @@
 """Configuration of a campaign: read from a file and flags, validated, and written to the run folder, which it names."""
 
 import math
+import os
 import re
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self
@@ -20,6 +22,8 @@ CONFIG = "config.yaml"  # file in a run folder
 REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 RUNS: Final = Path("runs")  # their parent folder
+LATEST: Final = "latest"  # in it, a link to the run that began or went on last
+_LONGEST: Final = 40  # part of the name of a run folder [characters]
 
 
 @dataclass(frozen=True)
@@ -236,7 +240,8 @@ def preset_folder() -> Path:
 def run_folder(config: CampaignConfig, root: Path = RUNS) -> Path:
     """Return an unused folder for a campaign, named after its configuration and the current time."""
     names = [
-        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1]) for name in (config.env, config.ads, config.method)
+        re.sub(r"[^\w.-]", "-", name.rstrip("/").rsplit("/", 1)[-1].removesuffix(".zip"))[:_LONGEST]
+        for name in (config.env, config.ads, config.method)
     ]
     return stamped_folder("-".join([*names, str(config.seed)]), root)
 
@@ -246,3 +251,14 @@ def stamped_folder(name: str, root: Path = RUNS) -> Path:
     stamped = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     taken = sum(1 for _ in root.glob(f"{stamped}*"))
     return root / (f"{stamped}-{taken + 1}" if taken else stamped)
+
+
+def point_to_latest(folder: Path) -> None:
+    """Let the link `LATEST` beside a run folder lead to it, where the system has links."""
+    link = folder.parent / LATEST
+    if link.exists() and not link.is_symlink():  # something of the user's
+        return
+    new = folder.parent / f".{LATEST}-{os.getpid()}"
+    with suppress(OSError):
+        new.symlink_to(folder.name)
+        new.replace(link)

@@ -14,11 +14,11 @@ from behavexplor.ads.interface import ADS
 from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
-from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
+from behavexplor.campaign.config import RUNS, Budget, CampaignConfig, check_revision, point_to_latest, stored_config
 from behavexplor.campaign.progress import STARTING, StageClock
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
-from behavexplor.campaign.store import Store
+from behavexplor.campaign.store import Store, check_free
 from behavexplor.data.durable import write_durably
 from behavexplor.data.motion_bytes import unpack_motion
 from behavexplor.data.road_shape import ROAD_FILE
@@ -87,6 +87,8 @@ def opened(
     """
     begun = time.monotonic()
     check_revision(stored_config(folder).says if resume else config, str(folder))
+    if not resume:
+        check_free(folder)  # before the driver is loaded, which takes a while
     own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
     recipe = evaluator_recipe(config.target, config.batch)
     if workers and not cluster and driver is None:
@@ -110,6 +112,8 @@ def opened(
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         check_identity(store, identity)
+        if folder.parent == RUNS:
+            point_to_latest(folder)
         if logical.has_original and not (folder / ROAD_FILE).is_file():
             write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
         clock = StageClock(store.stages)

@@ -7,7 +7,6 @@ lost executions are repeated when the campaign is resumed.
 
 import json
 import re
-import shlex
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -91,12 +90,7 @@ class Store:
         Raises:
             InputError: if the folder cannot be written, or is not empty.
         """
-        try:
-            if {path.name for path in folder_in(folder).iterdir()} - _UNFINISHED:
-                again = f"resume the run in it (--resume {shlex.quote(str(folder))})"
-                raise InputError(f"{folder} is not empty: {again} or choose another --out")
-        except OSError as error:
-            raise _unwritable(folder, error) from None
+        check_free(folder)
         return cls._locked(folder, config)
 
     @classmethod
@@ -114,7 +108,7 @@ class Store:
     def _locked(cls, folder: Path, config: str | None) -> Self:
         """Lock a folder and open it for writing."""
         try:
-            lock = lock_folder(folder)
+            lock = lock_folder(folder_in(folder))
         except OSError as error:
             raise _unwritable(folder, error) from None
         try:
@@ -339,6 +333,19 @@ class Store:
                 self._connection.execute("PRAGMA journal_mode = DELETE")
             self._lock.close()
         self._connection.close()
+
+
+def check_free(folder: Path) -> None:
+    """Check that a run can begin in a folder, if it exists.
+
+    Raises:
+        InputError: if it cannot be read, or is not empty.
+    """
+    try:
+        if folder.exists() and {path.name for path in folder.iterdir()} - _UNFINISHED:
+            raise InputError(f"{folder} is not empty: resume the run in it, or choose another folder")
+    except OSError as error:
+        raise _unwritable(folder, error) from None
 
 
 def _execution(row: database.Row) -> Execution:

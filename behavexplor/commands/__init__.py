@@ -33,6 +33,7 @@ _MODULES = {"import": "importing"}  # commands whose modules and functions are n
 
 _OUTPUT_FAILS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of errors that name no file
 
+_RENAMED = {"--summary": "--json"}
 _SEVERAL_TIMES = ("--spec", "--trust")  # flags that may be given more than once
 
 
@@ -115,6 +116,9 @@ def _begun(given: Sequence[str]) -> int:
         commands = {one: _command(one) for one in COMMANDS}
         code: int = tyro.extras.subcommand_cli_from_dict(commands, prog=program(), args=given)
         return code
+    for old, new in _RENAMED.items():
+        if any(one.partition("=")[0] == old for one in given):
+            raise InputError(f"{old} is called {new} now")
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
     flags = [one.partition("=")[0] for one in given if one.startswith("--")]

@@ -1,24 +1,22 @@
 """`behavexplor check`: drive the scenarios of a regression suite."""
 
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from junitparser import Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import Switch, Trust, chosen_workers, patience
+from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
 from behavexplor.commands.wording import grid, plain_text, say
-from behavexplor.data.durable import write_given
-from behavexplor.errors import InputError, sentence
+from behavexplor.errors import sentence
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import CheckedCase, opened_driver
 
 
-def check(
+def check(  # noqa: PLR0913 - one argument for each flag
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
     *,
     ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
@@ -26,7 +24,8 @@ def check(
     trust: Trust = (),
     stochastic: Switch = False,
     unconfined: Switch = False,
-    junit: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
+    json_file: JsonFile = None,
+    junit: JUnitFile = None,
     quiet: Switch = False,
 ) -> int:
     """Drive every scenario of a regression suite. The exit code is 1 if one of them fails.
@@ -39,10 +38,11 @@ def check(
         trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
         stochastic: Draw the actions of a stochastic policy, as in its training.
         unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
+        json_file: Also write the results to this JSON file; - is standard output, here and below.
         junit: Also write the results to this file as JUnit XML, which CI systems show.
         quiet: Print only the number of failures.
     """
-    suite = Suite.read(folder)
+    suite, output = Suite.read(folder), check_outputs(json_file, junit)
     count = min(chosen_workers(workers), len(suite.cases))
     settings: dict[str, Any] = {"trust": trust, "unconfined": unconfined, "stochastic": stochastic}
     waiting = patience(lambda note: None if quiet else say(note, file=sys.stderr))
@@ -54,10 +54,12 @@ def check(
         return EXECUTION_FAILED
     failed = sum(not outcome.passed for outcome in outcomes)
     if not quiet:
-        say(_table(outcomes), end="\n\n")
-    say(result(failed, len(outcomes)))
-    if junit is not None:
-        _write(junit, suite, outcomes)
+        say(_table(outcomes), end="\n\n", file=output)
+    say(result(failed, len(outcomes)), file=output)
+    properties = {"env": suite.env, "ads": ads or suite.driver}
+    write_json(json_file, {**properties, "failed": failed, "scenarios": list(map(_values, outcomes))})
+    tested = [Tested(one.case.name, "" if one.passed else one.words, ", ".join(one.violated)) for one in outcomes]
+    write_junit(junit, suite.env, tested, properties)
     return CHECK_FAILED if failed else OK
 
 
@@ -76,23 +78,5 @@ def _table(outcomes: Sequence[CheckedCase]) -> str:
     return plain_text(table)
 
 
-def _write(path: Path, suite: Suite, outcomes: Sequence[CheckedCase]) -> None:
-    """Write results as JUnit XML.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
-    tests = TestSuite(f"behavexplor {suite.env}")
-    for outcome in outcomes:
-        test = TestCase(outcome.case.name, classname=suite.env)
-        if not outcome.passed:
-            test.result = [Failure(outcome.words, ", ".join(outcome.violated))]
-        tests.add_testcase(test)
-    document = JUnitXml()
-    document.add_testsuite(tests)
-    try:
-        written = io.BytesIO()
-        document.write(written, pretty=True)
-        write_given(path, written.getvalue().decode())
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+def _values(outcome: CheckedCase) -> dict[str, Any]:
+    return {"name": outcome.case.name, "passed": outcome.passed, "violated": outcome.violated, "words": outcome.words}

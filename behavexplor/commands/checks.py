@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from behavexplor.campaign.run_summary import ClassSummary, RunSummary
+from behavexplor.commands.outputs import Tested
 from behavexplor.commands.wording import class_count
-from behavexplor.data.durable import write_given
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
@@ -38,16 +38,20 @@ class Checks:
         """Return the classes of a run that are not known."""
         return [one for one in found.classes if one.id not in self.known]
 
-    def failed(self, found: RunSummary) -> str | None:
-        """Return a sentence on why a run fails the check; None if it does not."""
+    def outcome(self, found: RunSummary) -> tuple[bool, str]:
+        """Return whether a run passes, and a sentence on it; an empty one if nothing is checked."""
         new = self.new_classes(found)
         counted = found.failed - sum(one.count for one in found.classes if one.id in self.known)
         share = counted / max(found.executions, 1)
         kind = " that are not known" if self.known else ""
         what = f"{counted} of {found.executions} executions ({share:.1%}) failed, in {class_count(len(new))}{kind}"
-        if self.above is not None and share > self.above:
-            return f"The check failed: {what}, more than {self.above:.1%}"
-        return f"The check failed: {what}" if self.on_violation and counted else None
+        has_failed = self.on_violation and counted > 0
+        if self.above is not None:
+            has_failed |= share > self.above
+            what += f"; {'more' if share > self.above else 'not more'} than {self.above:.1%}"
+        if self.above is None and not self.on_violation:
+            return True, ""
+        return not has_failed, f"The check {'failed' if has_failed else 'passed'}: {what}"
 
 
 def summary_values(found: RunSummary, run: Path, checks: Checks) -> Mapping[str, Any]:
@@ -73,13 +77,10 @@ def read_known_classes(path: Path | None) -> frozenset[str]:
     return frozenset(line for line in lines if line)
 
 
-def write_json(path: Path, values: Mapping[str, Any]) -> None:
-    """Write values to a JSON file.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
-    try:
-        write_given(path, json.dumps(values, indent=1) + "\n")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}") from None
+def tested_classes(found: RunSummary, checks: Checks) -> list[Tested]:
+    """Return a test case of JUnit for each class of failures, which fails if the class is not known."""
+    new = {one.id for one in checks.new_classes(found)}
+    return [
+        Tested(one.id, f"{one.words}: {one.count} times, first in execution {one.first}" if one.id in new else "")
+        for one in found.classes
+    ] or [Tested("no failures")]

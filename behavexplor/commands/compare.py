@@ -18,6 +18,7 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
+from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
@@ -40,7 +41,7 @@ _SETTINGS = settings(
 )
 
 
-def compare(
+def compare(  # noqa: PLR0913 - one argument for each flag
     first: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A")],
     second: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")],
     *,
@@ -49,6 +50,7 @@ def compare(
     search: Switch = False,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     out: Annotated[Path | None, flag("FOLDER", "in runs/")] = None,
+    json_file: JsonFile = None,
     quiet: Switch = False,
 ) -> int:
     """Drive the same scenarios with two drivers, and report what the second one fixes and what it breaks.
@@ -64,9 +66,10 @@ def compare(
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the drivers;
             a driver that is not shipped with behavexplor then needs --unconfined.
         out: Folder for the results, new or empty.
+        json_file: Also write the table to this JSON file; - is standard output.
         quiet: Print only the tables.
     """
-    count = chosen_workers(workers)
+    count, output = chosen_workers(workers), check_outputs(json_file)
     for name in (first, second):
         check_name(name)
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
@@ -81,16 +84,17 @@ def compare(
         other = pair_campaigns.second_config(config, second, folder / pair_campaigns.FIRST)
         _drive(other, folder / pair_campaigns.SECOND, count, quiet=quiet)
         pairs = pair_campaigns.compared(folder)
-        say(table(pairs, config.env, first, second))
+        say(table(pairs, config.env, first, second), file=output)
+        write_json(json_file, values(pairs))
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
     except (ExecutionError, RuntimeError) as error:
         say(f"{program()}: {sentence(str(error))}", file=sys.stderr)
         return EXECUTION_FAILED
-    say(f"Page: {folder / pair_campaigns.PAGE}")
+    say(f"Page: {folder / pair_campaigns.PAGE}", file=output)
     run = shlex.quote(str(folder / pair_campaigns.FIRST))
-    say(f"Replay a scenario that only one of them fails: {program()} replay {run} ID")
+    say(f"Replay a scenario that only one of them fails: {program()} replay {run} ID", file=output)
     return OK
 
 

@@ -4,6 +4,7 @@ import shlex
 import time
 from collections import Counter
 from collections.abc import Sequence
+from itertools import zip_longest
 from types import TracebackType
 from typing import NamedTuple, Self, TextIO
 
@@ -25,6 +26,7 @@ from behavexplor.judge.specs import DIFFERS, ERROR
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
 _LISTED_FAILURES = 3  # number of listed failures for each spec
+_WIDE = 100  # least width of a terminal that shows two columns, and the figures of the search [characters]
 _LISTED_CLASSES = 8  # number of listed classes
 _FIGURES = {  # figures of search methods, in words
     "corpus": "kept scenarios",
@@ -80,18 +82,11 @@ class Display:
             self.say(self._line(progress))
 
     def _line(self, progress: Progress) -> str:
-        violations = ", ".join(f"{name} {count}" for name, count in progress.violations.items())
-        return (
-            f"{clock(progress.elapsed)}  {self._done(progress)}, {rate(progress):.1f}/s, "
-            f"{progress.failed} failed ({violations}) in {class_count(len(progress.classes))}, {_at_fault(progress)}, "
-            f"{share(progress.novel, progress)} with new behavior, "
-            f"{self._left(progress)} left"
-        )
+        found = f"{progress.failed} failed in {class_count(len(progress.classes))}"
+        times = f"{rate(progress):.1f}/s, {self._left(progress)} left"
+        return f"{clock(progress.elapsed)}  {self._done(progress)}, {found}, {_at_fault(progress)}; {times}"
 
     def _screen(self, progress: Progress) -> Panel:
-        table = Table.grid(padding=(0, 2))
-        for style in ("dim", "", "dim", ""):
-            table.add_column(style=style, no_wrap=True)
         left = [
             ("running", clock(progress.elapsed)),
             ("time left", self._left(progress)),
@@ -105,10 +100,8 @@ class Display:
         right += [("classes of failures", f"{len(progress.classes)}{_ago(progress, 'class')}")]
         right += [("at fault", f"{sum(progress.at_fault.values())} in {class_count(len(progress.at_fault))}")]
         figures = {_FIGURES.get(name, name.replace("_", " ")): value for name, value in progress.method.items()}
-        right += [(name, f"{value:.4g}") for name, value in figures.items()]
-        blank = ("", "")
-        for i in range(max(len(left), len(right))):
-            table.add_row(*(left[i] if i < len(left) else blank), *(right[i] if i < len(right) else blank))
+        columns = [left, [*right, *((name, f"{value:.4g}") for name, value in figures.items())]]
+        table = _side_by_side(columns if self._console.width >= _WIDE else [left + right])
         return Panel(table, title="behavexplor", title_align="left", expand=False)
 
     def _done(self, progress: Progress) -> str:
@@ -123,6 +116,16 @@ class Display:
         if self._budget.executions is None or not fresh or not rate(progress):
             return "?"
         return clock((self._budget.executions - progress.executions) / rate(progress))
+
+
+def _side_by_side(columns: Sequence[Sequence[tuple[str, str]]]) -> Table:
+    """Return names and values as a table without lines."""
+    table = Table.grid(padding=(0, 2))
+    for style in ("dim", "") * len(columns):
+        table.add_column(style=style, no_wrap=True)
+    for row in zip_longest(*columns, fillvalue=("", "")):
+        table.add_row(*(cell for pair in row for cell in pair))
+    return table
 
 
 def summary(progress: Progress, store: Store, program: str, method: str) -> str:

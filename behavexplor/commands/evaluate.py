@@ -12,12 +12,13 @@ from typing import Annotated, Any, Final, NamedTuple
 import scipy
 import tyro
 
+from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.checks import write_json
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
+from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
@@ -56,7 +57,7 @@ def evaluate(
     given: Annotated[dict[str, Any], _SETTINGS],
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
-    json_file: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")] = None,
+    json_file: JsonFile = None,
     controls: bool = True,
     quiet: Switch = False,
 ) -> int:
@@ -67,13 +68,15 @@ def evaluate(
         scenarios: Number of scenarios.
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
-        json_file: Also write the counts to this JSON file.
+        json_file: Also write the counts to this JSON file; - is standard output.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         quiet: Print only the table.
     """
     if not 1 <= scenarios <= MOST_SCENARIOS:
         raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
+    output = check_outputs(json_file)
     ads = given.get("ads", CampaignConfig.ads)
+    check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
     run, target, env = _Run(scenarios, config.seed, chosen_workers(workers), quiet), config.target, config.env
     found: dict[str, Evaluation] = {}
@@ -89,9 +92,9 @@ def evaluate(
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    say(table(env, found))
+    say(table(env, found), file=output)
     if DRAWN in found:
-        say(_gap(found[Path(ads).name], found[DRAWN]))
+        say(_gap(found[Path(ads).name], found[DRAWN]), file=output)
     if json_file is not None:
         first, *others = found.items()
         values: dict[str, object] = {"env": env, "ads": ads, "seed": config.seed, "n": first[1].n, **first[1].counts}

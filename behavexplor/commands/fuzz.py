@@ -1,6 +1,7 @@
 """`behavexplor fuzz`: search for failures of a driving system."""
 
 import gc
+import os
 import shlex
 import signal
 import sqlite3
@@ -8,8 +9,9 @@ import sys
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple, TextIO
 
+from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import (
@@ -28,10 +30,11 @@ from behavexplor.campaign.run_summary import summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Store
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, INTERRUPTED, OK, program
-from behavexplor.commands.checks import Checks, read_known_classes, summary_values, write_json
+from behavexplor.commands.checks import Checks, read_known_classes, summary_values, tested_classes
 from behavexplor.commands.display import Display
 from behavexplor.commands.display import summary as campaign_summary
 from behavexplor.commands.flags import Switch, check_unchanged, chosen_workers, flag, patience, settings
+from behavexplor.commands.outputs import JsonFile, JUnitFile, check_outputs, write_json, write_junit
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.ray_cluster import MAX_NODES, parse_cluster
@@ -60,7 +63,8 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     out: Annotated[Path | None, flag("FOLDER", "a new one in runs/")] = None,
     resume: Annotated[Path | None, flag("RUN", None)] = None,
     stop_after: Annotated[int | None, flag("N", None)] = None,
-    summary: Annotated[Path | None, flag("FILE", None)] = None,
+    json_file: JsonFile = None,
+    junit: JUnitFile = None,
     quiet: Switch = False,
     fail_on_violation: Switch = False,
     fail_above: Annotated[float | None, flag("SHARE", None)] = None,
@@ -77,15 +81,17 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         out: Run folder, new or empty.
         resume: Resume the campaign in this run folder. A larger --budget extends it; a smaller one stops it earlier.
         stop_after: Stop after this many failures, before the budget is used up.
-        summary: Also write the findings to this JSON file.
+        json_file: Also write the findings to this JSON file; - is standard output, here and below.
+        junit: Also write the classes of failures to this file as JUnit XML, which CI systems show.
         quiet: Print only the summary.
         fail_on_violation: Exit with code 1 if any spec is violated, for checks in CI.
         fail_above: Exit with code 1 if more than this share of the executions failed, such as 0.05.
-        known_classes: File with one class in each line, or a --summary file. Failures of these classes do not count for
+        known_classes: File with one class in each line, or a --json file. Failures of these classes do not count for
             --fail-on-violation and --fail-above.
     """
     workers = _checked_workers(workers, cluster)
     checks = Checks(fail_on_violation, fail_above, read_known_classes(known_classes))
+    files = Files(json_file, junit, check_outputs(json_file, junit))
     if stop_after is not None and stop_after < 1:
         raise InputError(f"--stop-after {stop_after} must be at least 1")
     if resume and (config or out or "specs" in given):
@@ -110,31 +116,39 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
             display.say(ready.store.repaired)
         for warning in ready.warnings:
             display.say(f"Warning: {warning}")
-        code = _run(ready.campaign, ready.store, display, chosen.method)
+        code = _run(ready.campaign, ready.store, display, chosen.method, files.text)
         if ready.campaign.progress.executions:
-            code = _checked(code, ready.campaign.progress, folder, checks, summary)
+            code = _checked(code, ready.campaign.progress, folder, checks, files)
         return code
 
 
-def _checked(code: int, progress: Progress, folder: Path, checks: Checks, file: Path | None) -> int:
-    """Write the summary of a campaign, check its findings, and return the exit code."""
-    if file is None and checks == Checks() and not progress.violations.get(ERROR):
+class Files(NamedTuple):
+    """Where the findings are written: files, and what is printed."""
+
+    json: Path | None
+    junit: Path | None
+    text: TextIO
+
+
+def _checked(code: int, progress: Progress, folder: Path, checks: Checks, files: Files) -> int:
+    """Write the findings of a campaign to files, check them, and return the exit code."""
+    if (files.json, files.junit, checks) == (None, None, Checks()) and not progress.violations.get(ERROR):
         return code  # without reading the whole run once more
     found = summarize(folder)
-    if file is not None:
-        write_json(file, summary_values(found, folder, checks))
+    write_json(files.json, summary_values(found, folder, checks))
+    properties = {"env": found.env, "ads": found.ads, "method": found.method, **found.digests}
+    write_junit(files.junit, f"fuzz {found.env}", tested_classes(found, checks), properties)
     unconfirmed = sum(one.count for one in found.classes if one.id == f"{ERROR}/{DIFFERS}")
     if code == OK and found.violations.get(ERROR, 0) - unconfirmed == found.executions:
         say(f"{program()}: The driver itself failed in every execution, so nothing was tested", file=sys.stderr)
         return EXECUTION_FAILED
-    reason = checks.failed(found) if code == OK else None
-    if reason is not None:
-        say(f"{program()}: {sentence(reason)}", file=sys.stderr)
-        return CHECK_FAILED
-    return code
+    passed, words = checks.outcome(found) if code == OK else (True, "")
+    if words:
+        say(sentence(words) if passed else f"{program()}: {sentence(words)}", file=files.text if passed else sys.stderr)
+    return code if passed else CHECK_FAILED
 
 
-def _run(campaign: Campaign, store: Store, display: Display, method: str) -> int:
+def _run(campaign: Campaign, store: Store, display: Display, method: str, text: TextIO) -> int:
     gc.freeze()  # modules live as long as the process: garbage collections need not look at them
     code, failure = OK, None
     with display:
@@ -148,7 +162,7 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str) -> int
             failure = ended
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
-        say(campaign_summary(progress, store, program(), method))
+        say(campaign_summary(progress, store, program(), method), file=text)
     if failure:
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:
@@ -177,7 +191,11 @@ def _new_config(given: dict[str, Any], file: str | None) -> CampaignConfig:
     said = read_config(file) if file else {}
     check_said_twice(said, given, file or "")
     values = {**said, **given, "specs": (*said.get("specs", ()), *given.get("specs", ()))}
-    trained = named_env(values.get("env"), values["ads"]) if isinstance(values.get("ads"), str) else None
+    trained = None
+    if isinstance(values.get("ads"), str):
+        values["ads"] = os.path.expanduser(values["ads"])  # noqa: PTH111 - a name, not always a path
+        check_name(values["ads"])  # before anything is loaded
+        trained = named_env(values.get("env"), values["ads"])
     env = values.get("env") or trained or CampaignConfig.env
     return campaign_config({"method": default_method(env), **values, "env": env})
 

@@ -10,9 +10,9 @@ import tyro
 
 from behavexplor.campaign.judgment import ads_failure, judgment
 from behavexplor.commands import EXECUTION_FAILED, OK, program
-from behavexplor.commands.checks import write_json
 from behavexplor.commands.export import check_libraries, road_of
 from behavexplor.commands.flags import Switch
+from behavexplor.commands.outputs import write_json
 from behavexplor.commands.wording import say
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import env_code

@@ -1,6 +1,5 @@
 """`behavexplor status`: the figures of a run, also while it is being written."""
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -11,27 +10,24 @@ from behavexplor.campaign.database_file import is_being_written
 from behavexplor.campaign.run_summary import RunSummary, summarize
 from behavexplor.campaign.store import last_written
 from behavexplor.commands import OK
-from behavexplor.commands.flags import Switch
+from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
 from behavexplor.commands.wording import class_count, clock, hanging, say
 
 
 def status(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
-    *,
-    json_file: Annotated[Switch, tyro.conf.arg(name="json")] = False,
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")], *, json_file: JsonFile = None
 ) -> int:
     """Print how far a run is and what it has found, also while a campaign writes it.
 
     Args:
         run: The run folder.
-        json_file: Print the figures as JSON.
+        json_file: Write the figures to this JSON file; - is standard output.
     """
+    output = check_outputs(json_file)
     found, is_running = summarize(run), is_being_written(run)
     ago = max(time.time() - last_written(run), 0.0)
-    if json_file:
-        say(json.dumps({"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()}, indent=1))
-        return OK
-    say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found)]))
+    write_json(json_file, {"run": str(run), "running": is_running, "written_ago": ago, **found.to_dict()})
+    say("\n".join([_head(found, is_running=is_running, ago=ago), *_class_lines(found)]), file=output)
     return OK
 
 

@@ -8,11 +8,15 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from types import MappingProxyType
 from typing import Any, Final
 
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.errors import InputError
 
+PAPERS_NAMES: Final = MappingProxyType(  # of environments
+    {"S1": "intersection-straight", "S2": "intersection-left", "S3": "lane-follow", "S4": "lane-change"}
+)
 LEAST_MEMORY: Final = 0.5  # [GiB]
 
 
@@ -73,6 +77,7 @@ class Target(Conditions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "env", PAPERS_NAMES.get(self.env, self.env))
         object.__setattr__(self, "ads", os.path.expanduser(self.ads))  # noqa: PTH111 - a name, not always a path
 
     @property

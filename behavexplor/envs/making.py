@@ -18,6 +18,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 import behavexplor
 from behavexplor.data.drawn_scenario import DEFAULT, Setup, Traffic
 from behavexplor.data.named_code import env_code, traffic_code
+from behavexplor.data.target import PAPERS_NAMES
 from behavexplor.envs.values import POSITIVE
 from behavexplor.errors import InputError, ignored_key, unknown_name
 
@@ -36,6 +37,7 @@ def environment_id(name: str) -> str:
     Raises:
         InputError: if there is no such environment.
     """
+    name = PAPERS_NAMES.get(name, name)
     if name in behavexplor.FUNCTIONAL_SCENARIOS:
         return f"{behavexplor.NAMESPACE}/{name}-v0"
     if ":" in name or name in gymnasium.registry:
@@ -47,7 +49,7 @@ def environment_id(name: str) -> str:
     if name not in gymnasium.registry:
         theirs = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
         own = [known for known in behavexplor.FUNCTIONAL_SCENARIOS if known.startswith(name)]
-        raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *theirs])
+        raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *PAPERS_NAMES, *theirs])
     return name
 
 

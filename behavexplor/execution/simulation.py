@@ -226,12 +226,12 @@ def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: A
 def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) -> str:
     """Return a sentence on which environments of this package have a policy's spaces; empty if none has."""
     fitting = []
-    for other in behavexplor.FUNCTIONAL_SCENARIOS:
+    for other in (*behavexplor.FUNCTIONAL_SCENARIOS, *behavexplor.HIGHWAY_ENV):
         made = make_env(other, {})
         if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
             fitting.append(other)
         made.close()
-    return f"It fits {' and '.join(fitting)} as it is: is --env missing? Otherwise: " if fitting else ""
+    return f"It fits {', '.join(fitting)} as they are: was another environment meant? Otherwise: " if fitting else ""
 
 
 def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:

@@ -1,0 +1,112 @@
+"""Files that a command writes beside what it prints: JSON and JUnit XML, checked before the work begins."""
+
+import io
+import json
+import os
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple, TextIO
+
+import tyro
+from junitparser import Failure, JUnitXml, TestCase, TestSuite
+
+from behavexplor.data.durable import write_given
+from behavexplor.errors import InputError
+
+STANDARD: Final = Path("-")  # standard output
+JsonFile = Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE", help_behavior_hint="")]
+JUnitFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+
+
+def check_outputs(*paths: Path | None) -> TextIO:
+    """Check that files can be written, and return where everything else is to be printed.
+
+    Args:
+        paths: the files; `STANDARD` for standard output, and None for none.
+
+    Returns:
+        Standard error if a file is standard output, which then has nothing else; or else standard output.
+
+    Raises:
+        InputError: if a file cannot be written, or two of them are standard output.
+    """
+    for path in paths:
+        if path not in (None, STANDARD):
+            _check(path)
+    if paths.count(STANDARD) > 1:
+        raise InputError("Two outputs cannot both be '-', which is standard output: name a file for one")
+    return sys.stderr if STANDARD in paths else sys.stdout
+
+
+def _check(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: name a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path} cannot be written: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"{path} cannot be written: permission denied")
+
+
+def write_json(path: Path | None, values: Any) -> None:
+    """Write values as JSON, if there is a file for them.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    _write(path, json.dumps(values, indent=1) + "\n")
+
+
+class Tested(NamedTuple):
+    """A test case of JUnit.
+
+    Attributes:
+        name: its name.
+        failure: why it failed; empty if it passed.
+        kind: kind of the failure.
+        seconds: how long it took [s].
+    """
+
+    name: str
+    failure: str = ""
+    kind: str = ""
+    seconds: float = 0.0
+
+
+def write_junit(path: Path | None, suite: str, tested: Iterable[Tested], properties: Mapping[str, str]) -> None:
+    """Write test cases as JUnit XML, which CI systems show, if there is a file for them.
+
+    Args:
+        path: the file.
+        suite: name of the test suite.
+        tested: the test cases.
+        properties: what was tested, by name.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    if path is None:
+        return
+    made = TestSuite(f"behavexplor {suite}")
+    for name, value in properties.items():
+        made.add_property(name, value)
+    for one in tested:
+        case = TestCase(one.name, classname=suite, time=round(one.seconds, 3))
+        if one.failure:
+            case.result = [Failure(one.failure, one.kind)]
+        made.add_testcase(case)
+    document, written = JUnitXml(), io.BytesIO()
+    document.add_testsuite(made)
+    document.write(written, pretty=True)
+    _write(path, written.getvalue().decode())
+
+
+def _write(path: Path | None, text: str) -> None:
+    if path == STANDARD:
+        sys.stdout.write(text)
+        return
+    try:
+        if path is not None:
+            write_given(path, text)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}") from None
