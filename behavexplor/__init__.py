@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+from gymnasium.envs.registration import WrapperSpec
 
 if TYPE_CHECKING:
     from behavexplor.api.campaigns import find_failures
@@ -62,6 +63,8 @@ HIGHWAY_ENV = {  # highway-env's own environments that have a compiled vector fo
 }
 _MAX_EPISODE_STEPS = {"two-way-v0": 15}  # as highway-env registers it
 
+_PLAYS_SCENARIOS = WrapperSpec("PlaysScenarios", "behavexplor.envs.highway.drawn_env:PlaysScenarios", {})
+
 for _name, _entry_point in FUNCTIONAL_SCENARIOS.items():
     _id = f"{NAMESPACE}/{_name}-v0"
     if _id not in gymnasium.registry:
@@ -77,6 +80,7 @@ for _name, _entry_point in HIGHWAY_ENV.items():
             entry_point=_entry_point,
             vector_entry_point=_vector_entry_point,
             max_episode_steps=_MAX_EPISODE_STEPS.get(_name),
+            additional_wrappers=(_PLAYS_SCENARIOS,),
         )
 
 

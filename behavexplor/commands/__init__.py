@@ -34,7 +34,6 @@ _MODULES = {"import": "importing"}  # commands whose modules and functions are n
 _OUTPUT_FAILS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of errors that name no file
 
 _RENAMED = {"--summary": "--json"}
-_SEVERAL_TIMES = ("--spec", "--trust")  # flags that may be given more than once
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -121,9 +120,6 @@ def _begun(given: Sequence[str]) -> int:
             raise InputError(f"{old} is called {new} now")
     if name not in COMMANDS:
         raise unknown_name("command", name, COMMANDS)
-    flags = [one.partition("=")[0] for one in given if one.startswith("--")]
-    if twice := [one for one in flags if flags.count(one) > 1 and one not in _SEVERAL_TIMES]:
-        raise InputError(f"{twice[0]} is given twice: give it once")
     command: Callable[..., int] = _command(name)
     return tyro.cli(command, prog=f"{program()} {name}", args=given[1:], description=wrapped_head(command))
 

@@ -28,7 +28,6 @@ _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     int: "N",
     int | None: "N",
 }
-_ONE_FLAG: Final[Any] = tyro.conf.FlagCreatePairsOff  # without --no-...
 _SINGULAR: Final = {"specs": "spec"}  # flags that are given several times
 WAITING: Final = "Loading the driver; first-time compilation can take a minute ..."
 
@@ -65,9 +64,7 @@ def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
             help_behavior_hint=shown,
             help=f"{texts[one.name]}{more}",
         )
-        annotation = _flag_type(types[one.name], what)
-        annotation = _ONE_FLAG[annotation] if one.default is False else annotation
-        parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=annotation))
+        parameters.append(Parameter(one.name, Parameter.KEYWORD_ONLY, annotation=_flag_type(types[one.name], what)))
     return tyro.conf.arg(name="", constructor=_taker(parameters))
 
 

@@ -92,12 +92,7 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
     workers = _checked_workers(workers, cluster)
     checks = Checks(fail_on_violation, fail_above, read_known_classes(known_classes))
     files = Files(json_file, junit, check_outputs(json_file, junit))
-    if stop_after is not None and stop_after < 1:
-        raise InputError(f"--stop-after {stop_after} must be at least 1")
-    if resume and (config or out or "specs" in given):
-        raise InputError(
-            "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
-        )
+    _check_together(stop_after, resume, is_new=bool(config or out or "specs" in given))
     chosen = _resumed_config(resume, given) if resume else _new_config(given, config)
     display = Display(sys.stderr, Budget.parse(chosen.budget), quiet=quiet)
     display.say(f"Fuzzing {chosen.ads} in {chosen.env} with {chosen.method}, seed {chosen.seed}")
@@ -120,6 +115,20 @@ def fuzz(  # noqa: PLR0913 - one argument for each flag
         if ready.campaign.progress.executions:
             code = _checked(code, ready.campaign.progress, folder, checks, files)
         return code
+
+
+def _check_together(stop_after: int | None, resume: Path | None, *, is_new: bool) -> None:
+    """Check flags that do not depend on the campaign.
+
+    Raises:
+        InputError: if one is out of range, or cannot be given beside another.
+    """
+    if stop_after is not None and stop_after < 1:
+        raise InputError(f"--stop-after {stop_after} must be at least 1")
+    if resume and is_new:
+        raise InputError(
+            "--config, --spec and --out cannot be given with --resume: the run folder already has a configuration"
+        )
 
 
 class Files(NamedTuple):

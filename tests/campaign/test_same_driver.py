@@ -71,7 +71,7 @@ def test_a_suite_finds_its_policy_from_any_folder_and_names_another(place, capsy
 
 
 def test_the_summary_has_the_digests_and_versions(place, capsys):
-    assert main(["status", "run", "--json"]) == OK
+    assert main(["status", "run", "--json", "-"]) == OK
     found = json.loads(capsys.readouterr().out)
     assert set(found["digests"]) == {"merge.zip", "merge.yaml"}
     assert "highway-env" in found["libraries"]

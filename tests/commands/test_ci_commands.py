@@ -24,7 +24,7 @@ def raising(observation):
 def finished(tmp_path_factory):
     """A run, and its summary."""
     folder = tmp_path_factory.mktemp("ci")
-    assert main([*SEARCH, "--out", str(folder / "run"), "--summary", str(folder / "summary.json")]) == 0
+    assert main([*SEARCH, "--out", str(folder / "run"), "--json", str(folder / "summary.json")]) == 0
     return folder / "run", json.loads((folder / "summary.json").read_text())
 
 
@@ -48,7 +48,7 @@ def test_only_classes_that_are_not_known_fail_a_check(finished, tmp_path, capsys
     (tmp_path / "known.txt").write_text("\n".join(["# accepted", *summary["new_classes"][1:]]))
     (tmp_path / "all.json").write_text(json.dumps(summary))
     resumed = ["fuzz", "--resume", str(folder), "--workers", "0", "--quiet", "--fail-on-violation"]
-    assert main([*resumed, "--known-classes", str(tmp_path / "known.txt"), "--summary", str(tmp_path / "s.json")]) == 1
+    assert main([*resumed, "--known-classes", str(tmp_path / "known.txt"), "--json", str(tmp_path / "s.json")]) == 1
     assert "in 1 class that are not known" in capsys.readouterr().err
     assert json.loads((tmp_path / "s.json").read_text())["new_classes"] == summary["new_classes"][:1]
     assert main([*resumed, "--known-classes", str(tmp_path / "all.json")]) == 0
@@ -82,7 +82,7 @@ def test_the_status_of_a_run_is_told_while_it_is_written(finished, capsys):
     assert " ".join(summary["classes"][0]["words"].split()[:3]) in text
     store = Store.reopen(folder)
     try:
-        assert main(["status", str(folder), "--json"]) == 0
+        assert main(["status", str(folder), "--json", "-"]) == 0
         found = json.loads(capsys.readouterr().out)
         assert found["running"]
         assert found["executions"] == 12

@@ -42,13 +42,12 @@ def shown(stream, budget, progress=PROGRESS, quiet=False):
 
 def test_a_plain_line():
     line = shown(io.StringIO(), Budget(executions=100))
-    assert "50 of 100 executions, 2.5/s, 6 failed (collision 4, lines 0, destination 2) in 2 classes, " in line
-    assert "3 at fault in 2 classes, 20.0%" in line
-    assert "20.0% with new behavior, 0:20 left" in line
+    assert "50 of 100 executions, 6 failed in 2 classes, 3 at fault in 2 classes; 2.5/s, 0:20 left" in line
+    assert len(line) <= 101
 
 
 def test_a_time_budget_is_left_over_in_time():
-    assert "50 executions, 2.5/s" in shown(io.StringIO(), Budget(seconds=80))
+    assert "50 executions, 6 failed" in shown(io.StringIO(), Budget(seconds=80))
     assert "1:00 left" in shown(io.StringIO(), Budget(seconds=80))
 
 

@@ -27,7 +27,9 @@ def ended(store, reason=None, **campaign):  # noqa: F811 - the fixture
     """What fuzzing says at the end of a campaign: its exit code and its notes."""
     stream = io.StringIO()
     campaign = SimpleNamespace(**{"run": lambda _: reason, "stopping": False, **campaign})
-    return fuzz._run(campaign, store, Display(stream, Budget(executions=9), quiet=False), "nsga2"), stream.getvalue()
+    return fuzz._run(
+        campaign, store, Display(stream, Budget(executions=9), quiet=False), "nsga2", sys.stdout
+    ), stream.getvalue()
 
 
 def test_only_a_used_budget_completes_a_run(store):  # noqa: F811
@@ -50,12 +52,12 @@ def test_a_failure_that_highway_env_does_not_confirm_is_not_the_drivers(tmp_path
     run, failing = Store.create(tmp_path / "run", CampaignConfig().to_yaml()), Progress(violations={"error": 1})
     run.add(execution(0, ("error",), "error/differs"))
     run.commit()
-    assert fuzz._checked(OK, failing, run.folder, Checks(), None) == OK
+    assert fuzz._checked(OK, failing, run.folder, Checks(), fuzz.Files(None, None, sys.stdout)) == OK
     run.add(execution(0, ("error",), "error/raised"))
     run.commit()
     run.close()
     assert capsys.readouterr().err == ""
-    assert fuzz._checked(OK, failing, run.folder, Checks(), None) != OK
+    assert fuzz._checked(OK, failing, run.folder, Checks(), fuzz.Files(None, None, sys.stdout)) != OK
 
 
 def test_an_execution_on_an_unknown_road_is_drawn(monkeypatch, tmp_path):

@@ -1,18 +1,20 @@
 """Results in words, and flags that two commands share."""
 
+import json
+import xml.etree.ElementTree as ET
 from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.commands import BAD_INPUT, OK, main
+from behavexplor.campaign.config import campaign_config, stored_config
+from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.commands.check import result
-from behavexplor.evaluation import Evaluation
+from behavexplor.commands.overview import COMMANDS
+from behavexplor.envs.making import environment_id
 from behavexplor.execution.simulation import Simulation
 from behavexplor.repair.cases import Case, Suite
 from behavexplor.repair.checking import CheckedCase
-from tests.fakes import LOGICAL
 
 
 @pytest.mark.parametrize(
@@ -41,20 +43,60 @@ def test_compare_leaves_confirmation_out_as_fuzz_does(tmp_path, monkeypatch, cap
     assert not stored_config(tmp_path / "out" / "second").says.confirm
 
 
-def test_what_was_driven_is_shown_even_if_a_file_of_it_cannot_be_written(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("command", [["check", "suite"], ["evaluate"], ["fuzz"], ["compare", "idm", "idm"]])
+def test_files_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm"))
+    for path, said in ((tmp_path, "is a folder: name a file"), (tmp_path / "no" / "x", f"no folder {tmp_path / 'no'}")):
+        assert main([*command, "--json", str(path)]) == BAD_INPUT
+        assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_are_shown_before_their_files_are_written(tmp_path, monkeypatch, capsys):
     case = Case(words="", class_id="R2", run="run", execution=7, holds=("lines",), scenario={})
-    outcome = CheckedCase(case, ("lines",), "Touched a line")
+    outcome, file = CheckedCase(case, ("lines",), "Touched a line"), tmp_path / "file"
     monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm", cases=(case,)))
-    drive = SimpleNamespace(all_of=lambda _: [outcome])
+    drive = SimpleNamespace(all_of=lambda _: file.mkdir() or [outcome])  # something takes the place of the file
     monkeypatch.setattr("behavexplor.commands.check.opened_driver", lambda *_, **__: nullcontext(drive))
-    assert main(["check", "suite", "--junit", str(tmp_path)]) == BAD_INPUT
+    assert main(["check", "suite", "--junit", str(file)]) == BAD_INPUT
     printed = capsys.readouterr()
     assert "R2-7      FAIL  Touched a line" in printed.out
     assert "cannot be written" in printed.err
 
-    rates = Evaluation(4, {"arrived": 3})
-    monkeypatch.setattr("behavexplor.commands.evaluate._evaluated", lambda *_: (LOGICAL, rates, False))
-    assert main(["evaluate", "--json", str(tmp_path)]) == BAD_INPUT
+
+def test_one_output_is_standard_output_and_nothing_else_is_on_it(monkeypatch, capsys):
+    case = Case(words="", class_id="R2", run="run", execution=7, holds=("lines",), scenario={})
+    monkeypatch.setattr(Suite, "read", lambda _: Suite(env="lane-change", driver="idm", cases=(case,)))
+    drive = SimpleNamespace(all_of=lambda _: [CheckedCase(case, ("lines",), "Touched a line")])
+    monkeypatch.setattr("behavexplor.commands.check.opened_driver", lambda *_, **__: nullcontext(drive))
+    assert main(["check", "suite", "--json", "-"]) == CHECK_FAILED
     printed = capsys.readouterr()
-    assert "75.0% (" in printed.out
-    assert "cannot be written" in printed.err
+    assert json.loads(printed.out)["scenarios"][0]["words"] == "Touched a line"
+    assert "The only scenario fails" in printed.err
+    assert main(["check", "suite", "--junit", "-"]) == CHECK_FAILED
+    (suite,) = ET.fromstring(capsys.readouterr().out)
+    assert suite.find("testcase/failure").get("message") == "Touched a line"
+    assert main(["check", "suite", "--json", "-", "--junit", "-"]) == BAD_INPUT
+    assert "cannot both be '-'" in capsys.readouterr().err
+
+
+def test_old_flags_name_the_new_ones_and_unknown_commands_the_nearest(capsys):
+    assert main(["fuzz", "--summary", "x"]) == BAD_INPUT
+    assert "--summary is called --json now" in capsys.readouterr().err
+    assert main(["fuz"]) == BAD_INPUT
+    assert "did you mean 'fuzz'?" in capsys.readouterr().err
+
+
+def test_the_overview_has_every_command_in_a_line(capsys):
+    assert main(["--help"]) == OK
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines if line.startswith("  ")} == set(COMMANDS)
+    assert max(map(len, lines)) < 80
+    assert main([]) == BAD_INPUT
+
+
+def test_the_papers_names_denote_its_scenarios(capsys):
+    assert campaign_config({"env": "S4"}).env == "lane-change"
+    assert environment_id("S1") == "behavexplor/intersection-straight-v0"
+    assert main(["train", "--env", "highway-fast-v0"]) == BAD_INPUT
+    assert "HighwayVecEnv" in capsys.readouterr().err
