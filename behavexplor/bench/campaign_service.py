@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
 
-from behavexplor.bench.timing import Stopwatch
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.opening import opened
@@ -104,11 +103,7 @@ class CampaignService(Service):
                 ready.campaign.stop()
             warnings += ready.warnings
             threadpool_limits(1)  # includes libraries that the ADS has loaded
-            watch = Stopwatch(folder, ready.campaign.elapsed)
-            try:
-                watch.end(ready.campaign.run(watch.observe))
-            finally:
-                watch.write()
+            ready.campaign.run(lambda _: None)
             return not ready.campaign.stopping
 
 

@@ -1,8 +1,9 @@
 """Estimates of the running time of an experiment."""
 
+import math
 import time
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +11,9 @@ import numpy as np
 
 from behavexplor.bench.experiment import Experiment, PlannedRun
 from behavexplor.bench.runs import run_state
-from behavexplor.bench.timing import read_timing
+from behavexplor.campaign.progress import executing_and_analysing
+from behavexplor.campaign.record import DATABASE
+from behavexplor.campaign.store import Store
 from behavexplor.data.target import Target
 from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
@@ -52,10 +55,12 @@ def _measured(runs: Sequence[PlannedRun], root: Path) -> dict[tuple[str, ...], f
     """Return the mean measured time per execution by environment, ADS and method [s]."""
     found: dict[tuple[str, ...], list[float]] = {}
     for run in runs:
-        timing = read_timing(root / run.folder)
-        if timing.executions:
-            seconds = (timing.executing + timing.analysing) / timing.executions
-            found.setdefault((run.env, run.ads, run.method), []).append(seconds)
+        if not (root / run.folder / DATABASE).is_file():
+            continue
+        with closing(Store.read(root / run.folder)) as store:
+            seconds, count = sum(executing_and_analysing(store.stages)), len(store)
+        if count and not math.isnan(seconds):
+            found.setdefault((run.env, run.ads, run.method), []).append(seconds / count)
     return {key: float(np.mean(values)) for key, values in found.items()}
 
 

@@ -5,14 +5,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 from behavexplor.bench.campaign_service import RUN, campaign_recipe, campaign_request, take_outcome
 from behavexplor.bench.experiment import PlannedRun
-from behavexplor.bench.timing import read_timing
 from behavexplor.campaign.config import CampaignConfig, check_revision, stored_config
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.record import DATABASE
@@ -76,10 +75,11 @@ def run_state(run: PlannedRun, root: Path) -> RunState:
     if not (folder / DATABASE).is_file():
         return RunState(0, finished=False)
     check_same_campaign(stored_config(folder).says, run, str(folder))
-    count, budget = _stored_executions(folder), int(run.config.budget)
+    with closing(Store.read(folder)) as store:
+        count, ended, budget = len(store), store.ended, int(run.config.budget)
     if count > budget:
         raise InputError(f"{folder} has {count} executions, more than the budget {budget}: choose another --out")
-    return RunState(count, finished=count == budget or read_timing(folder).ended is not None)
+    return RunState(count, finished=count == budget or ended is not None)
 
 
 def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> None:
@@ -96,14 +96,6 @@ def check_same_campaign(stored: CampaignConfig, run: PlannedRun, what: str) -> N
     check_revision(stored, what)
     if replace(stored, budget=run.config.budget) != run.config:
         raise InputError(f"{what} holds a campaign with a different configuration: choose another --out")
-
-
-def _stored_executions(folder: Path) -> int:
-    store = Store.read(folder)
-    try:
-        return len(store)
-    finally:
-        store.close()
 
 
 class ExperimentRunner:
@@ -205,8 +197,8 @@ class ExperimentRunner:
 
     def _look(self, run: PlannedRun) -> None:
         """Count the stored executions of a run."""
-        with suppress(InputError):  # the run folder may not be complete yet
-            self._executions[run] = _stored_executions(self._root / run.folder)
+        with suppress(InputError), closing(Store.read(self._root / run.folder)) as store:  # it may not be complete yet
+            self._executions[run] = len(store)
             self._open[run] = int(run.config.budget) - self._executions[run]
 
     def _count(self) -> None:

@@ -1,5 +1,6 @@
 """Progress of a campaign in figures."""
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,7 +21,7 @@ STARTING, ASKING, EXECUTING, WAITING, JUDGING, MINING, STORING = (
 )
 STAGES: Final[Mapping[str, str]] = MappingProxyType(
     {
-        STARTING: "loading the driver, its environment and the workers",
+        STARTING: "loading the driver, its environment, the workers and what is stored",
         ASKING: "choosing scenarios",
         EXECUTING: "driving in this process",
         WAITING: "waiting for worker processes, which drive",
@@ -126,6 +127,14 @@ def known_stages(values: Any) -> dict[str, float]:
     """Return the stages and times in JSON values from a file, in order, without anything else that they hold."""
     given = values if isinstance(values, dict) else {}
     return {stage: float(given[stage]) for stage in STAGES if _is_time(given.get(stage))}
+
+
+def executing_and_analysing(stages: Mapping[str, float]) -> tuple[float, float]:
+    """Return the time spent on executions, and on everything else but the start [s]; nan if it is not known."""
+    if not stages:
+        return math.nan, math.nan
+    executing = sum(stages.get(stage, 0.0) for stage in (EXECUTING, WAITING))
+    return executing, sum(stages.get(stage, 0.0) for stage in (ASKING, JUDGING, MINING, STORING))
 
 
 def _is_time(value: Any) -> bool:

@@ -27,7 +27,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError
 
-_STAGES = "stages"  # name of the note with the time in each stage
+_STAGES, _END = "stages", "end"  # names of the notes with the time in each stage, and why the search ended early
 _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it has begun
 
 
@@ -188,6 +188,15 @@ class Store:
             )
         except ValueError:
             return {}
+
+    @property
+    def ended(self) -> str | None:
+        """Why the search ended before its budget was used up; None if it did not."""
+        return database.read_note(self._connection, _END).decode(errors="replace") or None
+
+    def note_end(self, reason: str) -> None:
+        """Write why the search ended before its budget was used up."""
+        database.insert(self._connection, [], {_END: reason})
 
     def _ask(self, query: str) -> Any:
         try:

@@ -1,12 +1,25 @@
 """Where the time of a campaign goes: it is counted, stored with the executions, and read from damaged files."""
 
+import math
 import sqlite3
 import time
 from contextlib import suppress
 
 import pytest
 
-from behavexplor.campaign.progress import EXECUTING, JUDGING, STAGES, STARTING, WAITING, StageClock, known_stages
+from behavexplor.campaign.config import stored_config
+from behavexplor.campaign.opening import opened
+from behavexplor.campaign.progress import (
+    EXECUTING,
+    JUDGING,
+    STAGES,
+    STARTING,
+    STORING,
+    WAITING,
+    StageClock,
+    executing_and_analysing,
+    known_stages,
+)
 from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import OK, main
@@ -48,6 +61,26 @@ def test_a_run_keeps_the_time_in_each_stage_and_a_resumed_one_adds_to_it(run):
     second, _ = stages_of(run)
     assert all(second[name] >= first[name] for name in STAGES)
     assert second[EXECUTING] > first[EXECUTING]
+
+
+def test_what_is_stored_counts_for_the_start_when_a_run_is_resumed(run):
+    before, _ = stages_of(run)
+    with opened(stored_config(run).says, run, 0, resume=True) as ready:
+        clock = ready.campaign._clock
+        begun = clock.seconds[STARTING]
+        ready.campaign.run(lambda _: None)
+    assert {name for name, seconds in clock.seconds.items() if seconds} == {STARTING, STORING}
+    assert clock.seconds[STARTING] > begun
+    after, _ = stages_of(run)
+    assert {name for name in STAGES if after[name] != before[name]} == {STARTING}
+
+
+def test_executing_and_analysing_are_all_stages_but_the_start():
+    stages = {name: float(2**i) for i, name in enumerate(STAGES)}
+    executing, analysing = executing_and_analysing(stages)
+    assert executing == stages[EXECUTING] + stages[WAITING]
+    assert executing + analysing + stages[STARTING] == sum(stages.values())
+    assert all(map(math.isnan, executing_and_analysing({})))
 
 
 @pytest.mark.parametrize("note", ["", "[]", '{"judging": "1"}', '{"judging": NaN, "more": 1}', "[" * 100_000, "1e999"])
