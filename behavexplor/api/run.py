@@ -24,7 +24,7 @@ from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import RunSummary, by_class, summarize
 from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import new_file, write_durably
+from behavexplor.data.durable import new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -37,14 +37,13 @@ from behavexplor.judge.specs import judge
 from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road
-from behavexplor.report.run_page import page
-from behavexplor.triage.findings import Triage, known_findings
-from behavexplor.triage.minimization import chosen_failures, minimize_failures
-from behavexplor.triage.minimized import Minimized, known_minimized
+from behavexplor.report.run_page import PAGE, page, written
+from behavexplor.triage.findings import Triage
+from behavexplor.triage.minimization import RunMinimization
+from behavexplor.triage.minimized import Minimized
 from behavexplor.triage.run_triage import RunTriage
 
 _SUFFIXES: Final = (".gif", ".png")
-PAGE = "report.html"
 
 
 class Replay:
@@ -164,11 +163,8 @@ class Run:
     @property
     def records(self) -> tuple[Record, ...]:
         """The records of all executions, in order."""
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             return tuple(store.records())
-        finally:
-            store.close()
 
     @property
     def failures(self) -> "pd.DataFrame":
@@ -199,12 +195,9 @@ class Run:
     @property
     def traces(self) -> Iterator[Trace]:
         """The traces of all executions, in order, read one by one."""
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             for execution in store.executions():
                 yield execution.load_trace()
-        finally:
-            store.close()
 
     def scenario(self, number: int) -> Scenario:
         """Return the scenario of an execution.
@@ -296,14 +289,8 @@ class Run:
             return []
         config = self._accepted(JUDGED)
         count = worker_count(self._given, config.target, workers)
-        with closing(Store.read(self.folder)) as store:
-            chosen = chosen_failures(store, given or [])
-            findings = known_findings(self.folder)
-            known = known_minimized(self.folder, findings)
-            waiting = [number for number in chosen if number not in known]
-            for one in minimize_failures(store, config, waiting, findings, count, self._given.driver):
-                known[one.id] = one
-        return [known[number] for number in chosen]
+        work = RunMinimization(self.folder, config, count, given or (), driver=self._given.driver)
+        return work.minimize(lambda _: None)
 
     def report(self, path: str | Path | None = None, *, replays: int = 100) -> Path:
         """Write the findings as one self-contained HTML page.
@@ -358,22 +345,15 @@ class Run:
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:
-        """Return a given driver, if it has the name of this run's driver.
-
-        Raises:
-            InputError: if it has another name.
-        """
+        """Return a given driver, if it has the name of this run's driver."""
         given = given_driver(driver)
         if given.name != self.config.ads:
             raise InputError(f"{self.folder} is a run of {self.config.ads!r}, not of {given.name!r}")
         return given
 
     def _execution(self, number: int) -> Execution:
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             return store.execution(int(number))  # numbers from a DataFrame are numpy's
-        finally:
-            store.close()
 
     def _executor(self) -> Executor:
         target = self._accepted().target
@@ -382,11 +362,8 @@ class Run:
         return start_executor(target, fewest_workers(target))
 
     def __len__(self) -> int:
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             return len(store)
-        finally:
-            store.close()
 
     def __repr__(self) -> str:
         found = self.summary
@@ -405,19 +382,6 @@ class Run:
             f"({found.failure_rate:.1%}), {found.at_fault} at fault<br><code>{escape(str(self.folder))}</code></p>"
             f"<table><tr><th>class of failures</th><th>count</th><th>at fault</th><th>first</th></tr>{rows}</table>"
         )
-
-
-def written(path: Path, text: str) -> Path:
-    """Write a page, and return its path.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
-    try:
-        write_durably(path, text)
-    except OSError as error:
-        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
-    return path
 
 
 def open_run(

@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from threadpoolctl import threadpool_limits
 
-from behavexplor.bench.timing import Stopwatch
 from behavexplor.campaign.campaign import Campaign, ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.campaign.opening import opened
@@ -63,9 +62,6 @@ class CampaignService(Service):
     def run(self, request: bytes) -> bytes:
         """Run or resume a campaign.
 
-        Args:
-            request: request made by `campaign_request`.
-
         Returns:
             An `Outcome` as JSON and a newline, followed by the packed run folder if the request has no folder on this
             machine.
@@ -104,20 +100,12 @@ class CampaignService(Service):
                 ready.campaign.stop()
             warnings += ready.warnings
             threadpool_limits(1)  # includes libraries that the ADS has loaded
-            watch = Stopwatch(folder, ready.campaign.elapsed)
-            try:
-                watch.end(ready.campaign.run(watch.observe))
-            finally:
-                watch.write()
+            ready.campaign.run(lambda _: None)
             return not ready.campaign.stopping
 
 
 def campaign_recipe(targets: Iterable[Target]) -> Recipe:
-    """Return the recipe by which worker processes make the service. Each process runs a single campaign.
-
-    Args:
-        targets: the driving systems and environments of the campaigns.
-    """
+    """Return the recipe by which worker processes make the service. Each process runs a single campaign."""
     modules = dict.fromkeys(module for target in targets for module in evaluator_recipe(target).preload)
     name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
     return Recipe(name, preload=(*_PRELOAD, *modules), long_calls=True)

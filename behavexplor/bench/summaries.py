@@ -4,6 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 import scipy
 
 from behavexplor.bench.experiment import PlannedRun
-from behavexplor.bench.timing import read_timing
+from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Store
 from behavexplor.data.scripted_logical import ROUTES, WAYPOINTS
@@ -186,20 +187,13 @@ class Summary:
 def summarize(run: PlannedRun, root: Path) -> Summary:
     """Return the summary of a run from its run folder.
 
-    Args:
-        run: the run.
-        root: the experiment's folder.
-
     Raises:
         InputError: if the run folder is damaged.
     """
-    folder = root / run.folder
-    store = Store.read(folder)
-    records = list(store.records())
-    failures = _with_signatures([_failure(record) for record in records if record.failed], store)
-    store.close()
-    timing = read_timing(folder)
-    share = len(records) / timing.executions if timing.executions else math.nan
+    with closing(Store.read(root / run.folder)) as store:
+        records = list(store.records())
+        failures = _with_signatures([_failure(record) for record in records if record.failed], store)
+        executing, analysing = executing_and_analysing(store.stages)
     specs = dict.fromkeys([*REQUIREMENTS, *(name for record in records for name in record.degrees)])
     origins = [record.origin for record in records]
     return Summary(
@@ -210,8 +204,8 @@ def summarize(run: PlannedRun, root: Path) -> Summary:
         len(records),
         tuple(failures),
         sum(record.novel for record in records) / len(records),
-        timing.executing * share,
-        timing.analysing * share,
+        executing,
+        analysing,
         durations=_durations(records),
         mutants=tuple(_mutants(records)),
         mutations=(origins.count(WAYPOINTS), origins.count(ROUTES)),

@@ -26,7 +26,7 @@ from behavexplor.data.trace import Trace
 from behavexplor.data.untrusted import parse_json
 from behavexplor.errors import InputError
 
-_STAGES = "stages"  # name of the note with the time in each stage
+_STAGES, _END = "stages", "end"  # names of the notes with the time in each stage, and why the search ended early
 _UNFINISHED = {LOCK, f"{CONFIG}.part"}  # files that a run may leave if it is killed before it has begun
 
 
@@ -82,10 +82,6 @@ class Store:
     @classmethod
     def create(cls, folder: Path, config: str) -> Self:
         """Begin a run in an empty or new folder.
-
-        Args:
-            folder: run folder, which is created if it does not exist.
-            config: configuration of the campaign as YAML.
 
         Raises:
             InputError: if the folder cannot be written, or is not empty.
@@ -189,6 +185,15 @@ class Store:
         """Write a text to disk under a name."""
         database.insert(self._connection, [], {name: text})
 
+    @property
+    def ended(self) -> str | None:
+        """Why the search ended before its budget was used up; None if it did not."""
+        return self.note(_END).decode(errors="replace") or None
+
+    def note_end(self, reason: str) -> None:
+        """Write why the search ended before its budget was used up."""
+        self.add_note(_END, reason)
+
     def _ask(self, query: str) -> Any:
         try:
             return self._connection.execute(query).fetchone()[0]
@@ -267,24 +272,6 @@ class Store:
                 losses.damaged.append(number)
                 losses.cut_off = self._table.last is None
 
-    def failures(self) -> Iterator[tuple[int, str, str | None]]:
-        """Yield the number, the most severe violated spec, and the class of each failed execution, in order.
-
-        The class is None in runs of early versions.
-
-        Raises:
-            InputError: if a record is damaged.
-        """
-        first = "json_extract(record, '$.violated[0]')"  # readers do not trust generated columns of the file
-        columns = f"id, {first}, json_extract(record, '$.class')"
-        query = f"SELECT {columns} FROM executions WHERE {first} IS NOT NULL ORDER BY id"  # noqa: S608 - all our own
-        try:
-            for number, name, kind in self._connection.execute(query):
-                yield number, name.decode(), kind and kind.decode()
-        except sqlite3.DatabaseError as error:  # such as a record that is not JSON
-            damage = f"{self.folder / DATABASE} is damaged: {error}"
-            raise InputError(f"{damage}; fuzz --resume executes what is lost again") from None
-
     def execution(self, number: int) -> Execution:
         """Return an execution.
 
@@ -353,11 +340,7 @@ def _execution(row: database.Row) -> Execution:
 
 
 def _record(row: database.Row) -> Record:
-    """Return the record in a row.
-
-    Raises:
-        DamagedError: if the row holds no valid record, or the record of another execution.
-    """
+    """Return the record in a row."""
     try:
         record = Record.from_json(row.record)
     except ValueError as error:

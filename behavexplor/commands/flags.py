@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, dataclass, fields
 from inspect import Parameter, Signature, cleandoc
 from pathlib import Path
 from threading import Timer
@@ -12,6 +12,8 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 import tyro
 
 from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.provenance import JUDGED, AcceptedConfig, Consent
+from behavexplor.campaign.same_driver import accepted_run
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
@@ -40,6 +42,36 @@ def flag(metavar: str | None, default: object) -> Any:
         default: what holds without the flag, for the help text; None for nothing.
     """
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "")
+
+
+@dataclass(frozen=True)
+class Running:
+    """How a command runs a driver again that a folder names.
+
+    Attributes:
+        workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
+            a driver that is not shipped with behavexplor then needs --unconfined.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
+        quiet: Print only the result.
+    """
+
+    workers: Annotated[int | None, flag("N", "the cores")] = None
+    trust: Trust = ()
+    unconfined: Switch = False
+    quiet: Switch = False
+
+    @property
+    def count(self) -> int:
+        """Number of worker processes; see `chosen_workers`."""
+        return chosen_workers(self.workers)
+
+    def accepted(self, run: Path) -> AcceptedConfig:
+        """Return the configuration of a run, whose driver drives again and whose specs judge."""
+        return accepted_run(run, Consent(self.trust, self.unconfined), JUDGED)
+
+
+HowToRun = Annotated[Running, tyro.conf.arg(name="")]  # a parameter whose fields are flags
 
 
 def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:
@@ -102,11 +134,6 @@ def described(kind: type) -> dict[str, str]:
 
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
     """Check that flags beside --resume do not change the configuration of what is resumed.
-
-    Args:
-        given: values of the flags by key of the configuration.
-        stored: the configuration.
-        what: what is resumed, for the message.
 
     Raises:
         InputError: if a value differs.

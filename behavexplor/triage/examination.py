@@ -7,12 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from behavexplor.ads.interface import ADS
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import Record
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.evaluator import Evaluator
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.evaluator import Evaluator, recipe_for
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec, judge
 from behavexplor.triage.blame import Blame, blame
@@ -40,14 +43,7 @@ class Rerun:
 
 
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:
-    """Execute a scenario again and compare the traces.
-
-    Args:
-        simulation: simulation with the same ADS and environment as in the recorded execution.
-        scenario: the executed scenario.
-        trace: its recorded trace.
-        specs: specs that judge both traces.
-    """
+    """Execute a scenario again, with the same ADS in the same environment, and compare the traces."""
     try:
         again = simulation.run(scenario)
     except ADSError:
@@ -67,9 +63,6 @@ class FailureEvaluator(Evaluator):
     Args:
         specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
         target: the fields of a `behavexplor.data.target.Target`.
-
-    Attributes:
-        specs: these names.
     """
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
@@ -82,6 +75,17 @@ class FailureEvaluator(Evaluator):
         self.batch = None
 
 
+def start_evaluator(
+    kind: type[FailureEvaluator], config: CampaignConfig, patience: float, workers: int, driver: ADS | None
+) -> Executor:
+    """Start the executor of an evaluator of failures. Each may take `patience` times the time limit of an execution."""
+    target = replace(config.target, time_limit=patience * config.time_limit)
+    recipe = recipe_for(kind, target, specs=config.specs)
+    if driver is not None:
+        return start_in_process(target, driver, recipe)
+    return start_executor(target, workers, recipe=recipe)
+
+
 class Examiner(FailureEvaluator):
     """An evaluator that also examines failures; see `FailureEvaluator`."""
 
@@ -91,9 +95,6 @@ class Examiner(FailureEvaluator):
 
     def examine(self, request: bytes) -> bytes:
         """Examine a failure.
-
-        Args:
-            request: the failure, as encoded by `examination`.
 
         Returns:
             The finding, and the witness if there is one, as JSON.
@@ -106,13 +107,7 @@ class Examiner(FailureEvaluator):
 
 
 def examination(record: Record, trace: bytes, seed: int) -> bytes:
-    """Return the request for `Examiner.examine` about a stored execution.
-
-    Args:
-        record: the record of the execution.
-        trace: its trace as bytes.
-        seed: the seed of the campaign.
-    """
+    """Return the request for `Examiner.examine` about a stored execution."""
     return b"%d\n%b\n%b" % (seed, record.to_json().encode(), trace)
 
 
@@ -121,12 +116,7 @@ def examined(
 ) -> tuple[Finding, Witness | OtherDriver | None]:
     """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
-    Args:
-        simulation: simulation with the same ADS and environment as in the recorded execution.
-        record: the record of the failed execution.
-        trace: its trace.
-        seed: the seed of the campaign.
-        specs: the specs of the campaign.
+    The simulation must have the ADS and the environment of the recorded execution.
 
     Returns:
         The finding, and a witness if the failure is a collision that the ego could have avoided.

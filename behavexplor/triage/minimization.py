@@ -1,9 +1,10 @@
 """Minimization of failures: the simplest scenario in which the same failure still happens."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,11 +19,11 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import LOCK_STEP, recipe_for
-from behavexplor.execution.executor import AHEAD, ADSError, in_order
+from behavexplor.execution.evaluator import LOCK_STEP
+from behavexplor.execution.executor import AHEAD, ADSError, Executor, in_order
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import logical_of_target, start_executor, start_in_process
+from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import contact_fault
@@ -30,9 +31,9 @@ from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
-from behavexplor.triage.examination import STREAM, FailureEvaluator
-from behavexplor.triage.findings import Finding
-from behavexplor.triage.minimized import MINIMIZED, Minimized
+from behavexplor.triage.examination import STREAM, FailureEvaluator, start_evaluator
+from behavexplor.triage.findings import Finding, known_findings
+from behavexplor.triage.minimized import MINIMIZED, Minimized, known_minimized
 from behavexplor.triage.shrinking import shrink, size_of
 
 LIMIT: Final = 500  # executions of candidates for one failure
@@ -106,13 +107,8 @@ class ManyScenarios:
 class SameFailure:
     """The property that a failure still happens; see `behavexplor.triage.shrinking.Property`.
 
-    Args:
-        driven: the driver of the failed execution.
-        specs: the specs of the campaign.
-        scenario: the scenario of the failed execution.
-        sought: signature of the failure.
-        known: the finding of triage about the failure, whose fault and cause are kept; None without triage.
-        seed: seed for the random evasions by which fault is determined.
+    Its signature stays the `sought` one. Fault and cause stay those of the `known` finding of triage, if there is one.
+    The `seed` is that of the random evasions by which fault is determined.
     """
 
     def __init__(
@@ -180,9 +176,6 @@ class Minimizer(FailureEvaluator):
     def minimize(self, request: bytes) -> bytes:
         """Minimize a failure.
 
-        Args:
-            request: the failure, as encoded by `minimization`.
-
         Returns:
             The minimized failure as a line of JSON, and the trace of its scenario.
         """
@@ -196,14 +189,7 @@ class Minimizer(FailureEvaluator):
 
 
 def minimization(record: Record, trace: bytes, seed: int, known: Finding | None) -> bytes:
-    """Return the request for `Minimizer.minimize` about a stored execution.
-
-    Args:
-        record: the record of the execution.
-        trace: its trace as bytes.
-        seed: the seed of the campaign.
-        known: the finding of triage about it; None without triage.
-    """
+    """Return the request for `Minimizer.minimize` about a stored execution."""
     values = {"record": record.to_dict(), "seed": seed, "finding": None if known is None else asdict(known)}
     return json.dumps(values).encode() + b"\n" + trace
 
@@ -212,14 +198,6 @@ def minimized(
     driven: ManyScenarios, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None, seed: int
 ) -> tuple[Minimized, Trace]:
     """Minimize a failure. Its class stays the same, and its fault and cause as far as they are known.
-
-    Args:
-        driven: the driver of the failed execution.
-        specs: the specs of the campaign.
-        record: the record of the failed execution.
-        trace: its trace.
-        known: the finding of triage about it; None without triage.
-        seed: the seed of the campaign.
 
     Returns:
         The minimized failure and the trace of its scenario.
@@ -231,31 +209,26 @@ def minimized(
     shrunk = shrink(parts, same, removable=removable, limit=LIMIT if same.held_by([parts]) == [True] else 0)
     minimal = logical.with_parts(scenario, shrunk.parts)
     again = driven.run(minimal)
-    reproduced = signature(again, specs) == sought  # no, if it is flaky, or the compiled engine found it alone
-    if not reproduced:
-        minimal, again = scenario, trace
-    return Minimized(
-        id=record.id,
-        class_id=sought.class_id,
-        fault=known.fault if known else sought.fault,
-        cause=known.cause if known else None,
-        reproduced=reproduced,
-        is_minimal=reproduced and shrunk.is_minimal,
-        found=size_of(parts, removable=removable),
+    found = replace(left_as_found(logical, specs, record, trace, known), executions=shrunk.executions)
+    if signature(again, specs) != sought:  # it is flaky, or the compiled engine found it alone
+        return found, trace
+    found = replace(
+        found,
+        reproduced=True,
+        is_minimal=shrunk.is_minimal,
         minimal=size_of(logical.parts(minimal), removable=removable),
-        executions=shrunk.executions,
         violated=(ERROR,) if isinstance(again, ADSError) else judge(again, specs).violated,
         scenario=minimal.to_dict(),
-    ), logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
+    )
+    return found, logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
 
 
 def left_as_found(
-    logical: LogicalScenario, specs: Sequence[Spec], execution: Execution, known: Finding | None
+    logical: LogicalScenario, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None
 ) -> Minimized:
     """Return a failure that cannot be minimized as it was found; see `minimized` for the arguments."""
-    record = execution.record
-    sought = recorded_signature(record, execution.load_trace(), specs)
-    size = size_of(logical.parts(execution.scenario), removable=logical.removable)
+    sought = recorded_signature(record, trace, specs)
+    size = size_of(logical.parts(record.load_scenario()), removable=logical.removable)
     return Minimized(
         id=record.id,
         class_id=sought.class_id,
@@ -282,7 +255,7 @@ def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = 
     Raises:
         InputError: if an execution has no failure.
     """
-    failures = {number: kind or "" for number, _, kind in store.failures()}
+    failures = {record.id: record.violation_class or "" for record in store.records() if record.failed}
     for number in numbers:
         if number not in failures:
             folder = store.folder
@@ -293,56 +266,91 @@ def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = 
     return sorted(first.values())
 
 
-def minimize_failures(
-    store: Store,
-    config: CampaignConfig,
-    failures: Sequence[int],
-    known: Mapping[int, Finding],
-    workers: int,
-    driver: ADS | None = None,
-) -> Iterator[Minimized]:
-    """Minimize failures of a run in parallel, write the results into its folder, and yield them in order.
+class RunMinimization:
+    """Minimization of failures of one run. The results are kept in its folder.
 
     A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
 
     Args:
-        store: the executions of the run.
-        config: configuration of the run.
-        failures: numbers of failed executions.
-        known: findings of triage by the numbers of the executions.
+        run: the run folder.
+        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
         workers: number of worker processes; 0 uses this process.
+        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
+        every: whether all failures are chosen instead.
+        afresh: whether to minimize known failures again.
         driver: object of this process that drives in place of the driving system that the configuration names; None
             for none.
 
+    Attributes:
+        waiting: numbers of the failures that have to be minimized.
+
     Raises:
-        InputError: if the driver cannot be loaded, or the run folder cannot be written.
-        RuntimeError: if a failure could not be minimized.
+        InputError: if the folder is not a run folder, or is damaged, or an execution has no failure.
     """
-    if not failures:
-        return
-    target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
-    recipe = recipe_for(Minimizer, target, specs=config.specs)
-    if driver is None:
-        executor = start_executor(target, min(workers, len(failures)), recipe=recipe)
-    else:
-        executor = start_in_process(target, driver, recipe)
-    try:
-        folder_in(store.folder, MINIMIZED)
-        ended = {number for number in failures if _ends_process(store.execution(number).record)}
-        tried = (number for number in failures if number not in ended)
-        calls = (_call(store.execution(number), config.seed, known.get(number)) for number in tried)
-        futures = in_order(executor, calls, AHEAD * workers)
-        for number in failures:
-            answer = None if number in ended else _answer(next(futures))
-            if answer is None:
-                execution = store.execution(number)
-                logical, specs = logical_of_target(executor, config.env), load_specs(config.specs)
-                answer = left_as_found(logical, specs, execution, known.get(number)), execution.trace
-            minimal, trace = answer
-            minimal.write(store.folder, trace)
-            yield minimal
-    finally:
-        executor.shutdown(wait=False)
+
+    def __init__(
+        self,
+        run: Path,
+        config: CampaignConfig,
+        workers: int,
+        numbers: Sequence[int] = (),
+        *,
+        every: bool = False,
+        afresh: bool = False,
+        driver: ADS | None = None,
+    ) -> None:
+        self._config, self._workers, self._driver = config, workers, driver
+        self._store = Store.read(run)
+        self._chosen = chosen_failures(self._store, numbers, every=every)
+        self._findings = known_findings(run)
+        known = {} if afresh else known_minimized(run, self._findings)
+        self._found = {number: known[number] for number in self._chosen if number in known}
+        self.waiting = [number for number in self._chosen if number not in self._found]
+
+    def minimize(self, observe: Callable[[int], None]) -> list[Minimized]:
+        """Minimize the waiting failures in parallel, and return all chosen ones in order.
+
+        Args:
+            observe: function that gets the number of failures that were minimized.
+
+        Raises:
+            InputError: if the driver cannot be loaded, or the run folder cannot be written.
+            RuntimeError: if a failure could not be minimized.
+        """
+        try:
+            for done, minimal in enumerate(self._minimized(), 1):
+                self._found[minimal.id] = minimal
+                observe(done)
+        except OSError as error:
+            raise InputError(f"The run folder {self._store.folder} cannot be written: {error.strerror}") from None
+        finally:
+            self._store.close()
+        return [self._found[number] for number in self._chosen]
+
+    def _minimized(self) -> Iterator[Minimized]:
+        """Minimize the waiting failures, write the results into the run folder, and yield them in order."""
+        if not self.waiting:
+            return
+        store, workers = self._store, min(self._workers, len(self.waiting))
+        executor = start_evaluator(Minimizer, self._config, TIME_LIMIT, workers, self._driver)
+        try:
+            folder_in(store.folder, MINIMIZED)
+            ended = {number for number in self.waiting if _ends_process(store.execution(number).record)}
+            tried = (number for number in self.waiting if number not in ended)
+            calls = (_call(store.execution(number), self._config.seed, self._findings.get(number)) for number in tried)
+            futures = in_order(executor, calls, AHEAD * self._workers)
+            for number in self.waiting:
+                answer = None if number in ended else _answer(next(futures))
+                minimal, trace = answer or self._as_found(executor, store.execution(number))
+                minimal.write(store.folder, trace)
+                yield minimal
+        finally:
+            executor.shutdown(wait=False)
+
+    def _as_found(self, executor: Executor, execution: Execution) -> tuple[Minimized, bytes]:
+        logical, specs = logical_of_target(executor, self._config.env), load_specs(self._config.specs)
+        known, trace = self._findings.get(execution.id), execution.load_trace()
+        return left_as_found(logical, specs, execution.record, trace, known), execution.trace
 
 
 def _ends_process(record: Record) -> bool:

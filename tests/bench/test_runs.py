@@ -17,12 +17,10 @@ import pytest
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.bench.campaign_service import CampaignService, Outcome, campaign_request, take_outcome
 from behavexplor.bench.experiment import experiment_config, read_experiment
-from behavexplor.bench.forecast import forecast, trial
-from behavexplor.bench.runs import ExperimentRunner, RunState, run_state
+from behavexplor.bench.runs import ExperimentRunner, RunState, forecast, run_state, trial
 from behavexplor.bench.summaries import summarize
-from behavexplor.bench.timing import Stopwatch, Timing, read_timing
 from behavexplor.campaign.config import CampaignConfig
-from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.progress import executing_and_analysing
 from behavexplor.campaign.store import Store
 from behavexplor.commands import main
 from behavexplor.errors import InputError
@@ -108,7 +106,7 @@ def test_every_cell_is_run_and_everything_is_written(whole):
     assert f"Report: {folder / 'out' / 'report.html'}" in result.stdout
     assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
-    assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv", "times.md"} <= names
+    assert {"violations.csv", "times.csv", "failures-behavexplor.csv", "times.md"} <= names
 
 
 def test_a_summary_counts_what_is_in_the_run_folder(whole):
@@ -132,7 +130,7 @@ def test_a_summary_counts_what_is_in_the_run_folder(whole):
 def test_what_is_finished_is_not_run_again_and_tables_are_the_same_files(whole):
     folder, _ = whole
     out = folder / "out"
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.suffix in {".csv", ".tex", ".txt", ".svg"}}
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.suffix in {".csv", ".md", ".txt", ".svg"}}
     times = {path: path.stat().st_mtime_ns for path in out.rglob("campaign.db")}
     for flag in ("--tables-only", "--quiet"):
         assert main(["bench", str(folder / "small.yaml"), "--unconfined", "--out", str(out), flag]) == 0
@@ -164,12 +162,19 @@ def test_a_dry_run_draws_its_scenarios_as_the_campaigns_do(tmp_path, capsys):
 def test_a_forecast_takes_what_was_measured_and_knows_what_is_left(whole, tmp_path):
     experiment = read_experiment(str(write(tmp_path, 50)))
     root = whole[0] / "out"
-    timings = {run: read_timing(root / run.folder) for run in experiment.runs()}
+    times = {run: sum(executing_and_analysing(stages_of(root / run.folder))) / 20 for run in experiment.runs()}
     seconds = {
-        method: np.mean([(t.executing + t.analysing) / 20 for run, t in timings.items() if run.method == method])
-        for method in experiment.methods
+        method: np.mean([time for run, time in times.items() if run.method == method]) for method in experiment.methods
     }
     assert forecast(experiment, experiment.runs(), root, 4) == pytest.approx(2 * 30 * sum(seconds.values()) / 4)
+
+
+def stages_of(folder):
+    store = Store.read(folder)
+    try:
+        return store.stages
+    finally:
+        store.close()
 
 
 def stored(root):
@@ -274,8 +279,10 @@ def test_a_search_that_ends_early_has_finished(tmp_path):
     first, other = experiment.runs()
     folder = tmp_path / first.folder
     assert CampaignService().run_in(first.config, folder, 0) == Outcome(finished=True)
-    assert read_timing(folder).ended == "Five are enough."
-    assert read_timing(folder).executions == 5
+    store = Store.read(folder)
+    assert store.ended == "Five are enough."
+    assert len(store) == 5
+    store.close()
     assert run_state(first, tmp_path) == RunState(5, finished=True)
     assert run_state(other, tmp_path) == RunState(0, finished=False)
     assert ExperimentRunner([first], tmp_path, 1, 0).run(lambda _: None).finished == 1
@@ -329,24 +336,3 @@ def test_signatures_are_of_drivers_with_the_planners_log_alone(whole, tmp_path):
     assert [failure.signature for failure in summary.failures] == [found or "unexplained" for found in expected]
     assert summary.weaknesses()
     assert summary.weaknesses() <= set(WEAKNESSES)
-
-
-def test_a_stopwatch_adds_up_and_leaves_out_what_was_only_looked_at_again(tmp_path):
-    watch = Stopwatch(tmp_path, 0.0)
-    watch.observe(Progress(executions=10, elapsed=5.0, executing=3.0))
-    watch.write()
-    assert read_timing(tmp_path) == Timing(10, 3.0, 2.0)
-    again = Stopwatch(tmp_path, 5.0)
-    again.observe(Progress(executions=10, resumed=10, elapsed=6.0))
-    again.observe(Progress(executions=14, resumed=10, elapsed=9.0, executing=1.0))
-    again.end("nothing to mutate")
-    again.write()
-    assert read_timing(tmp_path) == Timing(14, 4.0, 4.0, "nothing to mutate")
-
-
-@pytest.mark.parametrize("content", ["{", "[]", '{"executions": "x"}', '{"speed": 1}'])
-def test_a_damaged_timing_is_one_sentence(tmp_path, content):
-    (tmp_path / "timing.json").write_text(content)
-    with pytest.raises(InputError) as error:
-        read_timing(tmp_path)
-    assert "\n" not in str(error.value)
