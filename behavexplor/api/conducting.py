@@ -71,6 +71,7 @@ def conduct(
         show = stack.enter_context(observed(progress, Budget.parse(config.budget)))
         stack.enter_context(_stoppable(ready.campaign))
         ready.campaign.run(show)
+        ready.campaign.drive_uniformly()
         was_stopped = ready.campaign.stopping
     if was_stopped:
         raise Interrupted(folder)

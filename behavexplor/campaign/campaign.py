@@ -13,7 +13,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
@@ -21,6 +23,7 @@ from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
 from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.campaign.uniform_rate import MOST, SHARE, UniformRate
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
@@ -28,9 +31,11 @@ from behavexplor.execution.evaluator import EXECUTE
 from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.fuzz.methods import load_method
 from behavexplor.fuzz.search import Candidate, SearchExhausted, SearchMethod
+from behavexplor.judge.discovery import INDEPENDENT
 from behavexplor.judge.specs import SPECS, Spec
 
 COMMIT_ROWS = 50  # greatest number of executions in one commit
+_UNIFORM: Final = 0x75_6E_69_66  # separates the scenarios that no search has chosen from those of the campaign
 COMMIT_SECONDS = 0.25  # greatest time between two commits [s]
 
 
@@ -132,6 +137,27 @@ class Campaign:
         if ended is not None and not self._pending:
             self._store.note_end(ended)
         return ended
+
+    def drive_uniformly(self) -> None:
+        """Find out how often the driver fails in scenarios that no search has chosen, once the campaign has ended.
+
+        The rate is noted in the store, unless it is known of as many scenarios, or the user stops the campaign. The
+        scenarios depend on the seed alone.
+
+        Raises:
+            ExecutionError: if one could not be executed.
+            InputError: if a spec cannot judge a trace.
+        """
+        count, known = min(MOST, len(self._store) // SHARE), UniformRate.stored(self._store)
+        if self._config.method in INDEPENDENT or count <= (known.n if known else 0):
+            return
+        generator, failed = np.random.default_rng([_UNIFORM, self._config.seed]), 0
+        candidates = [Candidate(number, self._logical.sample(generator), "uniform", None) for number in range(count)]
+        for pending in [_Pending(one, self._submit(one)) for one in candidates]:
+            if self.stopping:
+                return
+            failed += bool(judgment(*self._outcome(pending), self._specs).verdict.violated)
+        UniformRate(count, failed).note(self._store)
 
     def _during(self, stage: Stage, number: int) -> AbstractContextManager[None]:
         """Return a context whose time counts for a stage, or for the start if an execution is stored already."""

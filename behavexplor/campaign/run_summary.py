@@ -12,6 +12,7 @@ from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Store
+from behavexplor.campaign.uniform_rate import UniformRate, own_rate
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class RunSummary:
         classes: the classes of failures, the most frequent first.
         digests: SHA-256 of the files of the driver, by name, when the campaign began.
         libraries: versions of the libraries then, by name.
+        uniform: the driver's own failure rate, which only uniformly drawn scenarios tell; None if it is not known.
     """
 
     env: str
@@ -49,6 +51,7 @@ class RunSummary:
     classes: tuple[ClassSummary, ...]
     digests: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, str] = field(default_factory=dict)
+    uniform: UniformRate | None = None
 
     @property
     def failure_rate(self) -> float:
@@ -68,6 +71,7 @@ class RunSummary:
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as JSON values."""
         values = {**asdict(self), "failure_rate": self.failure_rate, "at_fault_rate": self.at_fault_rate}
+        values["uniform"] = self.uniform and self.uniform.to_dict()
         values["classes"] = [{"id": one.id, "words": one.words, **asdict(one)} for one in self.classes]
         return values
 
@@ -85,7 +89,8 @@ def summarize(run: Path) -> RunSummary:
             found = found.after(record, resumed=True)
         begun = begun_with(store) or Identity()
         summary = _summary(config, found, ended=store.ended is not None)
-        return replace(summary, digests=begun.digests, libraries=begun.libraries)
+        uniform = own_rate(config.method, found.executions, found.failed, UniformRate.stored(store))
+        return replace(summary, digests=begun.digests, libraries=begun.libraries, uniform=uniform)
 
 
 def _summary(config: CampaignConfig, found: Progress, *, ended: bool) -> RunSummary:

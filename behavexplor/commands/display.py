@@ -18,6 +18,7 @@ from behavexplor.api.observers import PlainConsole
 from behavexplor.campaign.config import Budget
 from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
+from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.commands.wording import class_count, clock, hanging
 from behavexplor.errors import printable, sentence
 from behavexplor.judge.discovery import Discovery
@@ -132,13 +133,19 @@ def summary(progress: Progress, store: Store, program: str, method: str) -> str:
         f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
         f"{share(progress.novel, progress)} of them with new behavior"
     ]
+    own = explained(method, own_rate(method, progress.executions, progress.failed, UniformRate.stored(store)))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
-        lines += [f"None failed. All results are in {store.folder}", "Search with a larger budget:", command]
+        lines += [
+            hanging("", f"None failed. {own}"),
+            f"All results are in {store.folder}",
+            "Search with a larger budget:",
+            command,
+        ]
         return "\n".join(lines)
     classes = f"{class_count(len(progress.classes))}, {_at_fault(progress)}"
     failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
-    lines += [hanging("", f"{failed}; each failure is counted under its most severe type:")]
+    lines += [hanging("", f"{failed}. {own}"), "Each failure is counted under its most severe type:"]
     width = max(12, *map(len, progress.violations))
     lines += [_line_of(name, width, progress) for name, count in progress.violations.items() if count]
     kinds = Counter({one.id: one.count for one in progress.classes.values()})

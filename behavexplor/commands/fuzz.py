@@ -163,6 +163,7 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
     with display:
         try:
             ended = campaign.run(display.show)
+            campaign.drive_uniformly()
         except ExecutionError as error:
             code, failure = EXECUTION_FAILED, str(error)
         except (sqlite3.Error, OSError) as error:

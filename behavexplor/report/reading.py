@@ -13,6 +13,7 @@ from typing import Any, Self
 from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.store import Execution, Store
+from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.discovery import Discovery
@@ -76,6 +77,7 @@ class ReportedRun:
         minimized: minimized failures by the numbers of their executions.
         digests: SHA-256 of the read data and of the driver's files, by name.
         stages: time in each stage [s], see `behavexplor.campaign.progress`; empty if it is not known.
+        own_rate: a sentence that says which number is the driver's own failure rate.
     """
 
     folder: Path
@@ -87,6 +89,7 @@ class ReportedRun:
     minimized: Mapping[int, Minimized]
     digests: Mapping[str, str]
     stages: Mapping[str, float]
+    own_rate: str = ""
 
     @property
     def name(self) -> str:
@@ -146,7 +149,7 @@ def read_run(folder: Path) -> ReportedRun:
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()
     with closing(Store.read(folder)) as store:
-        stages = store.stages
+        stages, identity, uniform = store.stages, begun_with(store) or Identity(), UniformRate.stored(store)
         for execution in store.executions():
             entries.append(Entry.of(execution))
             digest.update(execution.trace)
@@ -156,22 +159,15 @@ def read_run(folder: Path) -> ReportedRun:
     if not entries:
         again = f"`behavexplor fuzz --resume {shlex.quote(str(folder))}`"
         raise InputError(f"{folder} has no executions yet: resume it with {again}")
-    digests = {CONFIG: _digest(folder / CONFIG), "executions": digest.hexdigest()}
-    identity, stages = _notes(folder)
-    digests |= identity.digests
+    digests = {CONFIG: _digest(folder / CONFIG), "executions": digest.hexdigest(), **identity.digests}
     if triage:
         digests[TRIAGE] = _digest(folder / TRIAGE)
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
+    own = explained(config.method, own_rate(config.method, len(entries), len(findings), uniform))
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
-    return ReportedRun(folder, config, *found, digests, stages)
-
-
-def _notes(folder: Path) -> tuple[Identity, dict[str, float]]:
-    """Return what the run tested, and its time in each stage."""
-    with closing(Store.read(folder)) as store:
-        return begun_with(store) or Identity(), store.stages
+    return ReportedRun(folder, config, *found, digests, stages, own)
 
 
 def _finding(execution: Execution) -> Finding:

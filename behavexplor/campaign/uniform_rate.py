@@ -1,0 +1,97 @@
+"""The driver's own failure rate, beside the share of failures among scenarios that a search has chosen.
+
+A guided search looks where failures are, so its share says how well it searched, and not how often the driver fails.
+Scenarios that are drawn uniformly tell the latter. They are executed after the budget has been used up, and belong
+neither to it nor to the records.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Self
+
+import scipy
+
+from behavexplor.campaign.store import Store
+from behavexplor.data.untrusted import parse_json
+from behavexplor.judge.discovery import INDEPENDENT
+
+MOST: Final = 200  # scenarios
+SHARE: Final = 4  # at most this part of as many as the campaign has executed: a fourth
+_NOTE: Final = "uniform"  # in the store
+
+
+@dataclass(frozen=True)
+class UniformRate:
+    """How many of some uniformly drawn scenarios failed.
+
+    Attributes:
+        n: number of scenarios.
+        failed: number of those that failed.
+    """
+
+    n: int
+    failed: int
+
+    @property
+    def rate(self) -> float:
+        """Share of the scenarios that failed."""
+        return self.failed / self.n
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the driver's failure rate (Clopper and Pearson, Biometrika 26, 1934)."""
+        found = scipy.stats.binomtest(self.failed, self.n).proportion_ci(0.95, "exact")
+        return float(found.low), float(found.high)
+
+    @property
+    def words(self) -> str:
+        """The rate and its interval in words."""
+        low, high = self.interval
+        return f"{self.failed} of {self.n} ({self.rate:.1%}; 95 %: {low:.1%} to {high:.1%})"
+
+    @classmethod
+    def stored(cls, store: Store) -> Self | None:
+        """Return what was noted in a run's store; None if nothing was."""
+        try:
+            values = parse_json(store.note(_NOTE).decode(), "the rate of failures")
+            found = cls(int(values["n"]), int(values["failed"]))
+        except (ValueError, KeyError, TypeError):
+            return None
+        return found if 0 <= found.failed <= found.n and found.n else None
+
+    def note(self, store: Store) -> None:
+        """Note the rate in a run's store, for `stored`."""
+        store.add_note(_NOTE, json.dumps(asdict(self)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the rate and its interval as JSON values."""
+        low, high = self.interval
+        return {**asdict(self), "rate": self.rate, "low": low, "high": high}
+
+
+def own_rate(method: str, executions: int, failed: int, beside: UniformRate | None = None) -> UniformRate | None:
+    """Return the driver's own failure rate as far as a run tells it; None if it does not.
+
+    Args:
+        method: search method of the run.
+        executions: number of its executions.
+        failed: number of its failures.
+        beside: rate of uniformly drawn scenarios beside it, see `UniformRate.stored`.
+    """
+    if method in INDEPENDENT:
+        return UniformRate(executions, failed) if executions else None
+    return beside
+
+
+def explained(method: str, rate: UniformRate | None) -> str:
+    """Return a sentence that says which number is the driver's own failure rate.
+
+    Args:
+        method: search method of the run.
+        rate: see `own_rate`.
+    """
+    if rate is None:
+        return "The search chose these scenarios, so their share of failures is not the driver's failure rate."
+    if method in INDEPENDENT:
+        return f"The scenarios were drawn uniformly, so this is the driver's failure rate: {rate.words}."
+    return f"The search chose its scenarios. Of others, drawn uniformly, the driver failed in {rate.words}."
