@@ -1,0 +1,122 @@
+"""What may be said of a failure rate: exact intervals, and sequences that stay valid however often one looks.
+
+An ordinary interval holds for a number of scenarios that was chosen before. Whoever looks at it again and again, and
+stops when it pleases, is misled in far more than 5 % of cases. A confidence sequence holds at all times together.
+
+Sources: C. Clopper and E. Pearson, Biometrika 26, 1934; H. Robbins, "Statistical methods related to the law of the
+iterated logarithm", Annals of Mathematical Statistics 41, 1970; J. Ville, "Etude critique de la notion de collectif",
+1939; I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random variables by betting", Journal of the Royal
+Statistical Society B 86, 2024.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+import scipy
+
+from behavexplor.data.array_types import Floats
+
+ALPHA: Final = 0.05  # probability of being wrong
+_EDGE: Final = 1e-12  # least distance of a rate from 0 and 1
+_BETS: Final = 16
+NON_INFERIOR, INFERIOR = "non-inferior", "inferior"
+
+
+def clopper_pearson(failed: int, n: int, alpha: float = ALPHA) -> tuple[float, float]:
+    """Return the exact interval of a rate for a number of scenarios that was fixed before.
+
+    Args:
+        failed: number of scenarios that failed.
+        n: number of scenarios, at least 1.
+        alpha: probability with which the interval may miss the rate.
+    """
+    found = scipy.stats.binomtest(failed, n).proportion_ci(1.0 - alpha, "exact")
+    return float(found.low), float(found.high)
+
+
+@dataclass(frozen=True)
+class RateSequence:
+    """Robbins' mixture: intervals of a rate that are valid at all times together.
+
+    A rate p is kept at a time if B(k + a, n - k + b) / B(a, b) / (p^k (1 - p)^(n - k)) < 1 / alpha, with k failures in
+    n scenarios. Under the true rate, this ratio is a martingale, and exceeds 1 / alpha at any time with a probability
+    of at most alpha (Ville's inequality). The prior, a beta distribution, decides where the intervals are narrow.
+
+    Attributes:
+        a: first parameter of the prior.
+        b: second parameter of the prior.
+        alpha: probability with which the sequence may ever miss the rate.
+    """
+
+    a: float = 0.5
+    b: float = 10.0
+    alpha: float = ALPHA
+
+    @classmethod
+    def for_rate(cls, rate: float, alpha: float = ALPHA) -> Self:
+        """Return the sequence that soonest shows a rate to be below this one, if nothing fails."""
+        return cls(b=1.0 / (3.0 * rate), alpha=alpha)
+
+    def excludes(self, rate: Any, failed: Any, n: Any) -> Any:
+        """Return whether a rate is excluded. Arguments may be arrays.
+
+        Args:
+            rate: the rate, strictly between 0 and 1.
+            failed: number of scenarios that failed.
+            n: number of scenarios.
+        """
+        passed = n - failed
+        mixture = scipy.special.betaln(failed + self.a, passed + self.b) - scipy.special.betaln(self.a, self.b)
+        return mixture - failed * np.log(rate) - passed * np.log1p(-np.asarray(rate)) >= -math.log(self.alpha)
+
+    def interval(self, failed: int, n: int) -> tuple[float, float]:
+        """Return the rates that are not excluded at a time, as an interval."""
+        if n == 0:
+            return 0.0, 1.0
+        middle = min(max(failed / n, _EDGE), 1.0 - _EDGE)
+        return self._end(_EDGE, middle, failed, n), self._end(1.0 - _EDGE, middle, failed, n)
+
+    def _end(self, outside: float, inside: float, failed: int, n: int) -> float:
+        """Return the end of the interval between a rate that may be excluded and one that is not."""
+        if not self.excludes(outside, failed, n):
+            return round(outside)
+        for _ in range(60):
+            middle = (outside + inside) / 2
+            outside, inside = (middle, inside) if self.excludes(middle, failed, n) else (outside, middle)
+        return outside
+
+
+class PairedSequence:
+    """Whether a new driver is no worse than an old one by a margin, at any time, from the same scenarios for both.
+
+    Each pair is a bet on how much more often the new driver fails. Under the hypothesis that it is worse by at least
+    the margin, the capital is a supermartingale, as is its mean over several bets. If the capital ever reaches
+    1 / alpha, the new driver is non-inferior; mirrored bets show it to be inferior.
+
+    Args:
+        margin: greatest difference of the failure rates that counts as no worse, between 0 and 1.
+        alpha: probability with which either verdict may be wrong.
+
+    Attributes:
+        n: number of pairs.
+        verdict: `NON_INFERIOR`, `INFERIOR`, or "" while it is not decided. It does not change any more.
+    """
+
+    def __init__(self, margin: float, alpha: float = ALPHA) -> None:
+        self.n, self.verdict = 0, ""
+        self._margin, self._goal = margin, -math.log(alpha)
+        self._bets = {sign: np.geomspace(0.003, 0.98 / (1 - sign * margin), _BETS) for sign in (1, -1)}
+        self._logs: dict[int, Floats] = {sign: np.zeros(_BETS) for sign in self._bets}
+
+    def add(self, *, old_failed: bool, new_failed: bool) -> str:
+        """Add a scenario that both have driven, and return the verdict."""
+        self.n += 1
+        worse = int(new_failed) - int(old_failed)
+        for sign, bets in self._bets.items():
+            self._logs[sign] += np.log1p(bets * sign * (self._margin - worse))
+        for sign, verdict in ((1, NON_INFERIOR), (-1, INFERIOR)):
+            if not self.verdict and scipy.special.logsumexp(self._logs[sign]) - math.log(_BETS) >= self._goal:
+                self.verdict = verdict
+        return self.verdict

@@ -1,0 +1,138 @@
+"""Intervals and sequences hold as often as they say, computed exactly wherever that is possible."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy
+
+from behavexplor.judge.rates import ALPHA, INFERIOR, NON_INFERIOR, PairedSequence, RateSequence, clopper_pearson
+
+RATES = [1e-4, 1e-3, 0.01, 0.05, 0.2, 0.5]
+SEQUENCES = [RateSequence(), RateSequence.for_rate(0.001), RateSequence.for_rate(0.05)]
+LOOKS = 2000
+
+
+def ever_excluded(sequence, rate, looks=LOOKS):
+    """The exact probability that a sequence excludes the true rate at one of its first looks."""
+    alive, lost = np.array([1.0]), 0.0  # by the number of failures
+    for n in range(1, looks + 1):
+        alive = np.append(alive * (1 - rate), 0.0) + np.append(0.0, alive * rate)
+        gone = sequence.excludes(rate, np.arange(n + 1), n)
+        lost += alive[gone].sum()
+        alive[gone] = 0.0
+    return lost
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("sequence", SEQUENCES)
+def test_a_sequence_ever_misses_the_rate_with_at_most_its_probability(sequence, rate):
+    assert ever_excluded(sequence, rate) <= ALPHA
+
+
+def test_an_ordinary_interval_that_is_looked_at_often_misses_it_far_more_often():
+    class Ordinary:
+        def excludes(self, rate, failed, n):
+            low = np.nan_to_num(scipy.stats.beta.ppf(ALPHA / 2, failed, n - failed + 1), nan=0.0)
+            high = np.nan_to_num(scipy.stats.beta.ppf(1 - ALPHA / 2, failed + 1, n - failed), nan=1.0)
+            return (rate < low) | (rate > high)
+
+    assert ever_excluded(Ordinary(), 0.2, 120) > 2 * ALPHA
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("n", [1, 20, 500])
+def test_an_exact_interval_misses_the_rate_with_at_most_its_probability(rate, n):
+    ends = np.array([clopper_pearson(k, n) for k in range(n + 1)])
+    missed = (rate < ends[:, 0]) | (rate > ends[:, 1])
+    assert scipy.stats.binom.pmf(np.arange(n + 1), n, rate)[missed].sum() <= ALPHA
+
+
+@pytest.mark.parametrize("sequence", SEQUENCES)
+@pytest.mark.parametrize(("failed", "n"), [(0, 1), (0, 5000), (1, 1), (3, 40), (40, 40), (2500, 5000)])
+def test_an_interval_is_what_is_not_excluded(sequence, failed, n):
+    low, high = sequence.interval(failed, n)
+    assert low <= failed / n <= high
+    for rate in np.linspace(0.001, 0.999, 500):
+        assert sequence.excludes(rate, failed, n) == (rate <= low or rate >= high)
+
+
+def test_without_scenarios_nothing_is_known():
+    assert RateSequence().interval(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("sequence", "expected"), [(RateSequence.for_rate(1e-4), 43129), (RateSequence(), 74671)])
+def test_the_number_of_scenarios_that_show_a_rate_below_one_in_ten_thousand(sequence, expected):
+    n = np.arange(1, 100_000)
+    assert int(n[sequence.excludes(1e-4, 0, n)][0]) == pytest.approx(expected, abs=2)
+
+
+def wrong(margin, worse, better, pairs):
+    """The exact probability that a paired sequence ever says non-inferior, by the differences of its pairs."""
+    chances = {1: worse, -1: better, 0: 1 - worse - better}
+    alive, lost = {(0, 0): 1.0}, 0.0  # by the numbers of pairs in which the new driver is worse, and better
+    verdicts = {}
+    for n in range(1, pairs + 1):
+        following = {}
+        for (up, down), chance in alive.items():
+            for change, share in chances.items():
+                place = (up + (change == 1), down + (change == -1))
+                following[place] = following.get(place, 0.0) + chance * share
+        alive = {}
+        for place, chance in following.items():
+            key = (n, *place)
+            if key not in verdicts:
+                verdicts[key] = verdict(margin, *key)
+            if verdicts[key] == NON_INFERIOR:
+                lost += chance
+            else:
+                alive[place] = chance
+    return lost
+
+
+def verdict(margin, n, up, down):
+    """The verdict from the counts alone: the capital does not depend on the order of the pairs."""
+    for sign, name in ((1, NON_INFERIOR), (-1, INFERIOR)):
+        bets = np.geomspace(0.003, 0.98 / (1 - sign * margin), 16)
+        logs = up * np.log1p(bets * sign * (margin - 1)) + down * np.log1p(bets * sign * (margin + 1))
+        logs += (n - up - down) * np.log1p(bets * sign * margin)
+        if scipy.special.logsumexp(logs) - math.log(16) >= math.log(1 / ALPHA):
+            return name
+    return ""
+
+
+def test_a_driver_that_is_worse_by_the_margin_is_rarely_called_non_inferior():
+    assert 0.0 < wrong(0.3, 0.4, 0.1, 25) <= ALPHA
+    assert 0.0 < wrong(0.3, 0.3, 0.0, 25) <= ALPHA
+
+
+def decided(rates, margin, rng, most=40_000):
+    """The verdict on planted drivers, and the number of pairs that it took; rates: of the old, the new, and both."""
+    old, new, both = rates
+    sequence = PairedSequence(margin)
+    for draw in rng.random(most):
+        old_failed = draw < old
+        new_failed = draw < both or old <= draw < old + new - both
+        if sequence.add(old_failed=old_failed, new_failed=new_failed):
+            break
+    return sequence.verdict, sequence.n
+
+
+def test_the_same_driver_is_decided_as_soon_as_planned():
+    assert decided((0.05, 0.05, 0.05), 0.01, np.random.default_rng(0)) == (NON_INFERIOR, 558)
+
+
+@pytest.mark.parametrize(("new", "expected", "median"), [(0.03, NON_INFERIOR, 406), (0.09, INFERIOR, 700)])
+def test_planted_differences_are_found(new, expected, median):
+    found = [decided((0.05, new, 0.02), 0.01, np.random.default_rng(seed)) for seed in range(8)]
+    assert {verdict for verdict, _ in found} == {expected}
+    assert median / 2 < np.median([n for _, n in found]) < median * 2
+
+
+def test_a_verdict_stays():
+    sequence = PairedSequence(0.1)
+    while not sequence.add(old_failed=False, new_failed=True):
+        pass
+    for _ in range(1000):
+        sequence.add(old_failed=True, new_failed=False)
+    assert sequence.verdict == INFERIOR
