@@ -1,14 +1,14 @@
 """Evaluation of an ADS: rates of arrival and violations over uniformly drawn scenarios."""
 
 import json
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final, NamedTuple, Self
 
 import numpy as np
-import scipy
 
 from behavexplor.ads.interface import ADS
 from behavexplor.data.logical import LogicalScenario
@@ -19,9 +19,11 @@ from behavexplor.execution.evaluator import EXECUTE, Evaluator, recipe_for
 from behavexplor.execution.executor import Executor
 from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.judge.fault import collision_fault, contact_fault, is_at_fault
+from behavexplor.judge.rates import AT_FAULT, FAILED, Decision, Goal, clopper_pearson
 from behavexplor.judge.specs import SPECS, judge
 
 STREAM: Final = 0x65_76_61_6C  # separates the scenarios of evaluations from those of campaigns and trainings
+_BETWEEN_LOOKS: Final = 1.005  # ratio of the numbers of scenarios at two looks at a rate
 AHEAD: Final = 1024  # scenarios under way, enough for many processes in lock-step
 
 
@@ -55,10 +57,13 @@ class Evaluation:
         n: number of scenarios.
         counts: number of scenarios by outcome: "arrived", each spec for its violations, and "collision: " with each
             verdict on a collision. Outcomes are in the order in which they are reported.
+        decision: what was decided on a rate, if the evaluation ended when enough was known. Its number of scenarios
+            then depends on what happened in them, so `interval` does not hold, but that of the decision does.
     """
 
     n: int
     counts: Mapping[str, int]
+    decision: Decision | None = None
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Self:
@@ -80,9 +85,8 @@ class Evaluation:
         return self.counts.get(outcome, 0) / self.n
 
     def interval(self, outcome: str) -> tuple[float, float]:
-        """Return the 95 % Wilson interval of a rate."""
-        found = scipy.stats.binomtest(self.counts.get(outcome, 0), self.n).proportion_ci(0.95, "wilson")
-        return float(found.low), float(found.high)
+        """Return the exact 95 % interval of a rate (Clopper and Pearson)."""
+        return clopper_pearson(self.counts.get(outcome, 0), self.n)
 
 
 class Judge(Evaluator):
@@ -130,6 +134,48 @@ def estimate_rates(
         RuntimeError: if a scenario could not be executed.
     """
     return Evaluation.of_outcomes(uniform_outcomes(judge, logical, n, seed, observe))
+
+
+def decide_rate(
+    judge: Executor,
+    logical: LogicalScenario,
+    goal: Goal,
+    most: int,
+    seed: int,
+    observe: Callable[[int], None] | None = None,
+) -> Evaluation:
+    """Evaluate an ADS in uniformly drawn scenarios until enough is known of a rate, whatever the workers.
+
+    Args:
+        judge: see `estimate_rates`.
+        logical: see `estimate_rates`.
+        goal: what is to be known.
+        most: greatest number of scenarios.
+        seed: see `estimate_rates`.
+        observe: see `estimate_rates`.
+
+    Raises:
+        ADSError: if the ADS fails in a scenario.
+        RuntimeError: if a scenario could not be executed.
+    """
+    judged: list[Outcomes] = []
+    count, look = 0, 1
+    for one in uniform_outcomes(judge, logical, most, seed, observe):
+        judged.append(one)
+        count += _has(one, goal.outcome)
+        if len(judged) < look:
+            continue
+        look = math.ceil(len(judged) * _BETWEEN_LOOKS)
+        if Decision.of(goal, len(judged), count).verdict:
+            break
+    return replace(Evaluation.of_outcomes(judged), decision=Decision.of(goal, len(judged), count))
+
+
+def _has(one: Outcomes, outcome: str) -> bool:
+    """Return whether an outcome of a goal happened in a scenario."""
+    if outcome == AT_FAULT:
+        return one.at_fault
+    return not one.passed if outcome == FAILED else outcome in one.found
 
 
 def uniform_outcomes(

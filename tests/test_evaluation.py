@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from behavexplor import evaluation
-from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
+from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, main
 from behavexplor.data.target import Target
-from behavexplor.evaluation import STREAM, Evaluation, estimate_rates, start_judge
+from behavexplor.errors import InputError
+from behavexplor.evaluation import STREAM, Evaluation, decide_rate, estimate_rates, start_judge, uniform_outcomes
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.rollout import rollout_all
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.rates import ABOVE, BELOW, Decision, Goal
 from tests.confining import confines
 from tests.drivers import Cruiser
 
@@ -79,12 +81,84 @@ def test_outcomes_are_counted(cruising):
 
 
 @pytest.mark.parametrize(
-    ("count", "n", "low", "high"), [(0, 100, 0.0, 0.0370), (50, 100, 0.4038, 0.5962), (3, 10, 0.1078, 0.6032)]
+    ("count", "n", "low", "high"), [(0, 100, 0.0, 0.0362), (50, 100, 0.3983, 0.6017), (3, 10, 0.0667, 0.6525)]
 )
-def test_intervals_are_wilsons(count, n, low, high):
-    """The figures are those of the published tables of the score interval."""
+def test_intervals_are_exact(count, n, low, high):
+    """The figures are those of the published tables of Clopper and Pearson."""
     assert Evaluation(n, {"x": count}).interval("x") == pytest.approx((low, high), abs=2e-4)
     assert Evaluation(n, {"x": count}).rate("x") == count / n
+
+
+@pytest.mark.parametrize("ahead", [1, 1024])
+@pytest.mark.parametrize(
+    ("goal", "verdict"), [(Goal("failed", below=0.9), BELOW), (Goal("at-fault", below=0.01), ABOVE)]
+)
+def test_an_evaluation_ends_where_its_rate_is_decided_however_many_are_under_way(
+    ahead, goal, verdict, cruising, monkeypatch
+):
+    monkeypatch.setattr(evaluation, "AHEAD", ahead)
+    logical = cruising[0].logical
+    with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
+        found = decide_rate(executor, logical, goal, 200, 0)
+        whole = list(uniform_outcomes(executor, logical, found.n, 0))
+    decision = found.decision
+    assert decision.verdict == verdict
+    assert found.n == decision.n < 200
+    wanted = [one.at_fault if goal.outcome == "at-fault" else not one.passed for one in whole]
+    assert decision.count == sum(wanted)
+    assert not Decision.of(goal, decision.n - 1, sum(wanted[:-1])).verdict
+    assert found.counts == Evaluation.of_outcomes(whole).counts
+
+
+def test_an_undecided_rate_is_said_to_be(cruising):
+    with start_judge(Target("intersection-straight", "tests.drivers:Cruiser", unconfined=True), 0) as executor:
+        found = decide_rate(executor, cruising[0].logical, Goal("lines", until=0.01), 5, 0)
+    assert not found.decision.verdict
+    assert found.decision.n == 5
+
+
+@pytest.mark.parametrize(
+    ("decision", "words"),
+    [
+        (
+            Decision(Goal(below=0.001), 41000, 12, 0.0001, 0.0008),
+            "Below 0.1 %: collision in 12 of 41000 scenarios (0.010%",
+        ),
+        (
+            Decision(Goal(below=0.001), 900, 0, 0.0, 0.004),
+            "Not decided: collision in none of 900 scenarios (at most 0.4",
+        ),
+        (Decision(Goal(below=0.25), 90, 80, 0.7, 0.95), "Above 25 %: collision in 80 of 90"),
+        (Decision(Goal(until=0.2), 100, 50, 0.45, 0.55), "Known as precisely as wanted: collision in 50 of 100"),
+    ],
+)
+def test_a_decision_is_a_sentence(decision, words):
+    assert decision.words.startswith(words)
+    assert decision.words.endswith("95 %, valid at any time)")
+
+
+@pytest.mark.parametrize("values", [{}, {"below": 0.1, "until": 0.1}, {"below": 0.0}, {"below": 1.0}, {"until": 1e-3}])
+def test_a_goal_that_makes_no_sense_is_refused(values):
+    with pytest.raises(InputError, match=r"Give either|must lie between"):
+        Goal(**values)
+
+
+@pytest.mark.parametrize(("below", "code"), [(0.995, OK), (0.001, CHECK_FAILED), (0.8, UNDECIDED)])
+def test_the_exit_code_is_the_decision(below, code, tmp_path, capsys):
+    flags = ["--ads", "tests.drivers:Cruiser", "--workers", "0", "--unconfined", "--outcome", "failed", "--quiet"]
+    file = tmp_path / "rates.json"
+    limits = ["--below", str(below), "--scenarios", "20", "--json", str(file)]
+    assert main(["evaluate", "--env", "S1", *flags, *limits]) == code
+    words = " ".join(capsys.readouterr().out.split())
+    assert "which says nothing about roads" in words
+    assert "%)" not in words.split("the one interval that holds is below")[1].split("95 %")[0].rsplit("(", 1)[0]
+    decision = json.loads(file.read_text())["decision"]
+    assert decision["verdict"] == {OK: "below", CHECK_FAILED: "above", UNDECIDED: ""}[code]
+
+
+def test_an_outcome_that_does_not_exist_is_named(capsys):
+    assert main(["evaluate", "--env", "S1", "--ads", "idm", "--below", "0.1", "--outcome", "colision"]) == BAD_INPUT
+    assert "did you mean 'collision'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ahead", [1, 5, 1024])
@@ -189,4 +263,4 @@ def test_a_driver_that_fails_ends_the_evaluation_with_its_words(capsys):
 def test_figures_that_cannot_be_written_are_named(tmp_path, capsys):
     flags = ["--ads", "tests.drivers:Cruiser", "--workers", "1", "--scenarios", "2", "--json", str(tmp_path), "--quiet"]
     assert main(["evaluate", *flags]) == BAD_INPUT
-    assert "cannot be written" in capsys.readouterr().err
+    assert "is a folder" in capsys.readouterr().err

@@ -15,8 +15,9 @@ from behavexplor.campaign.config import CampaignConfig, campaign_config
 from behavexplor.data.drawn_scenario import DECLARED, config_text
 from behavexplor.envs.making import default_config, is_highway
 from behavexplor.errors import InputError, brief
-from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
+from behavexplor.evaluation import Evaluation, decide_rate, estimate_rates, start_judge
 from behavexplor.execution.start import logical_of_target
+from behavexplor.judge.rates import Goal
 
 _HARMLESS: Final = (  # a driver is not told rewards, and limits of time are checked on their own
     OrderEnforcing,
@@ -105,6 +106,7 @@ def evaluate(
     *,
     scenarios: int = 1000,
     seed: int = 0,
+    goal: Goal | None = None,
     env_config: Mapping[str, Any] | None = None,
     workers: int | None = None,
     observe: Callable[[int], None] | None = None,
@@ -117,6 +119,7 @@ def evaluate(
         env: see `behavexplor.find_failures`.
         scenarios: number of scenarios.
         seed: seed of the drawn scenarios.
+        goal: what is to be known of a rate; the evaluation ends as soon as it is, after at most `scenarios`.
         env_config: see `behavexplor.find_failures`.
         workers: see `behavexplor.find_failures`.
         observe: function that gets the number of finished scenarios.
@@ -140,6 +143,8 @@ def evaluate(
         executor = start_judge(target, count, given.driver)
         try:
             logical = logical_of_target(executor, target.env)
+            if goal is not None:
+                return decide_rate(executor, logical, goal, scenarios, seed, observe)
             return estimate_rates(executor, logical, scenarios, seed, observe)
         finally:
             executor.shutdown(wait=False)

@@ -2,6 +2,7 @@
 
 Exit codes: 0 success (finding violations is a success), 1 a check failed, 2 wrong input or an error in the user's code,
 3 an execution could not be carried out, the run folder could not be written, or the driver failed in every execution,
+4 a rate could not be decided,
 70 a bug in this package, 130 interrupted.
 """
 
@@ -27,7 +28,7 @@ from behavexplor.commands.overview import COMMANDS, overview, with_joined_lines,
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence, unknown_name
 
-OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 70, 130
+OK, CHECK_FAILED, BAD_INPUT, EXECUTION_FAILED, UNDECIDED, INTERNAL_ERROR, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 
 _MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise
 

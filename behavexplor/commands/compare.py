@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, NamedTuple, Self
 
 import tyro
 
@@ -15,21 +15,23 @@ from behavexplor.ads.sb3.description import named_env
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.campaign import ExecutionError
 from behavexplor.campaign.config import CampaignConfig, campaign_config, stamped_folder
-from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
-from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
-from behavexplor.commands.wording import grid, plain_text, say
+from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
+from behavexplor.commands.wording import grid, hanging, plain_text, say
 from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.fuzz.methods import GIVEN
+from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
 from behavexplor.repair import pair_campaigns
-from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows
+from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, judged_inferior, rows
 from behavexplor.report.reading import read_run
 from behavexplor.report.run_page import page
 
 TABLE, SEARCH = "comparison.json", "search"
 _REPLAYS = 100
+_CODES: Final = {NON_INFERIOR: OK, INFERIOR: CHECK_FAILED, "": UNDECIDED}
 
 
 _SETTINGS = settings(
@@ -47,10 +49,12 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     *,
     given: Annotated[dict[str, Any], _SETTINGS],
     scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
+    margin: Annotated[float | None, flag("P", None)] = None,
     search: Switch = False,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     out: Annotated[Path | None, flag("FOLDER", "in runs/")] = None,
     json_file: JsonFile = None,
+    junit: JUnitFile = None,
     quiet: Switch = False,
 ) -> int:
     """Drive the same scenarios with two drivers, and report what the second one fixes and what it breaks.
@@ -62,14 +66,19 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         second: The second driving system.
         given: Settings of both campaigns.
         scenarios: Number of uniformly sampled scenarios.
+        margin: Greatest difference of the shares of failures at fault that counts as no worse, such as 0.01. The exit
+            code is 0 if B is no worse than A by more than that, 1 if it is worse, and 4 if that is not decided.
         search: Also search for scenarios in which one driver fails and the other does not.
         workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the drivers;
             a driver that is not shipped with behavexplor then needs --unconfined.
         out: Folder for the results, new or empty.
-        json_file: Also write the table to this JSON file; - is standard output.
+        json_file: Also write the table and the verdict to this JSON file; - is standard output, here and below.
+        junit: Also write the verdict to this file as JUnit XML.
         quiet: Print only the tables.
     """
-    count, output = chosen_workers(workers), check_outputs(json_file)
+    count, output = chosen_workers(workers), check_outputs(json_file, junit)
+    if margin is not None and not 0.0 < margin < 1.0:
+        raise InputError(f"--margin {margin} must lie between 0 and 1, such as 0.01 for one point")
     for name in (first, second):
         check_name(name)
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
@@ -85,7 +94,8 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         _drive(other, folder / pair_campaigns.SECOND, count, quiet=quiet)
         pairs = pair_campaigns.compared(folder)
         say(table(pairs, config.env, first, second), file=output)
-        write_json(json_file, values(pairs))
+        verdict = None if margin is None else Verdict.of(pairs, margin)
+        write_json(json_file, {"outcomes": values(pairs), "verdict": verdict and verdict._asdict()})
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
             _write(folder, pairs, [folder, folder / SEARCH])
@@ -95,7 +105,44 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     say(f"Page: {folder / pair_campaigns.PAGE}", file=output)
     run = shlex.quote(str(folder / pair_campaigns.FIRST))
     say(f"Replay a scenario that only one of them fails: {program()} replay {run} ID", file=output)
-    return OK
+    if verdict is None:
+        return OK
+    say(hanging("", verdict.words), file=output)
+    failure = "" if verdict.found == NON_INFERIOR else verdict.words
+    write_junit(junit, f"compare {config.env}", [Tested("non-inferior", failure)], {"A": first, "B": second})
+    return _CODES[verdict.found]
+
+
+class Verdict(NamedTuple):
+    """Whether the second driver is worse than the first one by more than a margin.
+
+    Attributes:
+        margin: the margin.
+        found: `NON_INFERIOR`, `INFERIOR`, or "" if it is not decided.
+        after: number of scenarios after which it was decided, or of all.
+    """
+
+    margin: float
+    found: str
+    after: int
+
+    @classmethod
+    def of(cls, pairs: Sequence[Pairs], margin: float) -> Self:
+        """Decide about the failures at fault."""
+        sequence = judged_inferior(next(row for row in pairs if row.outcome == AT_FAULT), margin)
+        return cls(margin, sequence.verdict, sequence.n)
+
+    @property
+    def words(self) -> str:
+        """The verdict as a sentence."""
+        points = f"{100 * self.margin:g} points"
+        if not self.found:
+            return f"Not decided in {self.after} scenarios whether B is worse than A by {points}: give more --scenarios"
+        is_worse = "Non-inferior: B is not worse" if self.found == NON_INFERIOR else "Inferior: B is worse"
+        return (
+            f"{is_worse} than A by {points} (failures at fault; decided after {self.after} scenarios; 95 %, valid at "
+            f"any time)"
+        )
 
 
 def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> None:

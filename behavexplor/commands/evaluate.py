@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -15,21 +15,26 @@ import tyro
 from behavexplor.ads.loading import check_name
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.campaign.config import CampaignConfig, campaign_config
-from behavexplor.commands import EXECUTION_FAILED, OK, program
+from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, chosen_workers, flag, patience, settings
 from behavexplor.commands.outputs import JsonFile, check_outputs, write_json
-from behavexplor.commands.wording import grid, plain_text, say
+from behavexplor.commands.wording import grid, hanging, plain_text, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
-from behavexplor.errors import InputError, sentence
-from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
+from behavexplor.data.trace import ARRIVED
+from behavexplor.errors import InputError, sentence, unknown_name
+from behavexplor.evaluation import Evaluation, decide_rate, estimate_rates, start_judge
 from behavexplor.execution.evaluator import DRAWS
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
+from behavexplor.judge.rates import ABOVE, AT_FAULT, BELOW, FAILED, KNOWN, Goal
+from behavexplor.judge.specs import SPECS
 
-MOST_SCENARIOS = 1_000_000
+SCENARIOS, MOST_SCENARIOS = 1000, 1_000_000
+_CLAUSE: Final = "of the scenarios that {} draws in this configuration, which says nothing about roads"
+_CODES: Final = MappingProxyType({BELOW: OK, KNOWN: OK, ABOVE: CHECK_FAILED, "": UNDECIDED})
 _ENV: Final = CampaignConfig.env
 DRAWN: Final = "drawn actions"  # heading of a column
 DIFFERENT: Final = 0.01  # level of significance
@@ -52,10 +57,13 @@ _SETTINGS = settings(
 )
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913 - one argument for each flag
     *,
     given: Annotated[dict[str, Any], _SETTINGS],
-    scenarios: Annotated[int, tyro.conf.arg(metavar="N")] = 1000,
+    scenarios: Annotated[int | None, flag("N", f"{SCENARIOS}, or {MOST_SCENARIOS} with --below or --until")] = None,
+    below: Annotated[float | None, flag("P", None)] = None,
+    until: Annotated[float | None, flag("SHARE", None)] = None,
+    outcome: Annotated[str, tyro.conf.arg(metavar="NAME")] = Goal.outcome,
     workers: Annotated[int | None, flag("N", "the cores")] = None,
     json_file: JsonFile = None,
     controls: bool = True,
@@ -65,26 +73,27 @@ def evaluate(
 
     Args:
         given: The driver, its environment and the seed of the scenarios.
-        scenarios: Number of scenarios.
+        scenarios: Number of scenarios; with --below or --until, the greatest number.
+        below: End when the rate of the outcome is known to be below, or above, this one, such as 0.001. The exit code
+            is 0 if it is below, 1 if it is above, and 4 if that is not decided.
+        until: End when the rate is known this precisely: half the width of its interval, as a share of the rate.
+        outcome: What --below and --until are about: a row of the table, "at-fault", or "failed".
         workers: Number of worker processes (no effect on the rates). 0: this process, with no limits for the driver;
             a driver that is not shipped with behavexplor then needs --unconfined.
         json_file: Also write the counts to this JSON file; - is standard output.
         controls: In highway-env's own environments, also evaluate a careful driver, and three that always do the same.
         quiet: Print only the table.
     """
-    if not 1 <= scenarios <= MOST_SCENARIOS:
-        raise InputError(f"--scenarios {scenarios} must lie between 1 and {MOST_SCENARIOS}")
-    output = check_outputs(json_file)
+    output, goal = check_outputs(json_file), _goal(outcome, below, until)
+    count = scenarios if scenarios is not None else MOST_SCENARIOS if goal else SCENARIOS
+    if not 1 <= count <= MOST_SCENARIOS:
+        raise InputError(f"--scenarios {count} must lie between 1 and {MOST_SCENARIOS}")
     ads = given.get("ads", CampaignConfig.ads)
     check_name(ads)
     config = campaign_config({**given, "env": named_env(given.get("env"), ads) or CampaignConfig.env})
-    run, target, env = _Run(scenarios, config.seed, chosen_workers(workers), quiet), config.target, config.env
-    found: dict[str, Evaluation] = {}
+    run = _Run(count, config.seed, chosen_workers(workers), quiet, goal)
     try:
-        logical, found[Path(ads).name], draws = _evaluated(target, run)
-        for name, beside in _beside(target, logical, draws=draws, controls=controls).items():
-            rates = _rates_beside(name, beside, run)
-            found |= {} if rates is None else {name: rates}
+        found = _evaluations(config, run, controls=controls)
     except ADSError as error:
         failure = f"In one of the scenarios {error}; fuzz records such failures and goes on"
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
@@ -92,14 +101,48 @@ def evaluate(
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
-    say(table(env, found), file=output)
+    decision = found[Path(ads).name].decision
+    say(table(config.env, found), file=output)
     if DRAWN in found:
         say(_gap(found[Path(ads).name], found[DRAWN]), file=output)
-    if json_file is not None:
-        first, *others = found.items()
-        values: dict[str, object] = {"env": env, "ads": ads, "seed": config.seed, "n": first[1].n, **first[1].counts}
-        write_json(json_file, values | ({"beside": {name: dict(one.counts) for name, one in others}} if others else {}))
-    return OK
+    if decision is not None:
+        say(hanging("", f"{decision.words}, {_CLAUSE.format(config.env)}"), file=output)
+    write_json(json_file, _values(config, found))
+    return _CODES[decision.verdict] if decision is not None else OK
+
+
+def _goal(outcome: str, below: float | None, until: float | None) -> Goal | None:
+    """Return what is to be decided; None without a flag that asks for it.
+
+    Raises:
+        InputError: if both flags are given, or a value is out of range.
+    """
+    if below is None and until is None:
+        return None
+    known = (ARRIVED, *(spec.name for spec in SPECS), AT_FAULT, FAILED)
+    if outcome not in known:
+        raise unknown_name("outcome", outcome, known)
+    return Goal(outcome, below, until)
+
+
+def _evaluations(config: CampaignConfig, run: "_Run", *, controls: bool) -> dict[str, Evaluation]:
+    """Return the evaluation of the driver and of what it is compared with, by the headings of their columns."""
+    logical, evaluation, draws = _evaluated(config.target, run)
+    found = {Path(config.ads).name: evaluation}
+    beside_it = run._replace(scenarios=min(run.scenarios, SCENARIOS), goal=None)
+    for name, beside in _beside(config.target, logical, draws=draws, controls=controls).items():
+        rates = _rates_beside(name, beside, beside_it)
+        found |= {} if rates is None else {name: rates}
+    return found
+
+
+def _values(config: CampaignConfig, found: Mapping[str, Evaluation]) -> dict[str, Any]:
+    """Return the counts, and the decision on a rate, as JSON values."""
+    (_, first), *others = found.items()
+    values = {"env": config.env, "ads": config.ads, "seed": config.seed, "n": first.n, **first.counts}
+    values |= {"beside": {name: dict(one.counts) for name, one in others}} if others else {}
+    decision = first.decision
+    return values | ({"decision": {**asdict(decision), "verdict": decision.verdict}} if decision else {})
 
 
 class _Run(NamedTuple):
@@ -109,6 +152,7 @@ class _Run(NamedTuple):
     seed: int
     workers: int
     quiet: bool
+    goal: Goal | None
 
 
 def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[LogicalScenario, Evaluation, bool]:
@@ -126,8 +170,13 @@ def _evaluated(target: Target, run: _Run, *, beside: bool = False) -> tuple[Logi
         for warning in warnings if not (beside or target.ads.startswith(_CONSTANT)) else ():
             say(f"Warning: {warning}")
         with Meter(sys.stderr, run.scenarios, "scenarios", quiet=run.quiet) as meter:
-            rates = estimate_rates(executor, logical, run.scenarios, run.seed, meter.show)
-        return logical, rates, bool(executor.submit(DRAWS, b"").result())
+            places = (run.scenarios, run.seed, meter.show)
+            found = (
+                estimate_rates(executor, logical, *places)
+                if run.goal is None
+                else decide_rate(executor, logical, run.goal, *places)
+            )
+        return logical, found, bool(executor.submit(DRAWS, b"").result())
 
 
 def _rates_beside(name: str, target: Target, run: _Run) -> Evaluation | None:
@@ -190,6 +239,7 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         env: the environment.
         evaluations: the evaluations, each of as many scenarios, by the headings of their columns.
     """
+    first = next(iter(evaluations.values()))
     rates = grid("", *evaluations, numbers=evaluations)
     outcomes = dict.fromkeys(outcome for found in evaluations.values() for outcome in found.counts)
     kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
@@ -197,9 +247,11 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         cells = []
         for found in evaluations.values():
             low, high = found.interval(outcome)
-            cells.append(f"{found.rate(outcome):.1%} ({low:.1%} to {high:.1%})")
+            interval = "" if first.decision else f" ({low:.1%} to {high:.1%})"
+            cells.append(f"{found.rate(outcome):.1%}{interval}")
         kind, _, fault = outcome.partition(": ")
         rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
-    n = next(iter(evaluations.values())).n
-    heading = f"{n} scenarios of {env}, with 95 % intervals:"
+    heading = f"{first.n} scenarios of {env}, with 95 % intervals:"
+    if first.decision:  # whose number depended on what happened in them
+        heading = f"{first.n} scenarios of {env}; the one interval that holds is below:"
     return f"{heading}\n{plain_text(rates)}"

@@ -17,11 +17,14 @@ import numpy as np
 import scipy
 
 from behavexplor.data.array_types import Floats
+from behavexplor.errors import InputError
 
 ALPHA: Final = 0.05  # probability of being wrong
 _EDGE: Final = 1e-12  # least distance of a rate from 0 and 1
 _BETS: Final = 16
 NON_INFERIOR, INFERIOR = "non-inferior", "inferior"
+AT_FAULT, FAILED = "at-fault", "failed"  # outcomes of a goal, beside those of an evaluation
+BELOW, ABOVE, KNOWN = "below", "above", "known"
 
 
 def clopper_pearson(failed: int, n: int, alpha: float = ALPHA) -> tuple[float, float]:
@@ -86,6 +89,80 @@ class RateSequence:
             middle = (outside + inside) / 2
             outside, inside = (middle, inside) if self.excludes(middle, failed, n) else (outside, middle)
         return outside
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is to be known of the rate of an outcome before an evaluation ends.
+
+    Attributes:
+        outcome: a name of `behavexplor.evaluation.Evaluation.counts`; `AT_FAULT` for failures by the driver's own
+            fault, or `FAILED` for all failures.
+        below: whether the rate is below this one is to be known; None for `until`.
+        until: greatest half of the interval's width, as a share of the rate.
+
+    Raises:
+        InputError: if a value is out of range, or not exactly one of `below` and `until` is given.
+    """
+
+    outcome: str = "collision"
+    below: float | None = None
+    until: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.below is None) == (self.until is None):
+            raise InputError("Give either below, a rate such as 0.001, or until, a share such as 0.2")
+        for name, least in (("below", 1e-7), ("until", 0.01)):
+            value = getattr(self, name)
+            if value is not None and not least <= value < 1.0:
+                raise InputError(f"{name} {value} must lie between {least:g} and 1")
+
+    @property
+    def sequence(self) -> RateSequence:
+        """The confidence sequence that decides."""
+        return RateSequence() if self.below is None else RateSequence.for_rate(self.below)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What an evaluation has found out of the rate of an outcome. It is valid whenever the evaluation ended.
+
+    Attributes:
+        goal: what was to be known.
+        n: number of scenarios.
+        count: number of those with the outcome.
+        low: lower end of the 95 % interval of the rate.
+        high: upper end of it.
+    """
+
+    goal: Goal
+    n: int
+    count: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, goal: Goal, n: int, count: int) -> Self:
+        """Return what is known after a number of scenarios."""
+        return cls(goal, n, count, *goal.sequence.interval(count, n))
+
+    @property
+    def verdict(self) -> str:
+        """`BELOW` or `ABOVE` the rate in question, `KNOWN` as precisely as wanted, or "" if not decided."""
+        if self.goal.below is None:
+            wanted = self.goal.until or 0.0
+            return KNOWN if self.count and (self.high - self.low) / 2 <= wanted * self.count / self.n else ""
+        return BELOW if self.high < self.goal.below else ABOVE if self.low > self.goal.below else ""
+
+    @property
+    def words(self) -> str:
+        """The decision as a sentence."""
+        found = f"in {self.count} of {self.n} scenarios ({self.low:.3%} to {self.high:.3%}"
+        if not self.count:
+            found = f"in none of {self.n} scenarios (at most {self.high:.3%}"
+        rate = f"{100 * (self.goal.below or 0.0):g} %"
+        heads = {BELOW: f"Below {rate}", ABOVE: f"Above {rate}", KNOWN: "Known as precisely as wanted"}
+        return f"{heads.get(self.verdict, 'Not decided')}: {self.goal.outcome} {found}; 95 %, valid at any time)"
 
 
 class PairedSequence:

@@ -10,6 +10,7 @@ import scipy
 from behavexplor.bench.statistics import holm
 from behavexplor.campaign.record import Record
 from behavexplor.errors import InputError
+from behavexplor.judge.rates import PairedSequence
 from behavexplor.judge.specs import SPECS
 
 CONFIDENCE: Final = 0.95
@@ -65,6 +66,16 @@ class Pairs:
         half = float(scipy.stats.norm.ppf(0.5 + CONFIDENCE / 2)) * deviation
         first, second = self.rates
         return second - first, max(middle - half, -1.0), min(middle + half, 1.0)
+
+
+def judged_inferior(pairs: Pairs, margin: float) -> PairedSequence:
+    """Return whether the second driver is no worse than the first one by a margin, from the pairs in their order."""
+    sequence = PairedSequence(margin)
+    fixed, broken = set(pairs.only_first), set(pairs.only_second)
+    for number in range(pairs.n):
+        if sequence.add(old_failed=number in fixed, new_failed=number in broken):  # where both fail, as where none does
+            break
+    return sequence
 
 
 def paired(first: Iterable[Record], second: Iterable[Record]) -> list[Pairs]:

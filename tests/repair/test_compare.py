@@ -8,10 +8,12 @@ import pytest
 
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
-from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, main
-from behavexplor.commands.compare import searched, values
+from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, UNDECIDED, main
+from behavexplor.commands.compare import Verdict, searched, values
 from behavexplor.evaluation import outcomes_of
-from behavexplor.judge.specs import SPECS, Verdict, judge
+from behavexplor.judge import specs
+from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
+from behavexplor.judge.specs import SPECS, judge
 from behavexplor.repair.pair_campaigns import BOTH_FAIL, ONLY_FIRST, ONLY_SECOND, difference, verdict_at_fault
 from behavexplor.repair.pairs import AT_FAULT, Pairs, rows
 from tests.judge.test_fault import BEHIND, trace
@@ -112,7 +114,7 @@ def test_the_p_values_of_the_file_are_those_of_the_table():
 
 
 def verdict(degree, *violated):
-    return Verdict({"collision": degree, "lines": 5.0}, violated)
+    return specs.Verdict({"collision": degree, "lines": 5.0}, violated)
 
 
 @pytest.mark.parametrize(
@@ -141,3 +143,27 @@ def test_only_what_the_records_count_as_a_failure_at_fault_is_one():
     assert outcomes_of(cut_in).at_fault
     assert verdict_at_fault(struck, "raised", SPECS).violated == ("error",)
     assert verdict_at_fault(struck, "differs", SPECS).violated == ()
+
+
+@pytest.mark.parametrize(
+    ("fixed", "broken", "margin", "found"),
+    [((), (), 0.3, NON_INFERIOR), ((), range(60), 0.1, INFERIOR), (range(5), range(5, 12), 0.05, "")],
+)
+def test_a_margin_is_decided_from_the_pairs_in_their_order(fixed, broken, margin, found):
+    pairs = Pairs(AT_FAULT, tuple(fixed), tuple(broken), 0, 60 - len(fixed) - len(broken))
+    verdict = Verdict.of([Pairs("any failure", (), (), 0, 60), pairs], margin)
+    assert verdict.found == found
+    assert verdict.after < 60 or not found
+    assert ("Not decided in 60" in verdict.words) == (not found)
+
+
+def test_the_exit_code_and_the_files_are_the_verdict(tmp_path, capsys):
+    run = ["compare", "--env", "S1", "--workers", "0", "--unconfined", "--quiet", "--scenarios", "12"]
+    files = ["--json", str(tmp_path / "a.json"), "--junit", str(tmp_path / "a.xml")]
+    for drivers, margin, code in (((CRUISER, CRUISER), 0.6, OK), ((CRUISER, CRUISER), 0.01, UNDECIDED)):
+        out = ["--out", str(tmp_path / f"out{code}")]
+        assert main([*run, *drivers, "--margin", str(margin), *out, *files]) == code
+        assert json.loads((tmp_path / "a.json").read_text())["verdict"]["found"] == ("" if code else NON_INFERIOR)
+        assert ("<failure" in (tmp_path / "a.xml").read_text()) == bool(code)
+    assert main([*run, CRUISER, CRUISER, "--margin", "1.5"]) == BAD_INPUT
+    assert "must lie between 0 and 1" in capsys.readouterr().err
