@@ -206,7 +206,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
     return (
         f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
         f"{', '.join(differing)}.\n"
-        "So this driver is not the one that was trained. To test that one, use --stochastic."
+        "To test the policy as it drove in training, use --stochastic."
     )
 
 
@@ -253,5 +253,6 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
     heading = f"{first.n} scenarios of {env}, with 95 % intervals:"
     if first.decision:  # whose number depended on what happened in them
-        heading = f"{first.n} scenarios of {env}; the one interval that holds is below:"
+        others = "".join(f", {one.n} beside" for one in [*evaluations.values()][1:2])
+        heading = f"{first.n} scenarios of {env}{others}; the one interval that holds is below:"
     return f"{heading}\n{plain_text(rates)}"
