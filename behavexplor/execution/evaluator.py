@@ -243,7 +243,7 @@ def simulation_of(target: Target, driver: ADS | None = None) -> Simulation:
     """
     ads = driver or target.ads
     settings = (target.trust, target.env_config, target.traffic)
-    return Simulation(target.env, ads, *settings, stochastic=target.stochastic)
+    return Simulation(target.env, ads, *settings, stochastic=target.stochastic, activation=target.activation)
 
 
 def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:

@@ -82,10 +82,10 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     """Drive a few scenarios and return warnings about the ADS.
 
     Returns:
-        A sentence for each finding: the ADS fails, always gives the same answer, never moves, was trained with masks of
-        actions, or on a different kind of observations. The last happens when its `VecNormalize` statistics are
-        missing. Further, that a scenario does not repeat, that the environment is not compiled, or that its
-        configuration is not known.
+        A sentence for each finding: the ADS sees observations flattened or stacked, fails, always gives the same
+        answer, never moves, was trained with masks of actions, or on a different kind of observations. The last happens
+        when its `VecNormalize` statistics are missing. Further, that a scenario does not repeat, that the environment
+        is not compiled, or that its configuration is not known.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -98,6 +98,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
     findings = (
+        _viewed(simulation.ads),
         _unconfigured(simulation),
         _uncompiled(simulation),
         _unrepeatable(simulation, scenarios[0]),
@@ -115,6 +116,11 @@ def _traces(simulation: Simulation, ads: Any, scenarios: list[Scenario]) -> list
     if envs is None:
         return [rollout(simulation.env, simulation.driver(1, ads), scenario) for scenario in scenarios]
     return [trace for _, trace in rollout_all(envs, simulation.driver(envs.num_envs, ads), scenarios)]
+
+
+def _viewed(ads: Any) -> str | None:
+    view = getattr(ads, "view", None)
+    return None if view is None else view.said
 
 
 def _unconfigured(simulation: Simulation) -> str | None:

@@ -1,7 +1,6 @@
 """Simulations: one ADS in one environment, which turn concrete scenarios into traces."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import gymnasium
@@ -10,6 +9,7 @@ from gymnasium.vector import VectorEnv
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.description import is_policy
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DECLARED, DEFAULT, Traffic
@@ -17,6 +17,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.target import Activation
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.envs.making import (
@@ -46,11 +47,13 @@ class Simulation:
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
             `policy_frequency` and `simulation_frequency`, where it has them, configure the environment; in a stock
             environment, so does its attribute `env_config`, or its method `fitted`, which makes a configuration in
-            which it drives from the environment's own.
+            which it drives from the environment's own. Its method `seeing`, if it has one, returns the driver for the
+            environment's spaces of observations and actions.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
+        activation: function between the layers of a file of weights; None for that in the file beside it.
 
     Attributes:
         env: the environment.
@@ -74,11 +77,12 @@ class Simulation:
         traffic: Traffic = DEFAULT,
         *,
         stochastic: bool = False,
+        activation: Activation | None = None,
     ) -> None:
         is_theirs = is_highway(env)
         roadmap = None if is_theirs else logical_scenario(env).roadmap
         self.source = _source(ads)
-        self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
+        self.ads: Any = load_ads(ads, roadmap, trust, activation) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
         given = dict(env_config or {})
@@ -91,6 +95,8 @@ class Simulation:
         if is_theirs and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic)
+        if hasattr(self.ads, "seeing"):
+            self.ads = self.ads.seeing(self.env.observation_space, self.env.action_space)
         self.logical = logical_of(self.env, env)
         self.plain = ""
         self.stochastic = stochastic
@@ -194,7 +200,7 @@ def _check_traffic(ads: Any, trained: Mapping[str, Any], given: Mapping[str, Any
 def _source(ads: Any) -> str:
     if not isinstance(ads, str):
         return MEMORY
-    return FILE if ads.endswith(".zip") or Path(ads).exists() else MODULE
+    return FILE if is_policy(ads) else MODULE
 
 
 def _plain(value: Any) -> Any:
