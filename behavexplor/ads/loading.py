@@ -112,6 +112,7 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
         return learned
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
+        from behavexplor.ads.sb3.wrappers import in_wrappers  # noqa: PLC0415
         from behavexplor.ads.weights.policy import load_weights  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise missing_library(str(path), error.name, "rl") from None
@@ -124,7 +125,7 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
     else:
         _check_features(model, described)
         policy = _learned(model, described.decision, roadmap, trust)
-    ads: ADS = policy
+    ads: ADS = in_wrappers(policy, model, described.wrappers, trust)
     return ads
 
 

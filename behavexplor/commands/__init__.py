@@ -39,6 +39,7 @@ COMMANDS = (
     "report",
     "export",
     "import",
+    "inspect",
     "evaluate",
     "compare",
     "envs",

@@ -98,7 +98,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
     findings = (
-        _viewed(simulation.ads),
+        getattr(simulation.ads, "said", None),
         _unconfigured(simulation),
         _uncompiled(simulation),
         _unrepeatable(simulation, scenarios[0]),
@@ -116,11 +116,6 @@ def _traces(simulation: Simulation, ads: Any, scenarios: list[Scenario]) -> list
     if envs is None:
         return [rollout(simulation.env, simulation.driver(1, ads), scenario) for scenario in scenarios]
     return [trace for _, trace in rollout_all(envs, simulation.driver(envs.num_envs, ads), scenarios)]
-
-
-def _viewed(ads: Any) -> str | None:
-    view = getattr(ads, "view", None)
-    return None if view is None else view.said
 
 
 def _unconfigured(simulation: Simulation) -> str | None:

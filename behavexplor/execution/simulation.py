@@ -27,6 +27,7 @@ from behavexplor.envs.making import (
     ignored_keys,
     is_highway,
     make_env,
+    make_registered,
     make_vector_env,
 )
 from behavexplor.errors import InputError
@@ -217,25 +218,46 @@ def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: A
     if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
         return
     spaces = (ads.observation_space, ads.action_space)
-    if _alike(spaces[0], env.observation_space) and _alike(spaces[1], env.action_space):
+    if _fits(ads, env):
         return
     named = f"policy {ads_name!r}" if isinstance(ads_name, str) else "policy in memory"
     raise InputError(
-        f"The {named} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
-        f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. "
-        f"{_where_it_fits(spaces)}{how_to_fit(*spaces)}"
+        f"The {named} observes {brief_space(spaces[0])} and commands {brief_space(spaces[1])}, but the environment "
+        f"{name!r} has {brief_space(env.observation_space)} and {brief_space(env.action_space)}. "
+        f"{_where_it_fits(ads)}{how_to_fit(*spaces)}"
     )
 
 
-def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) -> str:
+def _where_it_fits(ads: Any) -> str:
     """Return a sentence on which environments of this package have a policy's spaces; empty if none has."""
     fitting = []
     for other in behavexplor.FUNCTIONAL_SCENARIOS:
         made = make_env(other, {})
-        if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
-            fitting.append(other)
+        fitting += [other] if _fits(ads, made) else []
         made.close()
     return f"It fits {' and '.join(fitting)} as it is: is --env missing? Otherwise: " if fitting else ""
+
+
+def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
+    """Return a driver as it sees an environment, and whether it fits its spaces.
+
+    Args:
+        env: name of the environment.
+        ads: the driver.
+        config: configuration of the environment, as far as the driver does not declare it.
+
+    Raises:
+        InputError: if the environment cannot be configured so, or the driver cannot see it.
+    """
+    declared = {key: _plain(getattr(ads, key)) for key in (*DECLARED, "env_config") if hasattr(ads, key)}
+    made = make_registered(env, {**declared, **declared.pop("env_config", {}), **config})
+    made.close()
+    seen = ads.seeing(made.observation_space, made.action_space) if hasattr(ads, "seeing") else ads
+    return seen, _fits(seen, made)
+
+
+def _fits(ads: Any, env: gymnasium.Env[Any, Any]) -> bool:
+    return _alike(ads.observation_space, env.observation_space) and _alike(ads.action_space, env.action_space)
 
 
 def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
@@ -247,9 +269,10 @@ def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
     return type(policy) is type(env) and policy.shape == env.shape
 
 
-def _brief(space: gymnasium.Space[Any]) -> str:
+def brief_space(space: gymnasium.Space[Any]) -> str:
+    """Return a space for a message, such as Box(5, 5)."""
     if isinstance(space, gymnasium.spaces.Dict):
-        return f"Dict({', '.join(f'{key}: {_brief(part)}' for key, part in sorted(space.items()))})"
+        return f"Dict({', '.join(f'{key}: {brief_space(part)}' for key, part in sorted(space.items()))})"
     return f"Box{space.shape}" if isinstance(space, gymnasium.spaces.Box) else str(space)
 
 

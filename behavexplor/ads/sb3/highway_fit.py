@@ -123,6 +123,9 @@ def _form(space: gymnasium.Space[Any]) -> Any:
 
 
 def _observation(shape: tuple[int, ...]) -> dict[str, Any]:
+    if len(shape) == 1:  # flattened
+        fitting = [width for width in _KINEMATICS if shape[0] % width == 0]
+        return _observation((shape[0] // fitting[0], fitting[0])) if fitting else {}
     if len(shape) == 2 and shape[1] in _KINEMATICS:
         return {"type": "Kinematics", "vehicles_count": shape[0], "features": _KINEMATICS[shape[1]]}
     if len(shape) == 2 and shape[1] == 2:

@@ -18,7 +18,7 @@ from behavexplor.ads.sb3.blocks import BlockwiseNetwork, noise_of
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.normalization import Moments, Statistics, as_arrays
-from behavexplor.ads.sb3.views import FLAT, STACKED, View, view_of
+from behavexplor.ads.sb3.views import FLAT, STACKED, PolicyView, view_of
 from behavexplor.data.array_types import Floats
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, brief, sentence
@@ -67,7 +67,7 @@ class SB3Policy:
         self._network = BlockwiseNetwork(network)
         self.noise = noise_of(network)
         self._statistics = statistics
-        self.view: View | None = None
+        self.view: PolicyView | None = None
         self._frames = description.frame_stack
         self.observation_space = self._own_space = _unstacked(network.observation_space, self._frames)
         self.action_space = network.action_space
@@ -98,6 +98,11 @@ class SB3Policy:
         seen = copy(self)
         seen.view, seen.observation_space = view, space
         return seen
+
+    @property
+    def said(self) -> str:
+        """What is done to the environment's observations, as a sentence; empty if nothing."""
+        return "" if self.view is None else self.view.said
 
     def prepare(self, observation: Observation) -> Observation:
         """Return observations flattened and scaled as in training, arrays of shape (B, ...).

@@ -16,7 +16,7 @@ JOINED: Final = "joined"  # along the last axis, as by VecFrameStack
 
 
 @dataclass(frozen=True)
-class View:
+class PolicyView:
     """How a policy sees the observations of an environment.
 
     Attributes:
@@ -38,7 +38,7 @@ class View:
         return np.concatenate([np.asarray(part).reshape(len(part), -1) for part in parts], axis=1)
 
 
-def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> View | None:
+def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
     """Return the view that makes the observations of an environment those of a policy.
 
     Args:
@@ -56,18 +56,18 @@ def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks
     if len(shape) == 1 and shape[0] == sum(map(prod, shapes)) and shapes != [shape]:
         shown = " and ".join(map(str, dict.fromkeys(shapes)))
         said = f"The environment's observations of the shape {shown} are flattened for the policy, as in training"
-        return View(FLAT, tuple(key for key, _ in parts if key), said=said)
+        return PolicyView(FLAT, tuple(key for key, _ in parts if key), said=said)
     stacks = stacks and isinstance(given, gymnasium.spaces.Box)
     return _stacking(shape, shapes[0]) if stacks and shape and shapes[0] else None
 
 
-def _stacking(shape: tuple[int, ...], own: tuple[int, ...]) -> View | None:
+def _stacking(shape: tuple[int, ...], own: tuple[int, ...]) -> PolicyView | None:
     """Return the view that stacks observations of one shape so that they have another one; None if there is none."""
     if shape[1:] == own and shape[0] > 1:
-        return View(STACKED, (), shape[0], _said(shape[0], own, f"FrameStackObservation({shape[0]})"))
+        return PolicyView(STACKED, (), shape[0], _said(shape[0], own, f"FrameStackObservation({shape[0]})"))
     frames = shape[-1] // max(own[-1], 1)
     if len(own) > 1 and frames > 1 and shape == (*own[:-1], frames * own[-1]):
-        return View(JOINED, (), frames, _said(frames, own, f"VecFrameStack({frames})"))
+        return PolicyView(JOINED, (), frames, _said(frames, own, f"VecFrameStack({frames})"))
     return None
 
 

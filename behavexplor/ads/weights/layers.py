@@ -64,7 +64,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Network:
+class ActingNetwork:
     """A network that leads from observations to actions.
 
     Attributes:
@@ -107,7 +107,7 @@ class Network:
         return f"{grids}{dense}{' with a value' if self.value else ''}"
 
 
-def networks_in(file: TensorFile) -> list[Network]:
+def networks_in(file: TensorFile) -> list[ActingNetwork]:
     """Return the networks in a file that can lead to actions, without target networks and optimizers."""
     names = list(file.arrays) if file.in_order else sorted(file.arrays, key=_natural)
     layers = [layer for name in names if (layer := _layer(name, file.arrays)) is not None]
@@ -119,7 +119,7 @@ def networks_in(file: TensorFile) -> list[Network]:
     return _networks(online, stored)
 
 
-def chosen(networks: Sequence[Network], name: str | None) -> Network | None:
+def chosen(networks: Sequence[ActingNetwork], name: str | None) -> ActingNetwork | None:
     """Return the network of a name, or the only one that acts; None if it is not clear which one that is."""
     if name is not None:
         return next((one for one in networks if one.name == name), None)
@@ -158,7 +158,7 @@ def _layer(name: str, arrays: Mapping[str, NDArray[Any]]) -> Layer | None:
     return Layer(stem, kind, array if array.ndim > 1 else array[:, None], bias)
 
 
-def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> list[Network]:
+def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> list[ActingNetwork]:
     """Return the networks that some layers form: one, if they follow one another, or those of their parts."""
     prefix = _common(layers)
     whole = _network(prefix, layers, stored)
@@ -172,7 +172,7 @@ def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> li
     return [found for part in parts.values() for found in _networks(part, stored)]
 
 
-def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> Network | None:
+def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> ActingNetwork | None:
     """Return the network of layers that form one; None if they do not."""
     of: dict[str | None, list[Layer]] = {}
     for layer in layers:
@@ -196,7 +196,7 @@ def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, NDArray[
     branches = [(*trunk, *branch) for branch in (head, value, deviation) if branch]
     if not head or not all(map(_is_chain, branches)):
         return None
-    return Network(prefix.rstrip("."), tuple(trunk), tuple(head), tuple(value), tuple(deviation), log_std, output)
+    return ActingNetwork(prefix.rstrip("."), tuple(trunk), tuple(head), tuple(value), tuple(deviation), log_std, output)
 
 
 def _is_chain(layers: Sequence[Layer]) -> bool:

@@ -11,13 +11,12 @@ from typing import Any, Final
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from behavexplor.ads.sb3.description import ENVIRONMENT_KEYS, Description, describe
 from behavexplor.ads.sb3.layered import LayeredPolicy, Parts
 from behavexplor.ads.sb3.normalization import Statistics
 from behavexplor.ads.sb3.policy import SB3Policy
-from behavexplor.ads.weights.layers import CONVOLUTION, DENSE, Layer, Network, chosen, networks_in, reason_against
+from behavexplor.ads.weights.layers import CONVOLUTION, DENSE, ActingNetwork, Layer, chosen, networks_in, reason_against
 from behavexplor.ads.weights.tensors import TensorFile, read_tensors
 from behavexplor.data.target import Activation
 from behavexplor.errors import InputError, sentence
@@ -43,30 +42,17 @@ class WeightsPolicy:
         network: the network.
         description: what is known besides.
 
-    Attributes:
-        vectorized: True: its answer to an observation does not depend on the rest of the batch.
-
     The observation and action configuration and the frequencies are attributes only where they are known, and so is
     `env_config`.
     """
 
-    vectorized = True
-
-    def __init__(self, path: Path, network: Network, description: Description) -> None:
+    def __init__(self, path: Path, network: ActingNetwork, description: Description) -> None:
         self.path, self.network, self.description = path, network, description
         for name in ENVIRONMENT_KEYS:
             if (value := getattr(description, name)) is not None:
                 setattr(self, name, value)
         if description.config is not None:
             self.env_config = dict(description.config)
-
-    def predict(self, *_: Any, **__: Any) -> tuple[NDArray[Any], Any]:
-        """Refuse to answer: `seeing` returns what drives.
-
-        Raises:
-            InputError: always.
-        """
-        raise InputError(f"{self.path} drives in an environment only, which says what its numbers mean")
 
     def seeing(self, space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> SB3Policy:
         """Return the policy for the observations and actions of an environment.
@@ -140,7 +126,7 @@ def load_weights(path: Path, activation: Activation | None = None) -> WeightsPol
     return WeightsPolicy(path, network, description)
 
 
-def network_of(file: TensorFile, description: Description) -> Network:
+def network_of(file: TensorFile, description: Description) -> ActingNetwork:
     """Return the network of a file that acts.
 
     Raises:
@@ -164,7 +150,7 @@ def network_of(file: TensorFile, description: Description) -> Network:
     return network
 
 
-def missing_settings(network: Network, description: Description) -> list[str]:
+def missing_settings(network: ActingNetwork, description: Description) -> list[str]:
     """Return what must be said about a network, each as a phrase that shows the setting."""
     missing = []
     if len(network.layers) > 1 and description.activation is None:
@@ -177,7 +163,7 @@ def missing_settings(network: Network, description: Description) -> list[str]:
     return missing
 
 
-def _lacking(path: Path, network: Network, settings: Sequence[str]) -> InputError:
+def _lacking(path: Path, network: ActingNetwork, settings: Sequence[str]) -> InputError:
     where = path.with_suffix(".yaml").name
     return InputError(
         f"{path} has the layers {network}, but no file says everything about them: add {' and '.join(settings)} to "
@@ -191,7 +177,7 @@ def _steps(policy: WeightsPolicy) -> tuple[Sequence[int], Sequence[int]]:
     return described.strides or [1] * count, described.paddings or [0] * count
 
 
-def _parts(network: Network, description: Description, space: gymnasium.spaces.Box) -> Parts:
+def _parts(network: ActingNetwork, description: Description, space: gymnasium.spaces.Box) -> Parts:
     """Return the layers of a network as those of torch, with the function between any two of them."""
     function = _FUNCTIONS[description.activation or "identity"]
     steps = iter(zip(description.strides or (), description.paddings or [0] * len(network.convolutions), strict=False))

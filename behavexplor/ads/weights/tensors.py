@@ -72,7 +72,7 @@ def read_tensors(path: Path) -> TensorFile:
     if not data.startswith(b"PK"):
         raise InputError(f"{path} is not a file that torch.save writes: {_SAVE}")
     try:
-        return _of_torch(path, data, digest)
+        return tensors_in(path, data, digest)
     except InputError:
         raise
     except TooLongError as error:
@@ -92,7 +92,13 @@ def check_members(path: Path, file: ZipFile, packed: int) -> None:
         raise InputError(f"{path} would unpack to {unpacked} bytes, which torch never writes; it was not read")
 
 
-def _of_torch(path: Path, data: bytes, digest: str) -> TensorFile:
+def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
+    """Return the tensors in what torch has written; see `read_tensors`.
+
+    Raises:
+        InputError: if it has none, or would unpack to more bytes than it has.
+        Exception: of many kinds, if it is damaged.
+    """
     with ZipFile(io.BytesIO(data)) as file:
         check_members(path, file, len(data))
         names = file.namelist()
