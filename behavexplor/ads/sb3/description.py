@@ -22,7 +22,8 @@ from behavexplor.errors import InputError, brief, unknown_name
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
-WEIGHTS: Final = (".pth", ".pt", ".safetensors", ".tar", ".ckpt", ".bin")  # endings of files that hold weights alone
+# Endings of files that hold weights alone; those of rl_agents end with .tar.
+WEIGHTS: Final = (".pth", ".pt", ".safetensors", ".tar", ".ckpt", ".bin", ".cleanrl_model")
 _CHECKPOINT: Final = re.compile(r"(.+)_(\d+)_steps")  # the name of a model by Stable-Baselines3's CheckpointCallback
 # Wrappers that change neither what a policy observes nor what it does here, as rl-zoo3 names them.
 _HARMLESS: Final = (

@@ -34,8 +34,9 @@ class PolicyView:
     def flattened(self, observation: Observation) -> NDArray[Any]:
         """Return observations, arrays of shape (B, ...), as arrays of shape (B, n)."""
         whole: Any = observation
-        parts = [whole[key] for key in self.keys] if self.keys else [whole]
-        return np.concatenate([np.asarray(part).reshape(len(part), -1) for part in parts], axis=1)
+        if not self.keys:
+            return np.asarray(whole).reshape(len(whole), -1)
+        return np.concatenate([np.asarray(whole[key]).reshape(len(whole[key]), -1) for key in self.keys], axis=1)
 
 
 def view_of(wanted: gymnasium.Space[Any], given: gymnasium.Space[Any], *, stacks: bool = True) -> PolicyView | None:
