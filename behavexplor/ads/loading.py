@@ -66,7 +66,7 @@ def load_ads(
         name: a system of `SYSTEMS`, with or without a variant after a colon, such as "rule" or "rule:hardened"; or
             a policy file of `behavexplor.training` (.npz) or of Stable-Baselines3 (.zip, or a folder, see
             `behavexplor.ads.sb3.policy.load_policy`), or of weights alone (see
-            `behavexplor.ads.weights.policy.load_weights`); or
+            `behavexplor.ads.weights.weights_policy.load_weights`); or
             "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), of
             a function from one observation to one action, or of a class or function that makes such an object or
             function. A class or function with a parameter `roadmap` receives the road map.
@@ -113,7 +113,7 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activat
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
         from behavexplor.ads.sb3.wrappers import in_wrappers  # noqa: PLC0415
-        from behavexplor.ads.weights.policy import load_weights  # noqa: PLC0415
+        from behavexplor.ads.weights.weights_policy import load_weights  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise missing_library(str(path), error.name, "rl") from None
     model = find_model(path)

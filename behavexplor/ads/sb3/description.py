@@ -127,6 +127,7 @@ def files_of_model(ads: str) -> list[Path]:
         return []
     folders = (model.parent, *(arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))))
     beside = [folder / name for folder in folders for name in ("args.yml", "config.yml", *STATISTICS)]
+    beside += sorted(model.parent.glob(_METADATA)) if model.suffix in WEIGHTS else []
     return [path for path in (model, _of_checkpoint(model), *map(model.with_suffix, OWN), *beside) if path.is_file()]
 
 

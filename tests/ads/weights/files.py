@@ -37,6 +37,17 @@ class Tutorial(nn.Module):
         return self.layer3(torch.relu(self.layer2(torch.relu(self.layer1(seen.flatten(1))))))
 
 
+class OfCleanRL(nn.Module):
+    """DQN's network in CleanRL."""
+
+    def __init__(self):
+        super().__init__()
+        self.network = dense(25, 120, 84, 5)
+
+    def forward(self, seen):
+        return self.network(seen.flatten(1))
+
+
 class Duelling(nn.Module):
     def __init__(self):
         super().__init__()
@@ -145,6 +156,7 @@ def checkpoint(network):
 RELU, TANH = {"activation": "relu"}, {"activation": "tanh"}
 FORMS = {
     "tutorial": Form(Tutorial, settings=RELU),
+    "cleanrl": Form(OfCleanRL, settings=RELU, name="dqn.cleanrl_model"),
     "duelling": Form(Duelling, settings=RELU, name="weights.pt"),
     "actor-critic": Form(ActorCritic, settings=TANH),
     "checkpoint": Form(Tutorial, checkpoint, RELU, name="checkpoint.pth"),

@@ -9,10 +9,10 @@ import torch
 
 from behavexplor.ads.sb3.description import named_env
 from behavexplor.ads.sb3.policy import load_policy
-from behavexplor.ads.weights.policy import load_weights
+from behavexplor.ads.weights.weights_policy import load_weights
 from behavexplor.commands import main
 from tests.ads.sb3.models import make_model
-from tests.ads.weights.files import COMMANDS, FORMS, KINEMATICS, META, Tutorial, dense, write
+from tests.ads.weights.files import COMMANDS, FORMS, GRID, KINEMATICS, META, Tutorial, dense, write
 
 
 def answers(path, spaces, observations, activation=None):
@@ -112,3 +112,24 @@ def test_rl_agents_metadata_names_the_environment(tmp_path):
     assert load_weights(path).env_config == {"duration": 20}
     (tmp_path / "metadata.0.123.json").write_text(json.dumps({"agent": {"model": 3}, "env": []}))
     assert load_weights(path).description.activation == "relu"
+
+
+def test_convolutions_of_rl_agents_have_steps_of_two(tmp_path):
+    torch.manual_seed(3)
+    network = torch.nn.Module()
+    grids = [torch.nn.Conv2d(*channels, 2, stride=2) for channels in ((4, 16), (16, 32), (32, 64))]
+    network.conv1, network.conv2, network.conv3 = grids
+    network.head = torch.nn.Module()
+    network.head.layers, network.head.predict = torch.nn.ModuleList([torch.nn.Linear(64, 32)]), torch.nn.Linear(32, 5)
+    torch.save({"state_dict": network.state_dict(), "optimizer": {}}, tmp_path / "latest.tar")
+    agent = {
+        "model": {"type": "ConvolutionalNetwork", "activation": "RELU", "head_mlp": {"type": "MultiLayerPerceptron"}}
+    }
+    (tmp_path / "metadata.1.2.json").write_text(json.dumps({"agent": agent, "env": {"id": "highway-v0"}}))
+    observations = np.random.default_rng(1).normal(size=(1000, *GRID.shape)).astype(np.float32)
+    with torch.no_grad():
+        seen = torch.from_numpy(observations)
+        for one in grids:
+            seen = torch.relu(one(seen))
+        expected = network.head.predict(torch.relu(network.head.layers[0](seen.flatten(1)))).argmax(1).numpy()
+    np.testing.assert_array_equal(answers(tmp_path / "latest.tar", (GRID, META), observations), expected)

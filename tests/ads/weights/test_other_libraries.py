@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 import torch
 
+from behavexplor.ads.weights.weights_policy import load_weights
 from behavexplor.execution.simulation import Simulation
-from tests.ads.weights.files import META
+from tests.ads.weights.files import KINEMATICS, META
 from tests.pages.blocks import ROOT, blocks_of
 
 
-def class_of(file, name):
-    """The class in a block of the page."""
+def shown_in(file, name):
+    """The class or function in a block of the page."""
     (block,) = [one for one in blocks_of(ROOT / "docs" / "policies.md") if one.file == file]
     page = ModuleType(file)
     exec(block.text, page.__dict__)
@@ -45,7 +46,7 @@ def test_an_onnx_file_drives_as_its_network(tmp_path, monkeypatch):
     made = make.make_model(graph, opset_imports=[make.make_opsetid("", 17)])
     made.ir_version = 9
     onnx.save(made, "policy.onnx")
-    driver = class_of("my_model.py", "Model")()
+    driver = shown_in("my_model.py", "Model")()
     seen = np.random.default_rng(0).normal(size=(1000, 6, 5)).astype(np.float32)
     with torch.no_grad():
         expected = layer(torch.from_numpy(seen).flatten(1)).argmax(1).numpy()
@@ -63,5 +64,23 @@ def test_a_checkpoint_of_rllib_drives(tmp_path, monkeypatch):
     module = ppo.DefaultPPOTorchRLModule(observation_space=box, action_space=META, model_config={"fcnet_hiddens": [16]})
     folder = tmp_path / "checkpoint/learner_group/learner/rl_module/default_policy"
     module.save_to_path(folder)
-    driver = class_of("my_rllib.py", "Checkpoint")()
+    driver = shown_in("my_rllib.py", "Checkpoint")()
     assert drives("highway-fast-v0", driver) > 1
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_model_of_keras_becomes_a_file_of_weights(tmp_path, monkeypatch):
+    monkeypatch.setenv("KERAS_BACKEND", "torch")
+    keras = pytest.importorskip("keras")
+    widths = [
+        keras.layers.Dense(32, activation="tanh"),
+        keras.layers.Dense(32, activation="tanh"),
+        keras.layers.Dense(5),
+    ]
+    model = keras.Sequential([keras.Input((5, 5)), keras.layers.Flatten(), *widths])
+    shown_in("from_keras.py", "write_weights")(model, tmp_path / "weights.safetensors")
+    seen = np.random.default_rng(0).normal(size=(1000, 5, 5)).astype(np.float32)
+    expected = np.asarray(model.predict(seen, verbose=0)).argmax(axis=1)
+    found = load_weights(tmp_path / "weights.safetensors", "tanh").seeing(KINEMATICS, META).predict(seen)[0]
+    np.testing.assert_array_equal(found, expected)

@@ -16,8 +16,8 @@ import torch
 from torch import nn
 
 import behavexplor
-from behavexplor.ads.weights.policy import load_weights
 from behavexplor.ads.weights.tensors import MAX_BYTES, read_tensors
+from behavexplor.ads.weights.weights_policy import load_weights
 from behavexplor.errors import LONGEST, InputError
 from behavexplor.execution.simulation import Simulation
 from tests.ads.sb3.models import Payload
