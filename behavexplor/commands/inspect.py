@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, get_args
+from typing import Annotated, Any, Final
 
 import tyro
 
@@ -15,7 +15,7 @@ from behavexplor.ads.learned.network_file import read_network
 from behavexplor.ads.learned.shipped import PREFIX, policy_file
 from behavexplor.ads.loading import load_ads
 from behavexplor.ads.sb3.archive import Archive, read_archive
-from behavexplor.ads.sb3.description import OWN, WEIGHTS, describe, find_model, named_env
+from behavexplor.ads.sb3.description import WEIGHTS, describe, files_of_model, find_model, named_env
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.ads.sb3.inert import Inert, Name
 from behavexplor.ads.weights.layers import ActingNetwork, chosen, networks_in, reason_against
@@ -25,6 +25,7 @@ from behavexplor.commands import OK, program
 from behavexplor.commands.checks import write_json
 from behavexplor.commands.flags import Trust
 from behavexplor.commands.wording import hanging, say
+from behavexplor.data.drawn_scenario import DECLARED
 from behavexplor.data.target import Activation
 from behavexplor.data.untrusted import read_file
 from behavexplor.envs.making import highway_ids
@@ -73,8 +74,6 @@ def inspect(
         trust: Allow the policy file with this digest ("sha256:...") to execute code.
         json_file: Also write all of this to this JSON file.
     """
-    if activation is not None and activation not in get_args(Activation):
-        raise InputError(f"--activation {activation} must be one of {', '.join(get_args(Activation))}")
     found = contents_of(policy)
     config = None if env_config is None else read_yaml(env_config)
     with warnings.catch_warnings(), collected_notices():
@@ -128,7 +127,9 @@ def _place(seen: dict[str, Any], refused: list[str]) -> dict[str, Any]:
     """
     fits = [env for env in seen if env]
     if fits:
-        return {**_spaces(seen[fits[0]]), "drives in": f"{', '.join(fits)} in their own configurations", "fits": fits}
+        is_said = any(hasattr(seen[fits[0]], key) for key in (*DECLARED, "env_config"))
+        how = "as the files beside it configure them" if is_said else "in their own configurations"
+        return {**_spaces(seen[fits[0]]), "drives in": f"{', '.join(fits)}, {how}", "fits": fits}
     if refused:
         return {"drives in": f"no environment as it is: {refused[0]}", "fits": []}
     spaces = seen[""].observation_space, seen[""].action_space
@@ -174,8 +175,8 @@ def contents_of(policy: str) -> Contents:
     if path.suffix not in (".zip", *WEIGHTS):
         raise unknown_name("ending of a policy's file", path.suffix, (".zip", ".npz", *WEIGHTS))
     facts = _of_archive(read_archive(path)) if path.suffix == ".zip" else _of_weights(read_tensors(path))
-    settings = next((file.name for file in map(path.with_suffix, OWN) if file.is_file()), "none beside it")
-    return Contents(path, {**facts, "settings": settings})
+    beside = [file.name for file in files_of_model(str(path))[1:]]
+    return Contents(path, {**facts, "settings": ", ".join(beside) or "none beside it"})
 
 
 def _of_archive(archive: Archive) -> dict[str, str]:

@@ -63,7 +63,8 @@ class Target(Conditions):
             such as highway-fast-v0 (docs/highway-policies.md); or module:id of one that another module registers.
         ads: Driving system under test (ADS): rule, idm, constant, careful, learned:NAME (docs/policies.md), a policy
             file, or package.module:attribute of an object or class with a predict method.
-        activation: Function between the layers of a policy whose file holds weights alone (docs/policies.md).
+        activation: Function between the layers of a policy whose file holds weights alone: relu, tanh, elu, gelu, silu,
+            leaky_relu, sigmoid or identity.
         env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
             policy declares: keys of highway-env (docs/highway-env.md).
     """

@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import prod
@@ -20,12 +21,13 @@ from behavexplor.ads.sb3.normalization import as_mapping
 from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 
-MAX_BYTES: Final = 300_000_000  # greatest size of a file
+MAX_BYTES: Final = 200_000_000  # greatest size of a file
 _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     {"Float": "<f4", "Double": "<f8", "Half": "<f2", "BFloat16": "<u2", "Long": "<i8", "Int": "<i4"}
     | {"Short": "<i2", "Char": "<i1", "Byte": "<u1", "Bool": "<u1"}
 )
 _OF_SAFETENSORS: Final[Mapping[str, str]] = MappingProxyType({"F32": "Float", "F64": "Double", "F16": "Half"})
+_OPTIMIZER: Final = re.compile(r"optim(?!al)")
 _SAVE: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth')"
 
 
@@ -144,7 +146,9 @@ def _entries(content: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, An
         if mapping is None:
             yield ".".join(path), value
             continue
-        inner = [((*path, key), part) for key, part in mapping.items() if isinstance(key, str) and "optim" not in key]
+        inner = [
+            ((*path, key), part) for key, part in mapping.items() if isinstance(key, str) and not _OPTIMIZER.search(key)
+        ]
         waiting += reversed(inner)
 
 
