@@ -59,9 +59,11 @@ FILES = {  # what is in the folder besides the files that the pages show
 
 def described(text):
     """The file beside a model."""
-    Path("vecnormalize.pkl").touch()
-    Path("described.yaml").write_text(text)
-    return describe(Path("described.zip"))
+    folder = Path("described")
+    folder.mkdir(exist_ok=True)
+    (folder / "vecnormalize.pkl").touch()
+    (folder / "model.yaml").write_text(text)
+    return describe(folder / "model.zip")
 
 
 def experiment(text):
