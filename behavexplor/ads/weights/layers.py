@@ -155,7 +155,7 @@ def _layer(name: str, arrays: Mapping[str, NDArray[Any]]) -> Layer | None:
     bias = arrays.get(f"{stem}.bias" if stem else "bias")
     if kind in (DENSE, CONVOLUTION) and bias is not None and bias.shape != array.shape[:1]:
         kind = "unmatched"
-    return Layer(stem, kind, array if array.ndim > 1 else array[:, None], bias)
+    return Layer(stem, kind, array if array.ndim > 1 else array.reshape(-1, 1), bias)
 
 
 def _networks(layers: Sequence[Layer], stored: Mapping[str, NDArray[Any]]) -> list[ActingNetwork]:
@@ -201,7 +201,7 @@ def _network(prefix: str, layers: Sequence[Layer], stored: Mapping[str, NDArray[
 
 def _is_chain(layers: Sequence[Layer]) -> bool:
     """Return whether layers can follow one another."""
-    known = all(one.kind in (DENSE, CONVOLUTION) for one in layers) and layers[-1].kind == DENSE
+    known = all(one.kind in (DENSE, CONVOLUTION) and one.weight.size for one in layers) and layers[-1].kind == DENSE
     return known and len(layers) <= MOST_LAYERS and all(_follows(*pair) for pair in pairwise(layers))
 
 

@@ -62,18 +62,18 @@ class WeightsPolicy:
         Raises:
             InputError: if something about it must be said, or its convolutions do not fit the observations.
         """
-        outputs = self.network.head[-1].outputs
+        outputs, described = self.network.head[-1].outputs, self.description
+        commands: gymnasium.Space[Any] = gymnasium.spaces.Discrete(outputs)
         is_box = isinstance(action_space, gymnasium.spaces.Box) and action_space.shape == (outputs,)
-        commands = action_space if is_box else gymnasium.spaces.Discrete(outputs)
-        if not isinstance(action_space, gymnasium.spaces.Discrete) and self.network.output == "mean":
+        if is_box or (described.output or self.network.output) == "mean":
             commands = action_space if is_box else gymnasium.spaces.Box(-1.0, 1.0, (outputs,))
-        squash = bool(self.description.squash) and is_box
-        if is_box and self.description.squash is None and self.network.log_std is None:
+        if is_box and described.squash is None and self.network.log_std is None:
             raise _lacking(self.path, self.network, ["`squash: true` if tanh follows its last layer, or else `false`"])
+        squash = bool(described.squash) and is_box
         seen = self._space(space)
-        policy = LayeredPolicy(seen, commands, _parts(self.network, self.description, seen), squash=squash)
-        statistics = Statistics.read(self.description.statistics) if self.description.statistics else None
-        return SB3Policy(policy, self.description, statistics, None).seeing(space, action_space)
+        policy = LayeredPolicy(seen, commands, _parts(self.network, described, seen), squash=squash)
+        statistics = Statistics.read(described.statistics) if described.statistics else None
+        return SB3Policy(policy, described, statistics, None).seeing(space, action_space)
 
     def _space(self, space: gymnasium.Space[Any]) -> gymnasium.spaces.Box:
         """Return the space of the observations of the network.
@@ -83,9 +83,9 @@ class WeightsPolicy:
         """
         if not self.network.convolutions:
             return _numbers((self.network.layers[0].inputs,))
-        shape, frames = space.shape or (), self.description.frame_stack
-        channels, needed = self.network.layers[0].inputs, next(one for one in self.network.layers if one.kind == DENSE)
-        if len(shape) != 3 or shape[0] * frames != channels or space.dtype is None or space.dtype.kind != "f":
+        shape, channels = space.shape or (), self.network.layers[0].inputs
+        needed = next(one for one in self.network.layers if one.kind == DENSE)
+        if len(shape) != 3 or shape[0] != channels or space.dtype is None or space.dtype.kind != "f":
             raise InputError(
                 f"{self.path} has convolutions ({self.network}) for grids with {channels} channels of floats, but the "
                 f"observations of the environment have the shape {shape}: give the observation of its training, such "

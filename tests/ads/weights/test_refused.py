@@ -53,6 +53,12 @@ UNUSABLE = {
         lambda: {"a.weight": torch.zeros(64, 25), "b.weight": torch.zeros(5, 32)},
         r"has layers that do not follow one another \(a 25-64, b 32-5\)",
     ),
+    "scalar": (lambda: {"temperature.weight": torch.tensor(1.0)}, "has 0-dimensional layers, and only dense"),
+    "empty": (
+        lambda: {"a.weight": torch.zeros(0, 25), "b.weight": torch.zeros(5, 0)},
+        r"has layers that do not follow one another \(a 25-0, b 0-5\)",
+    ),
+    "unmatched": (lambda: {"a.weight": torch.zeros(5, 25), "a.bias": torch.zeros(4)}, "has unmatched layers, and only"),
     "two": (two, r"has the networks first \(25-64-5\), second \(25-64-5\): name the one that acts as `network: first`"),
     "silent": (
         lambda: Tutorial().state_dict(),
@@ -125,6 +131,13 @@ def test_continuous_actions_need_the_squash(tmp_path):
     path.with_suffix(".yaml").write_text("activation: relu")
     with pytest.raises(InputError, match="add `squash: true` if tanh follows its last layer, or else `false`"):
         load_weights(path).seeing(KINEMATICS, COMMANDS)
+
+
+def test_a_gaussian_actor_does_not_choose_among_actions(tmp_path):
+    path, _ = write(FORMS["gaussian"], tmp_path)
+    path.with_suffix(".yaml").write_text("{activation: tanh, config: {}}")
+    with pytest.raises(InputError, match=r"commands Box\(2,\), but .* action: \{type: ContinuousAction\}"):
+        Simulation("highway-fast-v0", str(path))
 
 
 def test_convolutions_must_fit_the_grid(tmp_path):
@@ -254,3 +267,22 @@ def test_code_beside_a_network_is_named_and_not_run(tmp_path, caplog):
     load_weights(tmp_path / "weights.pth", "relu").seeing(KINEMATICS, META)
     assert "its pickle calls posix.mkdir, which was not run" in caplog.text
     assert not (tmp_path / "proof").exists()
+
+
+def test_damaged_pickles_are_refused(tmp_path):
+    path, _ = write(FORMS["checkpoint"], tmp_path)
+    with zipfile.ZipFile(path) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    (name,) = [one for one in members if one.endswith("data.pkl")]
+    generator = np.random.default_rng(6)
+    for _ in range(150):
+        damaged = bytearray(members[name])
+        for place in generator.integers(0, len(damaged), 2):
+            damaged[place] = int(generator.integers(256))
+        with zipfile.ZipFile(path, "w") as file:
+            for one, data in members.items():
+                file.writestr(one, bytes(damaged) if one == name else data)
+        try:
+            load_weights(path).seeing(KINEMATICS, META)
+        except InputError as error:
+            assert len(str(error)) <= LONGEST
