@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector.utils import create_empty_array
 from numpy.typing import NDArray
 
 from behavexplor.ads.sb3.description import OWN
@@ -16,7 +17,7 @@ from behavexplor.data.array_types import Floats
 from behavexplor.data.drawn_scenario import DECLARED
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.untrusted import read_file
-from behavexplor.errors import InputError, described
+from behavexplor.errors import InputError, brief, described
 
 Named = str | Mapping[str, Mapping[str, Any]]  # "module:Class", or a mapping from it to its arguments
 _KINDS = (gymnasium.ObservationWrapper, gymnasium.ActionWrapper, gymnasium.RewardWrapper)
@@ -46,9 +47,7 @@ class PolicyInWrappers:
 
     def __init__(self, policy: Any, wrappers: Sequence[tuple[str, Any, Mapping[str, Any]]]) -> None:
         self._policy, self._wrappers = policy, wrappers
-        for name in (*DECLARED, "env_config"):
-            if hasattr(policy, name):
-                setattr(self, name, getattr(policy, name))
+        _declare_as(policy, self)
 
     def seeing(self, space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> "WrappedPolicy":
         """Return the policy for the observations and actions of an environment.
@@ -57,16 +56,22 @@ class PolicyInWrappers:
             InputError: if a wrapper cannot be made for them, or the policy does not fit what it makes of them.
         """
         chain: list[Any] = [_Spaces(space, action_space)]
-        for name, kind, arguments in self._wrappers:
-            try:
+        names = " in ".join(name for name, _, _ in reversed(self._wrappers))
+        try:
+            for _, kind, arguments in self._wrappers:
                 chain.append(kind(chain[-1], **arguments))
-            except Exception as error:  # code of the user can raise anything
-                raise InputError(f"The wrapper {name} cannot be made: {described(error)}") from error
-        spaces = chain[-1].observation_space, chain[-1].action_space
-        policy = self._policy.seeing(*spaces)
-        if policy.observation_space.shape != spaces[0].shape:
+            chain[0].present = mapped(lambda array: array[0], create_empty_array(space, 1))
+            made, _ = chain[-1].reset()
+        except Exception as error:  # code of the user can raise anything
+            raise InputError(f"{names} does not suit the environment: {described(error)}") from error
+        outer = chain[-1].observation_space, chain[-1].action_space
+        policy = self._policy.seeing(*outer)
+        own, acts = policy.observation_space, policy.action_space
+        fits = own.shape == outer[0].shape == np.shape(made) and type(acts) is type(outer[1])
+        if not fits or (acts.shape, getattr(acts, "n", 0)) != (outer[1].shape, getattr(outer[1], "n", 0)):
             raise InputError(
-                f"The policy observes {policy.observation_space}, but {self._wrappers[-1][0]} makes {spaces[0]}"
+                f"The policy observes {brief(own)} and commands {brief(acts)}, but the environment has "
+                f"{brief(outer[0])} and {brief(outer[1])} in {names}"
             )
         return WrappedPolicy(policy, chain, [name for name, _, _ in self._wrappers])
 
@@ -92,6 +97,7 @@ class WrappedPolicy:
         self._policy, self._inner, self._wrappers = policy, chain[0], chain[1:]
         self.observation_space, self.action_space = chain[0].observation_space, chain[0].action_space
         self.noise = policy.noise
+        _declare_as(policy, self)
         own = f"The policy sees and acts through {' and '.join(names)}, as its settings file says"
         self.said = f"{own}. {policy.said}" if policy.said else own
 
@@ -130,6 +136,13 @@ class WrappedPolicy:
         for one in reversed(self._wrappers):
             action = one.action(action) if isinstance(one, gymnasium.ActionWrapper) else action
         return np.asarray(action)[None]
+
+
+def _declare_as(policy: Any, other: Any) -> None:
+    """Declare the same observations, actions, frequencies and configuration as a policy."""
+    for name in (*DECLARED, "env_config"):
+        if hasattr(policy, name):
+            setattr(other, name, getattr(policy, name))
 
 
 def in_wrappers(policy: Any, model: Path, named: Sequence[Named], trust: Collection[str]) -> Any:

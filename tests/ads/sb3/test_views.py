@@ -183,3 +183,14 @@ def test_a_policy_in_wrappers_drives(own):
     simulation = Simulation("highway-fast-v0", str(path), (digest_asked_for(path),))
     scenario = simulation.logical.sample(np.random.default_rng(0))
     assert simulation.run(scenario).to_bytes() == simulation.run(scenario).to_bytes()
+
+
+def test_wrappers_that_do_not_suit_an_environment_are_refused(own):
+    path, *_ = own
+    policy = load_ads(str(path), None, (digest_asked_for(path),))
+    with pytest.raises(InputError, match="does not suit the environment: AttributeError"):
+        policy.seeing(GOALS, META)
+    with pytest.raises(InputError, match=r"commands Discrete\(5\), but the environment has .* and Discrete\(3\) in"):
+        policy.seeing(SEEN, gymnasium.spaces.Discrete(3))
+    with pytest.raises(InputError, match=r"observes Box\(-inf, inf, \(25,\), float32\)"):
+        policy.seeing(gymnasium.spaces.Box(-1, 1, (6, 5), np.float32), META)
