@@ -27,6 +27,9 @@ _DTYPES: Final[Mapping[str, str]] = MappingProxyType(
     | {"Short": "<i2", "Char": "<i1", "Byte": "<u1", "Bool": "<u1"}
 )
 _OF_SAFETENSORS: Final[Mapping[str, str]] = MappingProxyType({"F32": "Float", "F64": "Double", "F16": "Half"})
+MAX_HEADER: Final = 5_000_000  # greatest size of the header of safetensors
+MAX_MEMBERS: Final = 20_000  # members of a file of torch, which has one for each tensor
+_MEMBER: Final = b"PK\x01\x02"  # begins the entry of a member
 _OPTIMIZER: Final = re.compile(r"optim(?!al)")
 _SAVE: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth')"
 
@@ -83,7 +86,7 @@ def read_tensors(path: Path) -> TensorFile:
         raise InputError(f"{path} is not a file that torch.save writes, or is damaged: {error}") from None
 
 
-def check_members(path: Path, file: ZipFile, packed: int) -> None:
+def _check_members(path: Path, file: ZipFile, packed: int) -> None:
     """Check the members of a file of torch, which does not compress, before anything is unpacked.
 
     Raises:
@@ -101,8 +104,10 @@ def tensors_in(path: Path, data: bytes, digest: str) -> TensorFile:
         InputError: if it has none, or would unpack to more bytes than it has.
         Exception: of many kinds, if it is damaged.
     """
+    if data.count(_MEMBER) > MAX_MEMBERS:
+        raise InputError(f"{path} has more than {MAX_MEMBERS} members, which no policy needs; it was not read")
     with ZipFile(io.BytesIO(data)) as file:
-        check_members(path, file, len(data))
+        _check_members(path, file, len(data))
         names = file.namelist()
         if any("/code/" in name for name in names):
             raise InputError(f"{path} is a program of TorchScript, which is not run: {_SAVE}")
@@ -205,6 +210,8 @@ def _widened(halves: NDArray[Any]) -> NDArray[Any]:
 
 def _of_safetensors(path: Path, data: bytes) -> Mapping[str, NDArray[Any]]:
     """Return the tensors of floats in a file of safetensors, whose own library checks sizes against the file."""
+    if int.from_bytes(data[:8], "little") > MAX_HEADER:
+        raise InputError(f"{path} is not a file of safetensors, or has a header that no policy needs")
     try:
         found = deserialize(data)  # type: ignore[no-untyped-call]
     except SafetensorError as error:
