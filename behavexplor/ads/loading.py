@@ -14,9 +14,10 @@ from behavexplor.ads.interface import ADS
 from behavexplor.ads.learned.driver import LearnedDriver
 from behavexplor.ads.learned.network_file import Rule, TrainedNetwork, read_network
 from behavexplor.ads.sb3.archive import read_archive
-from behavexplor.ads.sb3.description import Description, describe, find_model
+from behavexplor.ads.sb3.description import WEIGHTS, Description, describe, find_model, is_policy
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.data.roadmap import RoadMap
+from behavexplor.data.target import Activation
 from behavexplor.errors import InputError, missing_library, unknown_name
 
 SYSTEMS = MappingProxyType(
@@ -52,24 +53,28 @@ def check_name(name: str) -> None:
         raise InputError(f"{name!r} is a Python module: name the driver in it, such as {module}:MyDriver")
     if not (separator or Path(name).exists()) and Path(f"{name}.zip").is_file():
         raise InputError(f"There is no file {name}: did you mean {name}.zip?")
-    if name.endswith((".zip", ".npz")) and not Path(name).exists():
+    if name.endswith((".zip", ".npz", *WEIGHTS)) and not Path(name).exists():
         raise InputError(f"There is no file {name}")
-    if not (separator or system in SYSTEMS or name.endswith((".zip", ".npz")) or Path(name).exists()):
+    if not (separator or system in SYSTEMS or name.endswith(".npz") or is_policy(name)):
         raise unknown_name('ADS (a known name, a policy file, or your own "module:attribute")', name, SYSTEMS)
 
 
-def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) -> ADS:
+def load_ads(
+    name: str, roadmap: RoadMap | None, trust: Collection[str] = (), activation: Activation | None = None
+) -> ADS:
     """Load a driving system under test by name.
 
     Args:
         name: a system of `SYSTEMS`, with or without a variant after a colon, such as "rule" or "rule:hardened"; or
             a policy file of `behavexplor.training` (.npz) or of Stable-Baselines3 (.zip, or a folder, see
-            `behavexplor.ads.sb3.policy.load_policy`); or
+            `behavexplor.ads.sb3.policy.load_policy`), or of weights alone (see
+            `behavexplor.ads.weights.weights_policy.load_weights`); or
             "package.module:attribute" of an object with a `predict` method (see `behavexplor.ads.interface.ADS`), of
             a function from one observation to one action, or of a class or function that makes such an object or
             function. A class or function with a parameter `roadmap` receives the road map.
         roadmap: road map for the ADS; None in a highway-env environment, whose road is its own.
         trust: digests ("sha256:...") of files that may execute code of their own while they are loaded.
+        activation: function between the layers of a file of weights; None for that in the file beside it.
 
     Raises:
         InputError: if no ADS has that name, or the object of that name cannot predict.
@@ -85,8 +90,8 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
         module_name, _, factory = SYSTEMS[system].partition(":")
         ads: ADS = getattr(import_module(module_name), factory)(roadmap, variant)
         return ads
-    if name.endswith((".zip", ".npz")) or Path(name).exists():
-        return _policy(Path(name), roadmap, trust)
+    if name.endswith(".npz") or is_policy(name):
+        return _policy(Path(name), roadmap, trust, activation)
     module_name, attribute = system, variant
     if module_name == IN_MEMORY:
         raise InputError(
@@ -101,7 +106,7 @@ def load_ads(name: str, roadmap: RoadMap | None, trust: Collection[str] = ()) ->
     return _made(name, found, roadmap)
 
 
-def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
+def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str], activation: Activation | None) -> ADS:
     """Load the policy in a file or folder."""
     if path.suffix == ".npz":
         driver: Any = LearnedDriver
@@ -109,16 +114,20 @@ def _policy(path: Path, roadmap: RoadMap | None, trust: Collection[str]) -> ADS:
         return learned
     try:
         from behavexplor.ads.sb3.policy import load_policy  # noqa: PLC0415 - torch is heavy, and need not be installed
+        from behavexplor.ads.sb3.wrappers import in_wrappers  # noqa: PLC0415
+        from behavexplor.ads.weights.weights_policy import load_weights  # noqa: PLC0415
     except ModuleNotFoundError as error:
         raise missing_library(str(path), error.name, "rl") from None
     model = find_model(path)
     described = describe(model)
-    if described.decision is None:
-        policy: Any = load_policy(path, trust)
+    if model.suffix in WEIGHTS:
+        policy: Any = load_weights(model, activation)
+    elif described.decision is None:
+        policy = load_policy(path, trust)
     else:
         _check_features(model, described)
         policy = _learned(model, described.decision, roadmap, trust)
-    ads: ADS = policy
+    ads: ADS = in_wrappers(policy, model, described.wrappers, trust)
     return ads
 
 

@@ -29,8 +29,8 @@ from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+from behavexplor.execution.evaluator import simulation_of
 from behavexplor.execution.executor import Executor
-from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import fewest_workers, start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import judge
@@ -234,10 +234,7 @@ class Run:
         Raises:
             InputError: if there is no execution of that number, or the driver cannot be loaded.
         """
-        config, scenario = self._accepted(), self.scenario(number)
-        ads = config.ads if self._given.driver is None else self._given.driver
-        conditions: dict[str, Any] = {"stochastic": config.stochastic, "render_mode": render_mode}
-        made = Simulation(config.env, ads, config.trust, config.env_config, config.traffic, **conditions)
+        made, scenario = simulation_of(self._accepted().target, self._given.driver, render_mode), self.scenario(number)
         return Episode(made, scenario)
 
     def violated(self, trace: Trace) -> tuple[str, ...]:

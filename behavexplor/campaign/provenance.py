@@ -18,7 +18,7 @@ from typing import Any, Final
 from platformdirs import user_state_path
 
 from behavexplor.ads.loading import IN_MEMORY, is_shipped
-from behavexplor.ads.sb3.description import files_of_model
+from behavexplor.ads.sb3.description import files_of_model, is_policy
 from behavexplor.campaign.config import CONFIG, CampaignConfig, StoredConfig, campaign_config
 from behavexplor.data.named_code import Code, attribute_code, env_code, traffic_code
 from behavexplor.data.target import CheckedTarget, check_digests
@@ -180,7 +180,7 @@ def code_of(
     env: str, ads: str = "", method: str = "", specs: Sequence[str] = (), env_config: Mapping[str, Any] | None = None
 ) -> tuple[Code, ...]:
     """Return the code that the values of a configuration name; see `behavexplor.campaign.config.CampaignConfig`."""
-    is_module = ":" in ads and not (is_shipped(ads) or ads.endswith(".zip") or Path(ads).exists())
+    is_module = ":" in ads and not (is_shipped(ads) or is_policy(ads))
     return (
         *(attribute_code(ADS, ads) if is_module and ads.partition(":")[0] != IN_MEMORY else ()),
         *env_code(env),

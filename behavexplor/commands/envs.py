@@ -8,15 +8,13 @@ import gymnasium
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.commands import OK
 from behavexplor.commands.wording import say
-from behavexplor.envs.making import ENTRY_POINTS, HIGHWAY_ENV
+from behavexplor.envs.making import ENTRY_POINTS, highway_ids
 
 
 def envs() -> int:
     """List the environments that `--env` takes: those of this package, of highway-env, and of installed packages."""
-    import_module(HIGHWAY_ENV)
-    theirs = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
     _list("Scenarios of this package, in gymnasium behavexplor/NAME-v0:", list(FUNCTIONAL_SCENARIOS))
-    _list("highway-env's own:", [name for name in theirs if "/" not in name])
+    _list("highway-env's own:", highway_ids())
     _list("Of installed packages:", _of_packages())
     return OK
 

@@ -51,7 +51,7 @@ _CONTROLS: Final = MappingProxyType(
 
 _SETTINGS = settings(
     CampaignConfig,
-    "env ads env_config seed trust unconfined traffic stochastic",
+    "env ads activation env_config seed trust unconfined traffic stochastic",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
     stochastic=(False, " By default, the rates with drawn actions are shown, too."),
 )

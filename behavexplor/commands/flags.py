@@ -24,6 +24,7 @@ _METAVARS: Final[Mapping[Any, str]] = {  # by field, or else by type
     "trust": "DIGEST",
     "specs": "MODULE:NAME",
     "env_config": "FILE",
+    "activation": "NAME",
     "share": "P",
     "rate": "RATE",
     str: "NAME",

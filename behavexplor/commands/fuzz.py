@@ -45,7 +45,7 @@ from behavexplor.judge.specs import DIFFERS, ERROR
 _WAITING_FOR_NODE = "Waiting for a cluster node to load the driver ..."
 _SETTINGS = settings(
     CampaignConfig,
-    "env ads env_config method budget seed batch specs trust unconfined traffic confirm stochastic",
+    "env ads activation env_config method budget seed batch specs trust unconfined traffic confirm stochastic",
     env=(f"the policy's own, or {CampaignConfig.env}", ""),
     method=(
         "behavexplor; in highway-env's environments uniform",

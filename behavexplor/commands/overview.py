@@ -36,6 +36,7 @@ GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "Research": {
             "bench": "compare search methods in an experiment",
             "envs": "list the environments",
+            "inspect": "what a policy's file holds, and where it drives",
             "train": "train a policy with PPO on S1 to S4",
             "zip": "a network of `train` as a model of Stable-Baselines3",
         },

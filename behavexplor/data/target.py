@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.errors import InputError
@@ -17,6 +17,7 @@ from behavexplor.errors import InputError
 PAPERS_NAMES: Final = MappingProxyType(  # of environments
     {"S1": "intersection-straight", "S2": "intersection-left", "S3": "lane-follow", "S4": "lane-change"}
 )
+Activation = Literal["relu", "tanh", "elu", "gelu", "silu", "leaky_relu", "sigmoid", "identity"]
 LEAST_MEMORY: Final = 0.5  # [GiB]
 
 
@@ -67,6 +68,8 @@ class Target(Conditions):
             such as highway-fast-v0 (docs/highway-policies.md); or module:id of one that another module registers.
         ads: Driving system under test (ADS): rule, idm, constant, careful, learned:NAME (docs/policies.md), a policy
             file, or package.module:attribute of an object or class with a predict method.
+        activation: Function between the layers of a policy whose file holds weights alone: relu, tanh, elu, gelu, silu,
+            leaky_relu, sigmoid or identity.
         env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
             policy declares: keys of highway-env (docs/highway-env.md).
     """
@@ -74,6 +77,7 @@ class Target(Conditions):
     env: str = "intersection-straight"
     ads: str = "rule"
     env_config: Mapping[str, Any] | None = None
+    activation: Activation | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -38,12 +38,15 @@ def read_file(path: Path, most: int = MAX_FILE_BYTES, *, pipes: bool = False) ->
         InputError: if it is not a regular file, or too large.
         OSError: if it cannot be read.
     """
-    mode = path.stat().st_mode
-    if not (pipes or stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # opening a folder says what it is
+    status = path.stat()
+    is_file = stat.S_ISREG(status.st_mode)
+    if not (pipes or is_file or stat.S_ISDIR(status.st_mode)):  # opening a folder says what it is
         raise InputError(f"{path} is not a regular file")
-    with path.open("rb") as file:
-        data = file.read(most + 1)
-    if len(data) > most:
+    data = b""
+    if not (is_file and status.st_size > most):
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    if len(data) > most or (is_file and status.st_size > most):
         raise InputError(f"{path} has more than {most} bytes, which are not read")
     return data
 

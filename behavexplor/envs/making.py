@@ -45,12 +45,18 @@ def environment_id(name: str) -> str:
     if "/" in name:
         _import_plugin(name.partition("/")[0])
         return name
-    importlib.import_module(HIGHWAY_ENV)
+    theirs = highway_ids()
     if name not in gymnasium.registry:
-        theirs = [known for known, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
         own = [known for known in behavexplor.FUNCTIONAL_SCENARIOS if known.startswith(name)]
         raise unknown_name("environment", name, own or [*behavexplor.FUNCTIONAL_SCENARIOS, *PAPERS_NAMES, *theirs])
     return name
+
+
+def highway_ids() -> list[str]:
+    """Return the ids of highway-env's own environments."""
+    importlib.import_module(HIGHWAY_ENV)
+    theirs = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).startswith(HIGHWAY_ENV)]
+    return [name for name in theirs if "/" not in name]
 
 
 def _import_plugin(namespace: str) -> None:

@@ -231,19 +231,22 @@ class ScenarioBatch:
         return driven if isinstance(driven, ADSError) else self._answer(driven)
 
 
-def simulation_of(target: Target, driver: ADS | None = None) -> Simulation:
+def simulation_of(target: Target, driver: ADS | None = None, render_mode: str | None = None) -> Simulation:
     """Return the simulation of a target.
 
     Args:
         target: the driving system and its environment.
         driver: object that drives in place of the driving system of that name; None for none.
+        render_mode: what the environment's `render` returns or shows, as in gymnasium.
 
     Raises:
         InputError: see `behavexplor.execution.simulation.Simulation`.
     """
     ads = driver or target.ads
     settings = (target.trust, target.env_config, target.traffic)
-    return Simulation(target.env, ads, *settings, stochastic=target.stochastic)
+    return Simulation(
+        target.env, ads, *settings, stochastic=target.stochastic, render_mode=render_mode, activation=target.activation
+    )
 
 
 def evaluator_recipe(target: Target, at_a_time: int = LOCK_STEP) -> Recipe:

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Final
 
 import behavexplor
+from behavexplor.ads.sb3.description import is_policy
 
 CAN_SHARE: Final = "forkserver" in multiprocessing.get_all_start_methods()
 _MAIN: Final = "__main__"
@@ -52,6 +53,6 @@ def slow_modules(env: str, ads: str) -> tuple[str, ...]:
         ads: name of the driving system.
     """
     entry_point = behavexplor.FUNCTIONAL_SCENARIOS.get(env, "behavexplor.envs.highway.drawn_vector_env")
-    policy = ("behavexplor.ads.sb3.policy",) if ads.endswith(".zip") else ()
+    policy = ("behavexplor.ads.sb3.policy",) if is_policy(ads) and not ads.endswith(".npz") else ()
     lazy = "behavexplor.execution.lazy_imports"  # after PyTorch, which looks into all modules and so loads them
     return *policy, lazy, entry_point.partition(":")[0]

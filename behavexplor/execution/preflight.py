@@ -82,10 +82,10 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     """Drive a few scenarios and return warnings about the ADS.
 
     Returns:
-        A sentence for each finding: the ADS fails, always gives the same answer, never moves, was trained with masks of
-        actions, or on a different kind of observations. The last happens when its `VecNormalize` statistics are
-        missing. Further, that a scenario does not repeat, that the environment is not compiled, or that its
-        configuration is not known.
+        A sentence for each finding: the ADS sees observations flattened or stacked, fails, always gives the same
+        answer, never moves, was trained with masks of actions, or on a different kind of observations. The last happens
+        when its `VecNormalize` statistics are missing. Further, that a scenario does not repeat, that the environment
+        is not compiled, or that its configuration is not known.
     """
     witness = _Witness(simulation.ads)
     generator = np.random.default_rng(0)
@@ -98,6 +98,7 @@ def preflight_warnings(simulation: Simulation) -> list[str]:
     seen = joined([prepare(observation) for observation in witness.observations])
     trained_on = getattr(simulation.ads, "last_trained_on", None)
     findings = (
+        getattr(simulation.ads, "said", None),
         _unconfigured(simulation),
         _uncompiled(simulation),
         _unrepeatable(simulation, scenarios[0]),

@@ -1,7 +1,6 @@
 """Simulations: one ADS in one environment, which turn concrete scenarios into traces."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import gymnasium
@@ -10,6 +9,7 @@ from gymnasium.vector import VectorEnv
 
 import behavexplor
 from behavexplor.ads.loading import load_ads
+from behavexplor.ads.sb3.description import is_policy
 from behavexplor.ads.sb3.highway_fit import how_to_fit
 from behavexplor.data.drawn_logical import DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DECLARED, DEFAULT, Traffic
@@ -17,6 +17,7 @@ from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.named_code import TRAFFIC_CLASS, traffic_code
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.scripted_logical import ScriptedLogicalScenario
+from behavexplor.data.target import Activation
 from behavexplor.data.trace import Trace
 from behavexplor.envs.logical_scenarios import LOGICAL_SCENARIOS
 from behavexplor.envs.making import (
@@ -26,6 +27,7 @@ from behavexplor.envs.making import (
     ignored_keys,
     is_highway,
     make_env,
+    make_registered,
     make_vector_env,
 )
 from behavexplor.errors import InputError
@@ -46,12 +48,14 @@ class Simulation:
         ads: name of the driving system, see `behavexplor.ads.loading.load_ads`. Its attributes `observation`, `action`,
             `policy_frequency` and `simulation_frequency`, where it has them, configure the environment. In an
             environment of highway-env, so does its attribute `env_config`, or its method `fitted`, which makes a
-            configuration in which it drives from the environment's own.
+            configuration in which it drives from the environment's own. Its method `seeing`, if it
+            has one, returns the driver for the environment's spaces of observations and actions.
         trust: digests of files from which code may be run when the ADS is loaded.
         env_config: configuration of the environment, which replaces what the ADS declares; None if it is not known.
         traffic: kind of traffic in a highway-env environment; see `behavexplor.data.drawn_scenario.Setup`.
         stochastic: whether the ADS draws its actions instead of deciding deterministically.
         render_mode: what the environment's `render` returns or shows, as in gymnasium.
+        activation: function between the layers of a file of weights; None for that in the file beside it.
 
     Attributes:
         env: the environment.
@@ -76,11 +80,12 @@ class Simulation:
         *,
         stochastic: bool = False,
         render_mode: str | None = None,
+        activation: Activation | None = None,
     ) -> None:
         is_theirs = is_highway(env)
         roadmap = None if is_theirs else logical_scenario(env).roadmap
         self.source = _source(ads)
-        self.ads: Any = load_ads(ads, roadmap, trust) if isinstance(ads, str) else ads
+        self.ads: Any = load_ads(ads, roadmap, trust, activation) if isinstance(ads, str) else ads
         declared = {key: _plain(getattr(self.ads, key)) for key in DECLARED if hasattr(self.ads, key)}
         trained = _plain(getattr(self.ads, "env_config", {})) if is_theirs else {}
         given = dict(env_config or {})
@@ -93,6 +98,8 @@ class Simulation:
         if is_theirs and hasattr(self.ads, "fitted"):
             given = self.ads.fitted({**default_config(env), **given})
         self.env = make_env(env, {**declared, **trained, **given}, traffic, render_mode)
+        if hasattr(self.ads, "seeing"):
+            self.ads = self.ads.seeing(self.env.observation_space, self.env.action_space)
         self.logical = logical_of(self.env, env)
         self.plain = ""
         self.stochastic = stochastic
@@ -196,7 +203,7 @@ def _check_traffic(ads: Any, trained: Mapping[str, Any], given: Mapping[str, Any
 def _source(ads: Any) -> str:
     if not isinstance(ads, str):
         return MEMORY
-    return FILE if ads.endswith(".zip") or Path(ads).exists() else MODULE
+    return FILE if is_policy(ads) else MODULE
 
 
 def _plain(value: Any) -> Any:
@@ -213,25 +220,46 @@ def _check_spaces(env: gymnasium.Env[Any, Any], name: str, ads: Any, ads_name: A
     if not (hasattr(ads, "observation_space") and hasattr(ads, "action_space")):
         return
     spaces = (ads.observation_space, ads.action_space)
-    if _alike(spaces[0], env.observation_space) and _alike(spaces[1], env.action_space):
+    if _fits(ads, env):
         return
     named = f"policy {ads_name!r}" if isinstance(ads_name, str) else "policy in memory"
     raise InputError(
-        f"The {named} observes {_brief(spaces[0])} and commands {_brief(spaces[1])}, but the environment "
-        f"{name!r} has {_brief(env.observation_space)} and {_brief(env.action_space)}. "
-        f"{_where_it_fits(spaces)}{how_to_fit(*spaces)}"
+        f"The {named} observes {brief_space(spaces[0])} and commands {brief_space(spaces[1])}, but the environment "
+        f"{name!r} has {brief_space(env.observation_space)} and {brief_space(env.action_space)}. "
+        f"{_where_it_fits(ads)}{how_to_fit(*spaces)}"
     )
 
 
-def _where_it_fits(spaces: tuple[gymnasium.Space[Any], gymnasium.Space[Any]]) -> str:
+def _where_it_fits(ads: Any) -> str:
     """Return a sentence on which environments of this package have a policy's spaces; empty if none has."""
     fitting = []
     for other in (*behavexplor.FUNCTIONAL_SCENARIOS, *behavexplor.HIGHWAY_ENV):
         made = make_env(other, {})
-        if _alike(spaces[0], made.observation_space) and _alike(spaces[1], made.action_space):
-            fitting.append(other)
+        fitting += [other] if _fits(ads, made) else []
         made.close()
     return f"It fits {', '.join(fitting)} as they are: was another environment meant? Otherwise: " if fitting else ""
+
+
+def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:
+    """Return a driver as it sees an environment, and whether it fits its spaces.
+
+    Args:
+        env: name of the environment.
+        ads: the driver.
+        config: configuration of the environment, as far as the driver does not declare it.
+
+    Raises:
+        InputError: if the environment cannot be configured so, or the driver cannot see it.
+    """
+    declared = {key: _plain(getattr(ads, key)) for key in (*DECLARED, "env_config") if hasattr(ads, key)}
+    made = make_registered(env, {**declared, **declared.pop("env_config", {}), **config})
+    made.close()
+    seen = ads.seeing(made.observation_space, made.action_space) if hasattr(ads, "seeing") else ads
+    return seen, _fits(seen, made)
+
+
+def _fits(ads: Any, env: gymnasium.Env[Any, Any]) -> bool:
+    return _alike(ads.observation_space, env.observation_space) and _alike(ads.action_space, env.action_space)
 
 
 def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
@@ -243,9 +271,10 @@ def _alike(policy: gymnasium.Space[Any], env: gymnasium.Space[Any]) -> bool:
     return type(policy) is type(env) and policy.shape == env.shape
 
 
-def _brief(space: gymnasium.Space[Any]) -> str:
+def brief_space(space: gymnasium.Space[Any]) -> str:
+    """Return a space for a message, such as Box(5, 5)."""
     if isinstance(space, gymnasium.spaces.Dict):
-        return f"Dict({', '.join(f'{key}: {_brief(part)}' for key, part in sorted(space.items()))})"
+        return f"Dict({', '.join(f'{key}: {brief_space(part)}' for key, part in sorted(space.items()))})"
     return f"Box{space.shape}" if isinstance(space, gymnasium.spaces.Box) else str(space)
 
 

@@ -11,6 +11,7 @@ from types import ModuleType
 
 import gymnasium
 import pytest
+import torch
 import yaml
 from stable_baselines3 import PPO
 
@@ -35,6 +36,7 @@ NOT_RUN = {  # shell lines that do not run, or their beginnings up to a space, a
     "esmini ": "another program, which is not installed here",
     "behavexplor fuzz --env lane-follow --ads rule:hardened --cluster ": "tests/execution starts clusters",
     "ray ": "for other machines",
+    "./run fuzz --env highway-fast-v0 --ads my_rllib:Checkpoint": "tests/ads/weights runs it where RLlib is installed",
     "export ": "it has to be set before Python starts",
 }
 SLOW = {
@@ -57,9 +59,11 @@ FILES = {  # what is in the folder besides the files that the pages show
 
 def described(text):
     """The file beside a model."""
-    Path("vecnormalize.pkl").touch()
-    Path("described.yaml").write_text(text)
-    return describe(Path("described.zip"))
+    folder = Path("described")
+    folder.mkdir(exist_ok=True)
+    (folder / "vecnormalize.pkl").touch()
+    (folder / "model.yaml").write_text(text)
+    return describe(folder / "model.zip")
 
 
 def experiment(text):
@@ -150,7 +154,13 @@ def run_line(line):
     arguments = arguments_of(line)
     assert arguments is not None, f"{line!r} is neither a command of behavexplor nor in NOT_RUN"
     if "model.zip" in arguments:
-        model_of(arguments[arguments.index("--env") + 1]).save("model.zip")
+        env = arguments[arguments.index("--env") + 1] if "--env" in arguments else "lane-change"
+        model_of(env).save("model.zip")
+    if "weights.pth" in arguments:
+        torch.save(
+            torch.nn.Sequential(torch.nn.Linear(25, 8), torch.nn.ReLU(), torch.nn.Linear(8, 5)).state_dict(),
+            "weights.pth",
+        )
     code = main(given(arguments))
     assert code in ({OK, CHECK_FAILED} if arguments[0] == "check" else {OK}), line
 

@@ -27,6 +27,7 @@ DATA, WEIGHTS, OPTIMIZER, SYSTEM = "data", "policy.pth", "policy.optimizer.pth",
 SETTINGS = ("policy_class", "policy_kwargs", "observation_space", "action_space", "use_sde", "_last_obs", "train_freq")
 
 _PYTHON: Final = re.compile(r"Python: (3\.\d+)")
+_VERSIONS: Final = re.compile(r"(Python|Stable-Baselines3|PyTorch|Gymnasium|OpenAI Gym): (\d[\w.+-]{0,30})")
 # Names that pickles in a saved model ordinarily contain.
 _ORDINARY: Final = re.compile(
     r"(stable_baselines3|sb3_contrib|gymnasium\.spaces|gym\.spaces|numpy\.(_?core|random|dtype|ndarray))\b"
@@ -59,6 +60,7 @@ class Archive:
         weights: contents of the member `policy.pth`.
         optimizer: contents of the member `policy.optimizer.pth`; None if there is none.
         python: version of Python that wrote the file, such as "3.10"; empty if the file does not say so.
+        versions: those of the libraries that wrote it, such as "PyTorch 2.3.0".
         suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, and
             pickles that could not be examined, each as a phrase that names the place.
     """
@@ -71,6 +73,7 @@ class Archive:
     weights: bytes
     optimizer: bytes | None
     python: str
+    versions: tuple[str, ...]
     suspicions: tuple[str, ...]
 
 
@@ -107,6 +110,7 @@ def read_archive(path: Path) -> Archive:
         tensors[WEIGHTS],
         tensors.get(OPTIMIZER),
         found[1] if (found := _PYTHON.search(about)) else "",
+        tuple(f"{name} {version}" for name, version in _VERSIONS.findall(about)),
         (*of_data, *of_tensors),
     )
 

@@ -22,6 +22,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor, MlpExtractor
 from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
 from torch.nn.functional import pad
 
+from behavexplor.ads.sb3.layered import LayeredPolicy
 from behavexplor.data.observations import Observation, arrays_of, mapped
 
 ROWS: Final = 64  # rows in a block
@@ -40,7 +41,7 @@ _DISTRIBUTIONS: Final = frozenset(  # distributions of Stable-Baselines3 and sb3
     }
 )
 Tensor = torch.Tensor
-_KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.")
+_KNOWN: Final = ("torch.", "stable_baselines3.", "sb3_contrib.", "behavexplor.")
 _LOCK: Final = Lock()  # the blocks of a network hold one question at a time
 Memory = tuple[NDArray[Any], ...]
 
@@ -211,6 +212,9 @@ def dense_actor(policy: BasePolicy) -> DenseActor | None:
         return None
     if policy.squash_output or policy.device.type != "cpu":
         return None
+    if isinstance(policy, LayeredPolicy):
+        is_discrete = isinstance(policy.action_space, gymnasium.spaces.Discrete)
+        return DenseActor(policy.chain, _greatest if is_discrete else _mean, policy) if policy.chain else None
     if type(policy) is ActorCriticPolicy:
         return _of_distribution(policy)
     return _of_values(policy) if type(policy) is DQNPolicy else None

@@ -5,24 +5,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 import yaml
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from behavexplor import FUNCTIONAL_SCENARIOS
 from behavexplor.ads.learned.network_file import Rule
 from behavexplor.ads.learned.shipped import policy_file
 from behavexplor.ads.sb3.highway_fit import HIGHWAY_ENVIRONMENTS
 from behavexplor.data.named_code import env_code
-from behavexplor.data.untrusted import parse_yaml, read_file
+from behavexplor.data.target import Activation
+from behavexplor.data.untrusted import parse_json, parse_yaml, read_file
 from behavexplor.errors import InputError, brief, unknown_name
 
 MAX_BYTES: Final = 1_000_000  # greatest size of a YAML file
 OWN: Final = (".yaml", ".yml")  # endings of the file with a model's settings beside it
 STATISTICS: Final = ("vecnormalize.pkl", "vec_normalize.pkl")  # the names by rl-zoo3, on disk and on the Hub
+# Endings of files that hold weights alone; those of rl_agents end with .tar.
+WEIGHTS: Final = (".pth", ".pt", ".safetensors", ".tar", ".ckpt", ".bin", ".cleanrl_model")
 _CHECKPOINT: Final = re.compile(r"(.+)_(\d+)_steps")  # the name of a model by Stable-Baselines3's CheckpointCallback
-# Wrappers that change neither what a policy observes nor what it does, as rl-zoo3 names them.
+# Wrappers that change neither what a policy observes nor what it does here, as rl-zoo3 names them.
 _HARMLESS: Final = (
     "stable_baselines3.common.vec_env.VecMonitor",
     "stable_baselines3.common.vec_env.VecCheckNan",
@@ -30,7 +33,11 @@ _HARMLESS: Final = (
     "gymnasium.wrappers.TimeLimit",
     "gymnasium.wrappers.time_limit.TimeLimit",
     "gym.wrappers.TimeLimit",
+    "gymnasium.wrappers.FlattenObservation",  # `behavexplor.ads.sb3.views` flattens if the policy's space says so
+    "gym.wrappers.FlattenObservation",
 )
+_METADATA: Final = "metadata*.json"  # of a run of rl_agents
+_OF_SPEC: Final = ("id", "import_module")  # what rl_agents writes beside an environment's configuration
 _ORDERED_DICT = "tag:yaml.org,2002:python/object/apply:collections.OrderedDict"
 ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_frequency", "simulation_frequency")
 
@@ -50,6 +57,13 @@ class Description:
         decision: rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None
             for a policy with observations and actions of highway-env.
         statistics: file of `VecNormalize`; None if observations were not normalized.
+        wrappers: wrappers of the training, "module:Class" or a mapping from it to its arguments, the innermost first.
+        activation: function between the layers of a file of weights; None if unknown, and so on.
+        network: name of the network that acts in a file of weights.
+        output: what the last layer gives.
+        squash: whether tanh follows the last layer of a policy with continuous actions.
+        strides: strides of its convolutions.
+        paddings: their paddings; None for none.
         about: free notes of the author; ignored.
     """
 
@@ -64,7 +78,19 @@ class Description:
     frame_stack: int = 1
     decision: Rule | None = None
     statistics: Path | None = None
+    wrappers: tuple[str | Mapping[str, Mapping[str, Any]], ...] = ()
+    activation: Activation | None = None
+    network: str | None = None
+    output: Literal["values", "logits", "mean"] | None = None
+    squash: bool | None = None
+    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None
+    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None
     about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def is_policy(ads: str) -> bool:
+    """Return whether the name of a driving system is that of a file or folder."""
+    return ads.endswith((".zip", *WEIGHTS)) or Path(ads).exists()
 
 
 def find_model(path: Path) -> Path:
@@ -76,7 +102,7 @@ def find_model(path: Path) -> Path:
     if path.is_file():
         return path
     if not path.is_dir():
-        raise InputError(f"There is no file or folder {path}")
+        raise InputError(f"{path} is not a regular file" if path.exists() else f"There is no file or folder {path}")
     models = sorted(path.glob("*.zip"))
     named = [model for model in models if (path / model.stem / "args.yml").is_file()]
     best = [model for model in models if model.name == "best_model.zip"]
@@ -93,7 +119,7 @@ def files_of_model(ads: str) -> list[Path]:
     Args:
         ads: name of a driving system.
     """
-    if not (ads.endswith(".zip") or Path(ads).is_dir()):
+    if ads.endswith(".npz") or not is_policy(ads):
         return []
     try:
         model = find_model(Path(ads))
@@ -101,6 +127,7 @@ def files_of_model(ads: str) -> list[Path]:
         return []
     folders = (model.parent, *(arguments.parent for arguments in sorted(model.parent.glob("*/args.yml"))))
     beside = [folder / name for folder in folders for name in ("args.yml", "config.yml", *STATISTICS)]
+    beside += sorted(model.parent.glob(_METADATA)) if model.suffix in WEIGHTS else []
     return [path for path in (model, _of_checkpoint(model), *map(model.with_suffix, OWN), *beside) if path.is_file()]
 
 
@@ -131,7 +158,7 @@ def trained_in(ads: str) -> str | None:
     try:
         if ads.startswith("learned:") or ads.endswith(".npz"):
             return env_in_card(policy_file(ads))
-        return describe(find_model(Path(ads))).env if ads.endswith(".zip") or Path(ads).is_dir() else None
+        return describe(find_model(Path(ads))).env if is_policy(ads) else None
     except InputError:  # which is said when the policy is loaded
         return None
 
@@ -149,7 +176,7 @@ def env_in_card(network: Path) -> str | None:
 
 
 def describe(model: Path) -> Description:
-    """Read the files beside a model: `<model>.yaml`, or rl-zoo3's `args.yml` and `config.yml`; and the statistics.
+    """Read the files beside a model: `<model>.yaml`, or those of rl-zoo3 or rl_agents; and the statistics.
 
     The files of rl-zoo3 are in a folder beside the model, or, as on the Hugging Face Hub, beside the model themselves.
 
@@ -164,6 +191,8 @@ def describe(model: Path) -> Description:
         description = _own(own)
     elif len(folders) == 1:
         description = _of_zoo(folders[0], model)
+    elif model.suffix in WEIGHTS and len(metadata := sorted(model.parent.glob(_METADATA))) == 1:
+        description = _of_rl_agents(metadata[0])
     else:
         description = Description()
     if description.statistics is None and description.decision is None:  # a network of `train` has none of its own
@@ -228,6 +257,27 @@ def _of_zoo(folder: Path, model: Path) -> Description:
     values["frame_stack"] = settings.get("frame_stack") or 1
     values["statistics"] = statistics
     return _checked(folder, values)
+
+
+def _of_rl_agents(path: Path) -> Description:
+    """Read the metadata of a run of rl_agents: the `model` of its agent, and highway-env's configuration.
+
+    Its networks have ReLU between their layers if they do not say otherwise, and its convolutions steps of 2.
+    """
+    values = parse_json(read_file(path, MAX_BYTES).decode(errors="replace"), "the metadata of a run")
+    agent, env = (_mapping(_mapping(values).get(key)) for key in ("agent", "env"))
+    model = _mapping(agent.get("model"))
+    inner = _mapping(model.get("base_module") or model.get("head_mlp"))
+    said: dict[str, Any] = {"activation": str(model.get("activation") or inner.get("activation") or "relu").lower()}
+    if model.get("type") == "ConvolutionalNetwork":
+        said["strides"] = [2, 2, 2]
+    config = {key: value for key, value in env.items() if not key.startswith("__") and key not in _OF_SPEC}
+    trained = {key: config[key] for key in ENVIRONMENT_KEYS if key in config}
+    return _checked(path, {**said, **trained, "env": env.get("id"), "config": config or None})
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
 
 
 def _wrapper_names(settings: Mapping[str, Any]) -> list[Any]:

@@ -89,6 +89,8 @@ def how_to_fit(observation_space: gymnasium.Space[Any], action_space: gymnasium.
         return f"Give highway-env's {' and '.join(unknown)} configuration of the training {where}{known}"
     hint = f" (highway-env's {name})" if name else ""
     other = "" if name else _OTHER_AXIS.get(_commands(action_space), "")
+    if len(observation_space.shape or ()) == 1:
+        other = f"{other} (or, if several observations were stacked, fewer vehicles and their number as `frame_stack`)"
     return f"A configuration that fits{hint} can be given {where}: {flow}{other}"
 
 
@@ -123,6 +125,9 @@ def _form(space: gymnasium.Space[Any]) -> Any:
 
 
 def _observation(shape: tuple[int, ...]) -> dict[str, Any]:
+    if len(shape) == 1:  # flattened
+        fitting = [width for width in _KINEMATICS if shape[0] % width == 0]
+        return _observation((shape[0] // fitting[0], fitting[0])) if fitting else {}
     if len(shape) == 2 and shape[1] in _KINEMATICS:
         return {"type": "Kinematics", "vehicles_count": shape[0], "features": _KINEMATICS[shape[1]]}
     if len(shape) == 2 and shape[1] == 2:

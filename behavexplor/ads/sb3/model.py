@@ -8,6 +8,7 @@ from typing import Any, Final
 import gymnasium
 import torch
 from gymnasium.wrappers import (
+    FlattenObservation,
     FrameStackObservation,
     NormalizeObservation,
     NormalizeReward,
@@ -46,12 +47,13 @@ _CHANGING: Final = (  # what the policy observes or does
     gymnasium.ObservationWrapper,
     gymnasium.ActionWrapper,
     NormalizeObservation,
-    FrameStackObservation,
     VecExtractDictObs,
     VecTransposeImage,
 )
 _KNOWN: Final = (  # these change neither, or are applied in a campaign
     gymnasium.RewardWrapper,
+    FlattenObservation,
+    FrameStackObservation,
     Monitor,
     NormalizeReward,
     OrderEnforcing,

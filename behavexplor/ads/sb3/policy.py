@@ -3,8 +3,9 @@
 import logging
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Mapping
+from copy import copy
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Self
 
 import gymnasium
 import numpy as np
@@ -17,12 +18,30 @@ from behavexplor.ads.sb3.blocks import BlockwiseNetwork, noise_of
 from behavexplor.ads.sb3.building import UntrustedError, build_policy, build_trusted
 from behavexplor.ads.sb3.description import Description, describe, find_model
 from behavexplor.ads.sb3.normalization import Moments, Statistics, as_arrays
+from behavexplor.ads.sb3.views import FLAT, STACKED, PolicyView, view_of
 from behavexplor.data.array_types import Floats
 from behavexplor.data.observations import Observation, mapped
 from behavexplor.errors import InputError, brief, sentence
 
 _LOG = logging.getLogger(__name__)
 _MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that take masks of actions
+
+
+class Stacking(NamedTuple):
+    """How observations are stacked.
+
+    Attributes:
+        frames: number of observations.
+        space: space of one of them.
+        axis: axis of a batch along which they are stacked, as by `FrameStackObservation`, where the first observation
+            also stands for those before it; None for the axis of `VecFrameStack`, where zeros do.
+        scaled: whether `VecNormalize` scales them all, instead of each.
+    """
+
+    frames: int
+    space: gymnasium.Space[Any]
+    axis: int | None = None
+    scaled: bool = False
 
 
 class SB3Policy:
@@ -34,6 +53,7 @@ class SB3Policy:
         noise: see `behavexplor.ads.interface.StochasticADS`.
         last_trained_on: observations at the end of training, arrays of shape (n, ...); None if the file has none.
         was_masked: whether actions were masked in training. Here they are not.
+        view: how the policy sees the environment's observations, if not as they are.
 
     The policy drives in lock-step: its answer to an observation does not depend on the rest of the batch. The
     observation and action configuration and the frequencies are attributes only where they are known, and so is
@@ -47,8 +67,9 @@ class SB3Policy:
         self._network = BlockwiseNetwork(network)
         self.noise = noise_of(network)
         self._statistics = statistics
-        self._stack = description.frame_stack
-        self.observation_space = _unstacked(network.observation_space, self._stack)
+        self.view: PolicyView | None = None
+        self._frames = description.frame_stack
+        self.observation_space = self._own_space = _unstacked(network.observation_space, self._frames)
         self.action_space = network.action_space
         self.last_trained_on = last
         names = ("observation", "action", "policy_frequency", "simulation_frequency")
@@ -61,15 +82,45 @@ class SB3Policy:
         self._scales_stack = False  # whether `VecNormalize` was around `VecFrameStack`, instead of inside of it
         if statistics is not None:
             shapes = _shapes(statistics, network.observation_space)
-            self._scales_stack = self._stack > 1 and shapes[0] == shapes[1]
+            self._scales_stack = self._frames > 1 and shapes[0] == shapes[1]
         if statistics is not None and not self._scales_stack:
             _check_statistics(str(description.statistics or "VecNormalize"), statistics, self.observation_space)
 
+    def seeing(self, space: gymnasium.Space[Any], _: gymnasium.Space[Any]) -> Self:
+        """Return this policy with a view of an environment's observations, if it needs one and there is one.
+
+        Args:
+            space: space of the environment's observations.
+        """
+        view = view_of(self.observation_space, space, stacks=self._frames == 1)
+        if view is None:
+            return self
+        seen = copy(self)
+        seen.view, seen.observation_space = view, space
+        return seen
+
+    @property
+    def said(self) -> str:
+        """What is done to the environment's observations, as a sentence; empty if nothing."""
+        return "" if self.view is None else self.view.said
+
     def prepare(self, observation: Observation) -> Observation:
-        """Return observations scaled as in training, arrays of shape (B, ...).
+        """Return observations flattened and scaled as in training, arrays of shape (B, ...).
 
         They are stacked before, if `VecNormalize` was around `VecFrameStack` in training, or else afterwards.
         """
+        seen = observation if self.view is None or self.view.kind != FLAT else self.view.flattened(observation)
+        return seen if self._stacking.scaled else self._scaled(seen)
+
+    @property
+    def _stacking(self) -> Stacking:
+        """How observations are stacked: as the user says, or as the environment shows."""
+        if self.view is None or self.view.frames == 1:
+            return Stacking(self._frames, self._own_space, scaled=self._scales_stack)
+        axis = 1 if self.view.kind == STACKED else None
+        return Stacking(self.view.frames, self.observation_space, axis, self._statistics is not None)
+
+    def _scaled(self, observation: Observation) -> Observation:
         return observation if self._statistics is None else self._statistics.scale(observation)
 
     def predict(
@@ -95,13 +146,12 @@ class SB3Policy:
         self, observation: Observation, state: Any, episode_start: NDArray[np.bool_] | None, noise: Floats | None
     ) -> tuple[NDArray[Any], Any]:
         frames, memory = (None, None) if state is None else state
-        prepared = mapped(np.asarray, observation)
-        if not self._scales_stack:
-            prepared = self.prepare(prepared)
-        if self._stack > 1:
-            prepared = frames = _stacked(prepared, frames, episode_start, self._stack, self.observation_space)
-        if self._scales_stack:
-            prepared = self.prepare(prepared)
+        prepared, stack = self.prepare(mapped(np.asarray, observation)), self._stacking
+        if stack.frames > 1:
+            newest = prepared if stack.axis is None else np.asarray(prepared)[:, None]
+            prepared = frames = _stacked(newest, frames, episode_start, stack, stack.space)
+        if stack.scaled:
+            prepared = self._scaled(prepared)
         actions, memory = self._network.ask(prepared, memory, episode_start, noise)
         return actions, (frames, memory)
 
@@ -211,24 +261,24 @@ def _axis(space: gymnasium.Space[Any]) -> int:
 
 
 def _stacked(
-    newest: Any, before: Any, episode_start: NDArray[np.bool_] | None, stack: int, space: gymnasium.Space[Any]
+    newest: Any, before: Any, episode_start: NDArray[np.bool_] | None, stack: Stacking, space: gymnasium.Space[Any]
 ) -> Any:
-    """Stack the last frames, with the newest at the end and zeros before the episode.
+    """Stack the last frames, with the newest at the end.
 
     Args:
         newest: the newest frame of each row.
         before: the frames stacked so far; None at first.
         episode_start: True for each row that begins an episode, shape (B,); None if no row does.
-        stack: number of frames.
+        stack: how they are stacked.
         space: space of a frame.
     """
     if isinstance(space, gymnasium.spaces.Dict):
         past = before or dict.fromkeys(space)
         return {key: _stacked(newest[key], past[key], episode_start, stack, part) for key, part in space.items()}
-    axis = 1 + _axis(space)
-    if before is None:
-        before = np.concatenate([np.zeros_like(newest)] * stack, axis)
-    kept = before.take(range(newest.shape[axis], before.shape[axis]), axis)
+    axis = 1 + _axis(space) if stack.axis is None else stack.axis
+    first = np.concatenate([np.zeros_like(newest) if stack.axis is None else newest] * stack.frames, axis)
+    kept = (first if before is None else before).take(range(newest.shape[axis], first.shape[axis]), axis)
     if episode_start is not None:
-        kept[np.asarray(episode_start, dtype=bool)] = 0
+        begins = np.asarray(episode_start, dtype=bool)
+        kept[begins] = first.take(range(kept.shape[axis]), axis)[begins]
     return np.concatenate([kept, newest], axis)

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.wrappers import FrameStackObservation, NormalizeObservation
+from gymnasium.wrappers import NormalizeObservation
 from sb3_contrib import ARS
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
@@ -154,7 +154,6 @@ def test_what_spaces_do_not_show_is_not_said_to_fit(seen, commands, hint):
     "wrapped",
     [
         lambda: NormalizeObservation(gymnasium.make("highway-fast-v0")),
-        lambda: FrameStackObservation(gymnasium.make("highway-fast-v0"), 2),
         lambda: VecExtractDictObs(make_vec_env("parking-v0"), "observation"),
     ],
 )

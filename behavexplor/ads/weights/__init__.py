@@ -1,0 +1,1 @@
+"""Policies whose file holds weights alone: a `state_dict` of torch, or safetensors."""
