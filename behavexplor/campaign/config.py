@@ -254,9 +254,9 @@ def stamped_folder(name: str, root: Path = RUNS) -> Path:
 
 
 def point_to_latest(folder: Path) -> None:
-    """Let the link `LATEST` beside a run folder lead to it, where the system has links."""
+    """Let the link `LATEST` in `RUNS` lead to a run folder there, where the system has links."""
     link = folder.parent / LATEST
-    if link.exists() and not link.is_symlink():  # something of the user's
+    if folder.parent != RUNS or (link.exists() and not link.is_symlink()):  # something of the user's
         return
     new = folder.parent / f".{LATEST}-{os.getpid()}"
     with suppress(OSError):

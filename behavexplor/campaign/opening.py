@@ -14,17 +14,19 @@ from behavexplor.ads.interface import ADS
 from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
-from behavexplor.campaign.config import RUNS, Budget, CampaignConfig, check_revision, point_to_latest, stored_config
+from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, point_to_latest, stored_config
 from behavexplor.campaign.progress import Stage, StageClock
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.same_driver import check_identity, identity_of
 from behavexplor.campaign.store import Store, check_free
 from behavexplor.data.durable import write_durably
+from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.motion_bytes import unpack_motion
 from behavexplor.data.road_shape import ROAD_FILE
 from behavexplor.data.trace import RESOLUTION, Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.evaluator import ROAD, evaluator_recipe
+from behavexplor.execution.executor import Executor
 from behavexplor.execution.forkserver import share_imports
 from behavexplor.execution.simulation import fixed_logical_scenario
 from behavexplor.execution.start import check_ads, logical_of_target, start_executor, start_in_process
@@ -112,10 +114,7 @@ def opened(
         store = _reopened(folder, config) if resume else Store.create(folder, config.to_yaml())
         stack.callback(store.close)
         check_identity(store, identity)
-        if folder.parent == RUNS:
-            point_to_latest(folder)
-        if logical.has_original and not (folder / ROAD_FILE).is_file():
-            write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
+        _complete(folder, logical, executor)
         clock = StageClock(store.stages)
         clock.seconds[Stage.STARTING] = time.monotonic() - begun
         campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)
@@ -123,6 +122,13 @@ def opened(
         yield Ready(campaign, store, warnings)
         if resume and campaign.progress.executions >= stored:  # what was stored came out again
             remember(own)
+
+
+def _complete(folder: Path, logical: LogicalScenario, executor: Executor) -> None:
+    """Write what a run folder has beside its executions, as far as it is missing."""
+    point_to_latest(folder)
+    if logical.has_original and not (folder / ROAD_FILE).is_file():
+        write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:

@@ -77,10 +77,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         quiet: Print only the tables.
     """
     count, output = chosen_workers(workers), check_outputs(json_file, junit)
-    if margin is not None and not 0.0 < margin < 1.0:
-        raise InputError(f"--margin {margin} must lie between 0 and 1, such as 0.01 for one point")
-    for name in (first, second):
-        check_name(name)
+    _check(margin, first, second)
     of_search = {"method": given.pop("method", "nsga2"), "budget": given.pop("budget", CampaignConfig.budget)}
     env = named_env(given.get("env"), first) or CampaignConfig.env
     config = campaign_config({**given, "env": env, "ads": first, **pair_campaigns.SETTINGS, "budget": str(scenarios)})
@@ -94,7 +91,7 @@ def compare(  # noqa: PLR0913 - one argument for each flag
         _drive(other, folder / pair_campaigns.SECOND, count, quiet=quiet)
         pairs = pair_campaigns.compared(folder)
         say(table(pairs, config.env, first, second), file=output)
-        verdict = None if margin is None else Verdict.of(pairs, margin)
+        verdict = None if margin is None else MarginDecision.of(pairs, margin)
         write_json(json_file, {"outcomes": values(pairs), "verdict": verdict and verdict._asdict()})
         _write(folder, pairs, [folder])  # before the search, which may fail or be interrupted
         if search and searched(searching, other, folder / SEARCH, count, quiet=quiet):
@@ -105,15 +102,26 @@ def compare(  # noqa: PLR0913 - one argument for each flag
     say(f"Page: {folder / pair_campaigns.PAGE}", file=output)
     run = shlex.quote(str(folder / pair_campaigns.FIRST))
     say(f"Replay a scenario that only one of them fails: {program()} replay {run} ID", file=output)
-    if verdict is None:
-        return OK
-    say(hanging("", verdict.words), file=output)
-    failure = "" if verdict.found == NON_INFERIOR else verdict.words
-    write_junit(junit, f"compare {config.env}", [Tested("non-inferior", failure)], {"A": first, "B": second})
-    return _CODES[verdict.found]
+    if verdict is not None:
+        say(hanging("", verdict.words), file=output)
+        failure = "" if verdict.found == NON_INFERIOR else verdict.words
+        write_junit(junit, f"compare {config.env}", [Tested("non-inferior", failure)], {"A": first, "B": second})
+    return _CODES[verdict.found] if verdict else OK
 
 
-class Verdict(NamedTuple):
+def _check(margin: float | None, first: str, second: str) -> None:
+    """Check what does not depend on anything that is loaded.
+
+    Raises:
+        InputError: if the margin is out of range, or there is no driver of that name.
+    """
+    if margin is not None and not 0.0 < margin < 1.0:
+        raise InputError(f"--margin {margin} must lie between 0 and 1, such as 0.01 for one point")
+    for name in (first, second):
+        check_name(name)
+
+
+class MarginDecision(NamedTuple):
     """Whether the second driver is worse than the first one by more than a margin.
 
     Attributes:

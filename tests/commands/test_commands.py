@@ -444,7 +444,10 @@ def test_every_campaign_has_a_folder_of_its_own(tmp_path):
     run_folder(long, tmp_path).mkdir()
 
 
-def test_the_latest_run_has_a_name_of_its_own(tmp_path):
+def test_the_latest_run_has_a_name_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr("behavexplor.campaign.config.RUNS", tmp_path)
+    point_to_latest(tmp_path / "elsewhere" / "run")
+    assert not list(tmp_path.iterdir())
     for name in ("first", "second"):
         point_to_latest(tmp_path / name)
         assert (tmp_path / "latest").readlink() == Path(name)

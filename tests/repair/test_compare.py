@@ -9,7 +9,7 @@ import pytest
 from behavexplor.campaign.config import CampaignConfig, stored_config
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, EXECUTION_FAILED, OK, UNDECIDED, main
-from behavexplor.commands.compare import Verdict, searched, values
+from behavexplor.commands.compare import MarginDecision, searched, values
 from behavexplor.evaluation import outcomes_of
 from behavexplor.judge import specs
 from behavexplor.judge.rates import INFERIOR, NON_INFERIOR
@@ -151,7 +151,7 @@ def test_only_what_the_records_count_as_a_failure_at_fault_is_one():
 )
 def test_a_margin_is_decided_from_the_pairs_in_their_order(fixed, broken, margin, found):
     pairs = Pairs(AT_FAULT, tuple(fixed), tuple(broken), 0, 60 - len(fixed) - len(broken))
-    verdict = Verdict.of([Pairs("any failure", (), (), 0, 60), pairs], margin)
+    verdict = MarginDecision.of([Pairs("any failure", (), (), 0, 60), pairs], margin)
     assert verdict.found == found
     assert verdict.after < 60 or not found
     assert ("Not decided in 60" in verdict.words) == (not found)
