@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import gymnasium
 import numpy as np
@@ -38,6 +38,7 @@ from behavexplor.ads.scene_io import ACTION, OBSERVATION
 from behavexplor.data.conventions import MOST_ENVS
 from behavexplor.data.durable import check_file, folder_in, new_file, write_durably
 from behavexplor.data.untrusted import read_file
+from behavexplor.data.validation import between, validated
 from behavexplor.envs.making import environment_id
 from behavexplor.envs.sb3_vec_env import DrivingVecEnv
 from behavexplor.errors import InputError, unknown_name
@@ -59,7 +60,7 @@ _RATES: Mapping[str, float] = {"ppo": 5e-4, "a2c": 7e-4, "trpo": 1e-3}  # initia
 _LAST_RATE: Final = 0.05  # least learning rate, as a share of the initial one
 
 
-@dataclass(frozen=True)
+@validated
 class TrainingConfig:
     """The configuration of a training.
 
@@ -71,19 +72,16 @@ class TrainingConfig:
         envs: number of sub-environments in lock-step.
         stage: number of steps between two saved models.
         layers: widths of the network's hidden layers.
-
-    Raises:
-        InputError: if a value is out of range.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
     env: str = "intersection-straight"
     algo: str = "ppo"
-    steps: int = 8_000_000
-    seed: int = 0
-    envs: int = 64
-    stage: int = 500_000
+    steps: Annotated[int, between(1, 10**12)] = 8_000_000
+    seed: Annotated[int, between(0, 2**63 - 1)] = 0
+    envs: Annotated[int, between(1, MOST_ENVS)] = 64
+    stage: Annotated[int, between(1, 10**12)] = 500_000
     layers: tuple[int, ...] = (128, 128)
 
     def __post_init__(self) -> None:
@@ -91,10 +89,6 @@ class TrainingConfig:
             raise unknown_name("functional scenario", self.env, FUNCTIONAL_SCENARIOS)
         if self.algo not in ALGORITHMS:
             raise unknown_name("algorithm", self.algo, ALGORITHMS)
-        ranges = {"steps": (1, 10**12), "seed": (0, 2**63 - 1), "envs": (1, MOST_ENVS), "stage": (1, 10**12)}
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise InputError(f"{name} {getattr(self, name)} must lie between {low} and {high}")
         if not self.layers or not all(1 <= width <= 4096 for width in self.layers):
             raise InputError(f"layers {self.layers} must be at least one width, each between 1 and 4096")
 
@@ -125,11 +119,6 @@ class Learned:
 
 def train(config: TrainingConfig, folder: Path, observe: Callable[[Learned], None]) -> Path:
     """Train a policy. If the folder has a saved model, the training resumes from the last one.
-
-    Args:
-        config: configuration of the training.
-        folder: folder for models, logs and the final network.
-        observe: callback that gets the progress after each batch of experience.
 
     Returns:
         The file of the network, for `behavexplor.ads.learned.network_file.read_network`.
@@ -283,14 +272,7 @@ def _last_model(folder: Path, config: TrainingConfig, venv: LearningVecEnv) -> t
 
 
 def begin_stage(model: BaseAlgorithm, venv: VecEnv, seed: Sequence[int], rate: float) -> None:
-    """Set new episodes, random generators and the learning rate.
-
-    Args:
-        model: the model that is trained.
-        venv: its environment.
-        seed: seed of the stage, such as the seed of the training and the number of the stage.
-        rate: learning rate of the stage.
-    """
+    """Set new episodes, random generators and the learning rate."""
     networks, episodes = np.random.SeedSequence(seed).generate_state(2)
     set_random_seed(int(networks))
     venv.seed(int(episodes))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from behavexplor import jit as compiled
 from behavexplor.ads.rule.control import LateralProfile
 from behavexplor.ads.rule.station_time import StationTime
-from behavexplor.behavior.window_statistics import fill_statistics
+from behavexplor.behavior.features import fill_statistics
 
 SOURCES = {
     "__init__.py": "",

@@ -8,7 +8,7 @@ import pytest
 
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.commands import BAD_INPUT, OK
-from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
@@ -22,7 +22,7 @@ LOGICAL = Simulation("lane-follow", "constant").logical
 def of_scenario(rng, tmp_path, capfd):
     text = malformed.scenario_text(rng, LOGICAL.sample(rng))
     try:
-        LOGICAL.check(ScriptedScenario.from_json(text.decode(errors="replace")))
+        LOGICAL.check(parse_scenario(text.decode(errors="replace")))
     except InputError as error:
         assert is_sentence(str(error))
         return BAD_INPUT

@@ -38,6 +38,7 @@ from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import BAD_INPUT, OK, main
 from behavexplor.data.motion_bytes import unpack_arrays
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import Trace
 from behavexplor.envs.making import environment_id
@@ -154,7 +155,7 @@ def to_yaml(path, value):
 
 
 def of_scenario(value, folder, capfd):
-    scenario = ScriptedScenario.from_json(json.dumps(value))
+    scenario = parse_scenario(json.dumps(value))
     LOGICALS.get(scenario.functional, LOGICALS["lane-follow"]).check(scenario)
 
 

@@ -46,11 +46,7 @@ class CarefulDriver:
     )
 
     def fitted(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the configuration of an environment in which this driver drives.
-
-        Args:
-            config: the environment's own configuration.
-        """
+        """Return the configuration of an environment in which this driver drives."""
         return {**with_meta_actions(config), "observation": dict(self._OBSERVATION)}
 
     def predict(

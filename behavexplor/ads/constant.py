@@ -70,11 +70,7 @@ class ConstantManeuver:
         self._index = MANEUVERS.index(maneuver)
 
     def fitted(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the configuration of an environment in which this driver drives.
-
-        Args:
-            config: the environment's own configuration.
-        """
+        """Return the configuration of an environment in which this driver drives."""
         return with_meta_actions(config)
 
     def predict(
@@ -90,11 +86,7 @@ class ConstantManeuver:
 
 
 def with_meta_actions(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of highway-env in which `ConstantManeuver` can drive, with the same target speeds.
-
-    Args:
-        config: the whole configuration.
-    """
+    """Return a configuration of highway-env in which `ConstantManeuver` can drive, with the same target speeds."""
     action = config["action"] if config["action"].get("type") == "DiscreteMetaAction" else {}
     meta = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
     return {**config, "action": {**action, **meta}}

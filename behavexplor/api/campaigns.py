@@ -82,13 +82,6 @@ def config_of(
 ) -> CampaignConfig:
     """Return the configuration of a campaign.
 
-    Args:
-        given: its driver.
-        env: see `find_failures`.
-        env_config: see `find_failures`.
-        specs: see `find_failures`.
-        values: the other keys.
-
     Raises:
         InputError: if a value cannot be used.
     """

@@ -13,13 +13,13 @@ from behavexplor.api.campaigns import Requirement, config_of
 from behavexplor.api.conducting import Interrupted, conduct, worker_count
 from behavexplor.api.dataframes import frame_of_pairs
 from behavexplor.api.observers import Observer
-from behavexplor.api.run import Run, written
+from behavexplor.api.run import Run
 from behavexplor.campaign.config import CampaignConfig, stamped_folder
 from behavexplor.errors import InputError
 from behavexplor.repair.pair_campaigns import FIRST, PAGE, SECOND, SETTINGS, compared, second_config
 from behavexplor.repair.pairs import AT_FAULT, COLUMNS, LEGEND, Pairs, rows
 from behavexplor.report.reading import read_run
-from behavexplor.report.run_page import page
+from behavexplor.report.run_page import page, written
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -46,11 +46,7 @@ def frame_of_pairs(pairs: Sequence[Pairs]) -> "pd.DataFrame":
 
 
 def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], index: str) -> "pd.DataFrame":
-    """Return rows as a DataFrame.
-
-    Raises:
-        InputError: if pandas is not installed.
-    """
+    """Return rows as a DataFrame."""
     try:
         import pandas as pd  # noqa: PLC0415 - optional
     except ModuleNotFoundError as error:

@@ -20,11 +20,7 @@ Observer = Callable[[Progress], None]
 
 
 class PlainConsole(Console):
-    """A console on which a text is nothing but text: control characters, markup and emoji codes have no effect.
-
-    Args:
-        settings: settings of the `Console`.
-    """
+    """A console on which a text is nothing but text: control characters, markup and emoji codes have no effect."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(highlight=False, markup=False, emoji=False, **settings)

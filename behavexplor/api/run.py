@@ -22,7 +22,7 @@ from behavexplor.campaign.provenance import ALL, DRIVING, JUDGED, Consent, accep
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.run_summary import RunSummary, by_class, summarize
 from behavexplor.campaign.store import Execution, Store
-from behavexplor.data.durable import new_file, write_durably
+from behavexplor.data.durable import new_file
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
@@ -32,14 +32,13 @@ from behavexplor.execution.start import fewest_workers, start_executor, start_in
 from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road
-from behavexplor.report.run_page import page
+from behavexplor.report.run_page import PAGE, page, written
 from behavexplor.triage.findings import Triage, known_findings
 from behavexplor.triage.minimization import chosen_failures, minimize_failures
 from behavexplor.triage.minimized import Minimized, known_minimized
 from behavexplor.triage.run_triage import RunTriage
 
 _SUFFIXES: Final = (".gif", ".png")
-PAGE = "report.html"
 
 
 class Replay:
@@ -158,11 +157,8 @@ class Run:
     @property
     def records(self) -> tuple[Record, ...]:
         """The records of all executions, in order."""
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             return tuple(store.records())
-        finally:
-            store.close()
 
     @property
     def failures(self) -> "pd.DataFrame":
@@ -193,12 +189,9 @@ class Run:
     @property
     def traces(self) -> Iterator[Trace]:
         """The traces of all executions, in order, read one by one."""
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             for execution in store.executions():
                 yield execution.load_trace()
-        finally:
-            store.close()
 
     def scenario(self, number: int) -> Scenario:
         """Return the scenario of an execution.
@@ -319,22 +312,15 @@ class Run:
         return self
 
     def _checked(self, driver: Any) -> GivenDriver:
-        """Return a given driver, if it has the name of this run's driver.
-
-        Raises:
-            InputError: if it has another name.
-        """
+        """Return a given driver, if it has the name of this run's driver."""
         given = given_driver(driver)
         if given.name != self.config.ads:
             raise InputError(f"{self.folder} is a run of {self.config.ads!r}, not of {given.name!r}")
         return given
 
     def _execution(self, number: int) -> Execution:
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             return store.execution(int(number))  # numbers from a DataFrame are numpy's
-        finally:
-            store.close()
 
     def _executor(self) -> Executor:
         target = self._accepted().target
@@ -343,11 +329,8 @@ class Run:
         return start_executor(target, fewest_workers(target))
 
     def __len__(self) -> int:
-        store = Store.read(self.folder)
-        try:
+        with closing(Store.read(self.folder)) as store:
             return len(store)
-        finally:
-            store.close()
 
     def __repr__(self) -> str:
         found = self.summary
@@ -366,19 +349,6 @@ class Run:
             f"({found.failure_rate:.1%}), {found.at_fault} at fault<br><code>{escape(str(self.folder))}</code></p>"
             f"<table><tr><th>class of failures</th><th>count</th><th>at fault</th><th>first</th></tr>{rows}</table>"
         )
-
-
-def written(path: Path, text: str) -> Path:
-    """Write a page, and return its path.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
-    try:
-        write_durably(path, text)
-    except OSError as error:
-        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
-    return path
 
 
 def open_run(

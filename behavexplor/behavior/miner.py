@@ -57,9 +57,6 @@ class MinerOptions:
             other.
         sample_size: greatest number of merged states to which clusters are fitted, a uniform sample of all.
         random_state: seed of the clustering and of the sample.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     window: Annotated[int, between(1)] = 10

@@ -62,9 +62,6 @@ class CampaignService(Service):
     def run(self, request: bytes) -> bytes:
         """Run or resume a campaign.
 
-        Args:
-            request: request made by `campaign_request`.
-
         Returns:
             An `Outcome` as JSON and a newline, followed by the packed run folder if the request has no folder on this
             machine.
@@ -108,11 +105,7 @@ class CampaignService(Service):
 
 
 def campaign_recipe(targets: Iterable[Target]) -> Recipe:
-    """Return the recipe by which worker processes make the service. Each process runs a single campaign.
-
-    Args:
-        targets: the driving systems and environments of the campaigns.
-    """
+    """Return the recipe by which worker processes make the service. Each process runs a single campaign."""
     modules = dict.fromkeys(module for target in targets for module in evaluator_recipe(target).preload)
     name = f"{CampaignService.__module__}:{CampaignService.__qualname__}"
     return Recipe(name, preload=(*_PRELOAD, *modules), long_calls=True)

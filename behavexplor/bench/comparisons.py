@@ -12,7 +12,6 @@ from behavexplor.bench.table import (
     Figure,
     Table,
     Value,
-    n_at_fault,
     n_kinds_at_fault,
     n_weaknesses,
     of_group,
@@ -42,7 +41,7 @@ def comparisons(experiment: Experiment, summaries: Sequence[Summary]) -> list[Ta
 
 def compared_figures(summaries: Sequence[Summary]) -> list[tuple[str, str, Figure]]:
     """Return the figures in which methods are compared: their keys, their names, and the figures."""
-    figures: list[tuple[str, str, Figure]] = [("at-fault", "failures at fault", n_at_fault)]
+    figures: list[tuple[str, str, Figure]] = [("at-fault", "failures at fault", Summary.at_fault)]
     if all_classified(summaries):
         figures.append(("at-fault-classes", "classes of failures at fault", n_kinds_at_fault))
         figures.append(("unique", "unique violations", unique(None)))

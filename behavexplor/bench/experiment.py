@@ -4,14 +4,14 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import yaml
 from pydantic import ConfigDict
 
 from behavexplor.campaign.config import CampaignConfig, campaign_config, preset_folder, read_config, read_yaml
 from behavexplor.data.target import Conditions
-from behavexplor.data.validation import checked
+from behavexplor.data.validation import between, checked
 from behavexplor.errors import InputError, brief, unknown_name
 
 EXPERIMENT: Final = "experiment.yaml"  # file in an experiment's folder
@@ -22,12 +22,7 @@ _FROM_CONFIG: Final = ("method", "options")  # keys that an experiment accepts i
 
 @dataclass(frozen=True)
 class MethodChoice:
-    """A search method of an experiment.
-
-    Attributes:
-        method: name of the method, as in a campaign's `method`.
-        options: options of the method.
-    """
+    """A search method of an experiment."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
@@ -76,11 +71,11 @@ class Experiment(Conditions):
     name: str
     methods: dict[str, MethodChoice]
     ads: dict[str, tuple[str, ...]]
-    seeds: int = 5
+    seeds: Annotated[int, between(1, 1000)] = 5
     first_seed: int = 1
-    budget: int = 750
+    budget: Annotated[int, between(1, 999_999_999)] = 750
     batch: int = 8
-    workers: int = 0
+    workers: Annotated[int, between(0, 64)] = 0
     specs: tuple[str, ...] = ()
     reference: str = ""
     baseline: str = ""
@@ -91,13 +86,6 @@ class Experiment(Conditions):
         super().__post_init__()
         _check_name("name of the experiment", self.name)
         _check_names("methods", tuple(self.methods))
-        for key, value, least, most in (
-            ("seeds", self.seeds, 1, 1000),
-            ("budget", self.budget, 1, 999_999_999),
-            ("workers", self.workers, 0, 64),
-        ):
-            if not least <= value <= most:
-                raise InputError(f"{key} of the experiment must lie between {least} and {most}, not be {value}")
         for kind, names in (("group", self.groups), ("contrast", self.contrasts)):
             for name in names:
                 _check_name(f"name of a {kind}", name)
@@ -232,11 +220,7 @@ def experiment_config(values: Mapping[str, Any]) -> Experiment:
 
 
 def _systems(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the driving systems in each environment; an experiment's file may give two lists in place of them.
-
-    Raises:
-        InputError: if they are not lists of names, or if the environments are given twice.
-    """
+    """Return the driving systems in each environment; an experiment's file may give two lists in place of them."""
     ads = values.get("ads", ("rule",))
     if isinstance(ads, Mapping):
         if "envs" in values:

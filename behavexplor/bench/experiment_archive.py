@@ -32,10 +32,6 @@ def read_archive(runs: Sequence[PlannedRun], root: Path) -> Archive:
 
     A campaign with a smaller budget than the experiment's is left out, so that it runs again.
 
-    Args:
-        runs: all runs of the experiment.
-        root: the experiment's folder.
-
     Raises:
         InputError: if the archive is damaged, or holds a campaign with a different configuration.
     """
@@ -60,10 +56,6 @@ def read_archive(runs: Sequence[PlannedRun], root: Path) -> Archive:
 
 def write_archive(summaries: Archive, root: Path) -> None:
     """Add campaigns to the archive of an experiment. Campaigns of other experiments in it are kept.
-
-    Args:
-        summaries: summaries of finished campaigns.
-        root: the experiment's folder.
 
     Raises:
         InputError: if the archive is damaged.

@@ -1,21 +1,35 @@
 """Compact tables with a row for each method and a column for each scenario."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Final, NamedTuple
 
 from behavexplor.bench.comparisons import EqualTime, compared_figures, families, samples
 from behavexplor.bench.experiment import Experiment, slug
 from behavexplor.bench.statistics import LEVEL, SampleComparison, compare, estimate
 from behavexplor.bench.summaries import Summary, correlation
-from behavexplor.bench.table import Column, Figure, Table, Value, mean, of_group, p_text, place_cells, place_columns
+from behavexplor.bench.table import (
+    Column,
+    Figure,
+    Table,
+    Value,
+    mean,
+    novelty,
+    of_group,
+    p_text,
+    place_cells,
+    table_by_method,
+)
 from behavexplor.judge.discovery import Discovery
 
 Pair = tuple[str, str, str, str]  # environment, ADS, and two methods
 EARLY: Final = 0.1  # share of a campaign before its forecast
 NEXT: Final = 0.1  # number of executions in which new classes are counted, as a share of those before the forecast
 LEAST: Final = 50  # fewer executions tell nothing about the classes that are left
-_COLUMNS = ("Method", "n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within")
+_COLUMNS = tuple(
+    map(Column, ("n", "After", "Classes", "Chance %", "Then new %", "Total, forecast", "Total, found", "Within"))
+)
 _MEANING = (
     "Chance %: forecast probability that the next execution shows a new class (Good-Turing). Then new %: new classes "
     "in the executions that followed, a tenth as many as before, in per cent of these executions.",
@@ -35,23 +49,15 @@ def overviews(experiment: Experiment, summaries: Sequence[Summary], cut: EqualTi
         return []
     compared = [(key, f"Number of {words}", figure) for key, words, figure in compared_figures(summaries)]
     others: list[tuple[str, str, Figure]] = [
-        ("npc-caused", "Number of collisions that an NPC caused", _npc_caused),
-        ("novelty", "Executions with new behavior, in per cent", _novelty),
+        ("npc-caused", "Number of collisions that an NPC caused", attrgetter("npc_caused")),
+        ("novelty", "Executions with new behavior, in per cent", novelty),
     ]
     means = [_means(*figure, experiment, summaries) for figure in compared + others]
     if cut:
         means += [_in_equal_time(*figure, experiment, cut) for figure in compared]
     named = [family for family in families(experiment) if family[0] in (experiment.compared, experiment.baseline)]
     effects = [_effects(name, title, pairs, experiment, summaries) for name, title, pairs in named]
-    return [table for table in (*means, *effects) if table.rows]
-
-
-def _npc_caused(summary: Summary) -> float:
-    return summary.npc_caused
-
-
-def _novelty(summary: Summary) -> float:
-    return 100 * summary.novelty_rate
+    return [*means, *effects]
 
 
 def _columns(experiment: Experiment, *, best: bool) -> tuple[Column, ...]:
@@ -128,54 +134,38 @@ def _cell(found: Sequence[Mapping[Pair, SampleComparison]], pair: Pair) -> str:
     return " / ".join(f"{one.effect:.2f}{'*' if one.corrected < LEVEL else ''}" for one in known)
 
 
-def mutations(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
-    """Return the table of the mixture of mutations, for methods with the paper's mutations; None without any."""
-    rows: list[tuple[Value, ...]] = []
-    blocks = []
-    for env, ads in experiment.places:
-        block: list[tuple[Value, ...]] = []
-        for method in experiment.methods:
-            found = [summary for summary in of_group(summaries, (env, ads, method)) if sum(summary.mutations)]
-            if found:
-                shares = [100 * summary.mutations[0] / sum(summary.mutations) for summary in found]
-                assignments = [summary.assignments for summary in found]
-                cells = (len(found), estimate(shares), estimate(assignments))
-                block.append((*place_cells(experiment, env, ads), method, *cells))
-        rows += block
-        blocks.append(len(block))
-    if not rows:
-        return None
-    heads = (*place_columns(experiment), Column("Method"), Column("n"), Column("Waypoint mutations %", interval=True))
-    heads += (Column("Assignments", interval=True),)
+def mutations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
+    """Return the table of the mixture of mutations, for methods with the paper's mutations."""
+    heads = (Column("n"), Column("Waypoint mutations %", interval=True), Column("Assignments", interval=True))
     notes = (
         "Question: which mutations does a method make? (RQ2: an ablation may change the mixture as well)",
         "Waypoint mutations %: share of waypoint mutations among waypoint and route mutations.",
         "Assignments: number of distinct assignments of types and routes to the NPCs. Only route mutations make new "
         "ones.",
     )
-    return Table("mutations", "Mixture of mutations", heads, tuple(rows), tuple(filter(None, blocks)), notes)
+    table = Table("mutations", "Mixture of mutations", heads, notes=notes)
+    return table_by_method(table, experiment, summaries, _mixture)
 
 
-def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
-    """Return the table of correlations of violation degree and behavior distance (the paper's r_BF); None without any.
+def _mixture(campaigns: Sequence[Summary]) -> tuple[Value, ...]:
+    """Return the cells on the mutations in some campaigns; none if they have no mutations."""
+    found = [summary for summary in campaigns if sum(summary.mutations)]
+    if not found:
+        return ()
+    shares = [100 * summary.mutations[0] / sum(summary.mutations) for summary in found]
+    return len(found), estimate(shares), estimate([summary.assignments for summary in found])
+
+
+def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
+    """Return the table of correlations of violation degree and behavior distance (the paper's r_BF).
 
     As in the paper, the mutants of all campaigns of a method in a scenario are pooled, with one p-value.
     """
-    rows: list[tuple[Value, ...]] = []
-    blocks = []
-    for env, ads in experiment.places:
-        block = [
-            (*place_cells(experiment, env, ads), method, *cells)
-            for method in experiment.methods
-            if (cells := _correlated(of_group(summaries, (env, ads, method))))
-        ]
-        rows += block
-        blocks.append(len(block))
-    if not rows:
-        return None
-    heads = (*place_columns(experiment), *map(Column, ("Method", "n", "Mutants")), Column("r_BF", digits=2))
-    heads += (Column("p"), Column("of a campaign", digits=2, interval=True), Column("Passed"))
-    heads += (Column("r_BF passed", digits=2), Column("p passed"))
+    heads = (
+        *(Column("n"), Column("Mutants"), Column("r_BF", digits=2), Column("p")),
+        *(Column("of a campaign", digits=2, interval=True), Column("Passed")),
+        *(Column("r_BF passed", digits=2), Column("p passed")),
+    )
     notes = (
         "Question: does new behavior come nearer to a violation?",
         "Pearson's r of the violation degree of a mutant and its distance to the known behaviors, over the mutants of "
@@ -185,8 +175,8 @@ def correlations(experiment: Experiment, summaries: Sequence[Summary]) -> Table 
         "that its length makes it far from other behaviors, and its violation makes its degree low.",
         "The p-values treat mutants as independent. They are not, since one is made from another.",
     )
-    title = "Correlation of violation degree and behavior distance"
-    return Table("correlations", title, heads, tuple(rows), tuple(filter(None, blocks)), notes)
+    table = Table("correlations", "Correlation of violation degree and behavior distance", heads, notes=notes)
+    return table_by_method(table, experiment, summaries, _correlated)
 
 
 def _correlated(found: Sequence[Summary]) -> tuple[Value, ...]:
@@ -219,8 +209,8 @@ class Forecast(NamedTuple):
         return self.early.unseen_low <= self.total - self.early.found <= self.early.unseen_high
 
 
-def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
-    """Return the table of forecasts after a tenth of each campaign; None if all campaigns are too short."""
+def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
+    """Return the table of forecasts after a tenth of each campaign, for campaigns that are long enough."""
     notes = (
         "Question: can the estimates of what is left to find be trusted?",
         f"After: number of executions, {EARLY:.0%} of a campaign. Classes: those found until then. Total: forecast of "
@@ -228,11 +218,11 @@ def forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | N
         *_MEANING,
         "The estimates are for independent executions, as uniform sampling makes them.",
     )
-    table = Table("forecasts", "Forecasts of classes after a tenth of a campaign", (), (), (), notes)
-    return _filled(table, experiment, summaries, lambda found: list(map(_within, found)))
+    table = Table("forecasts", "Forecasts of classes after a tenth of a campaign", _COLUMNS, notes=notes)
+    return table_by_method(table, experiment, summaries, lambda found: _cells(list(map(_within, found))))
 
 
-def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table | None:
+def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Table:
     """Return the table of forecasts after each whole campaign, by what all campaigns of its method found together."""
     notes = (
         "Question: do the estimates of one campaign foretell what all campaigns find together?",
@@ -242,8 +232,8 @@ def pooled_forecasts(experiment: Experiment, summaries: Sequence[Summary]) -> Ta
         "Only for uniform sampling are further campaigns the same as further executions of one campaign. A guided "
         "search begins anew in each.",
     )
-    table = Table("forecasts-pooled", "Forecasts of classes after a campaign, and all campaigns", (), (), (), notes)
-    return _filled(table, experiment, summaries, _across)
+    table = Table("forecasts-pooled", "Forecasts of classes after a campaign, and all campaigns", _COLUMNS, notes=notes)
+    return table_by_method(table, experiment, summaries, lambda found: _cells(_across(found)))
 
 
 def _within(summary: Summary) -> Forecast:
@@ -269,30 +259,11 @@ def _following(early: Discovery) -> int:
     return max(round(NEXT * early.executions), 1)
 
 
-def _filled(
-    table: Table,
-    experiment: Experiment,
-    summaries: Sequence[Summary],
-    foretell: Callable[[Sequence[Summary]], list[Forecast]],
-) -> Table | None:
-    """Return the table with a row for each method in each environment; None if it would be empty."""
-    rows: list[tuple[Value, ...]] = []
-    blocks = []
-    for env, ads in experiment.places:
-        block: list[tuple[Value, ...]] = []
-        for method in experiment.methods:
-            found = [one for one in foretell(of_group(summaries, (env, ads, method))) if one.early.executions >= LEAST]
-            if found:
-                block.append((*place_cells(experiment, env, ads), method, *_cells(found)))
-        rows += block
-        blocks.append(len(block))
-    if not rows:
-        return None
-    heads = (*place_columns(experiment), *map(Column, _COLUMNS))
-    return Table(table.name, table.title, heads, tuple(rows), tuple(filter(None, blocks)), table.notes)
-
-
-def _cells(found: Sequence[Forecast]) -> tuple[Value, ...]:
+def _cells(made: Sequence[Forecast]) -> tuple[Value, ...]:
+    """Return the cells on some forecasts; none if all were made too early."""
+    found = [one for one in made if one.early.executions >= LEAST]
+    if not found:
+        return ()
     early = [one.early for one in found]
     return (
         len(found),

@@ -187,10 +187,6 @@ class Summary:
 def summarize(run: PlannedRun, root: Path) -> Summary:
     """Return the summary of a run from its run folder.
 
-    Args:
-        run: the run.
-        root: the experiment's folder.
-
     Raises:
         InputError: if the run folder is damaged.
     """

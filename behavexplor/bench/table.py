@@ -4,8 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
 
 from behavexplor.bench.experiment import Experiment
 from behavexplor.bench.statistics import Estimate, estimate
@@ -14,16 +13,7 @@ from behavexplor.bench.summaries import Summary
 Value = str | int | float | Estimate | None
 Figure = Callable[[Summary], float]
 Group = tuple[str, str, str]  # environment, ADS, method
-_ESCAPES: Final = str.maketrans(
-    {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-        **{character: f"\\{character}" for character in "&%$#_{}"},
-    }
-)
+Cells = Callable[[Sequence[Summary]], tuple[Value, ...]]
 
 
 @dataclass(frozen=True)
@@ -61,8 +51,8 @@ class Table:
     name: str
     title: str
     columns: tuple[Column, ...]
-    rows: tuple[tuple[Value, ...], ...]
-    blocks: tuple[int, ...]
+    rows: tuple[tuple[Value, ...], ...] = ()
+    blocks: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -79,6 +69,30 @@ def place_cells(experiment: Experiment, env: str, ads: str) -> tuple[str, ...]:
 def place_columns(experiment: Experiment) -> tuple[Column, ...]:
     """Return the columns of `place_cells`."""
     return (Column("Scenario"), Column("ADS")) if experiment.has_several_ads else (Column("Scenario"),)
+
+
+def table_by_method(
+    table: Table, experiment: Experiment, summaries: Sequence[Summary], cells: Cells, methods: Sequence[str] = ()
+) -> Table:
+    """Return a table with a row for each method in each environment.
+
+    Args:
+        table: name, title and notes of the table, and its columns but for those of environment and method.
+        experiment: the experiment.
+        summaries: summaries of its finished campaigns.
+        cells: function from the campaigns of a method in an environment to the cells of its row; none for no row.
+        methods: methods that have rows; by default all.
+    """
+    rows: list[tuple[Value, ...]] = []
+    blocks = []
+    for place in experiment.places:
+        groups = [(method, of_group(summaries, (*place, method))) for method in methods or experiment.methods]
+        made = [(method, cells(found)) for method, found in groups if found]
+        block = [(*place_cells(experiment, *place), method, *row) for method, row in made if row]
+        rows += block
+        blocks.append(len(block))
+    columns = (*place_columns(experiment), Column("Method"), *table.columns)
+    return replace(table, columns=columns, rows=tuple(rows), blocks=tuple(filter(None, blocks)))
 
 
 def mean(found: Sequence[Summary], figure: Figure) -> Estimate:
@@ -101,14 +115,14 @@ def unique(label: str | None) -> Figure:
     return lambda summary: len(summary.kinds(label))
 
 
-def n_at_fault(summary: Summary) -> int:
-    """Return the number of failures for which the ADS was at fault."""
-    return summary.at_fault()
-
-
 def n_kinds_at_fault(summary: Summary) -> int:
     """Return the number of classes of failures for which the ADS was at fault."""
     return len(summary.kinds_at_fault())
+
+
+def novelty(summary: Summary) -> float:
+    """Return the share of executions with new behavior, in per cent."""
+    return 100 * summary.novelty_rate
 
 
 def n_weaknesses(summary: Summary) -> int:
@@ -175,31 +189,6 @@ def _plain(value: Value) -> list[object]:
     return [round(value, 6) if isinstance(value, float) else "" if value is None else value]
 
 
-def table_latex(table: Table) -> str:
-    r"""Return a table for LaTeX with the package booktabs. The best value of each block is bold."""
-    columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
-    numbers = [bool(table.rows) and not isinstance(table.rows[0][i], str) for i in columns]
-    best = marked(table)
-    lines = [
-        r"\begin{table}",
-        r"  \centering",
-        rf"  \caption{{{escaped(' '.join((table.title + '.', *table.notes)))}}}",
-        rf"  \label{{tab:{table.name}}}",
-        rf"  \begin{{tabular}}{{{''.join('r' if number else 'l' for number in numbers)}}}",
-        r"    \toprule",
-        "    " + " & ".join(escaped(table.columns[i].name) for i in columns) + r" \\",
-    ]
-    row = 0
-    for length in table.blocks:
-        lines.append(r"    \midrule")
-        for _ in range(length):
-            cells = [_latex(table.rows[row][i], table.columns[i], bold=(row, i) in best) for i in columns]
-            lines.append("    " + " & ".join(cells) + r" \\")
-            row += 1
-    lines += [r"    \bottomrule", r"  \end{tabular}", r"\end{table}"]
-    return "\n".join(lines) + "\n"
-
-
 def table_markdown(table: Table) -> str:
     """Return a table in Markdown. The best value of each block is bold, and the notes stand below the table."""
     columns = [i for i, column in enumerate(table.columns) if not column.only_csv]
@@ -210,15 +199,3 @@ def table_markdown(table: Table) -> str:
         lines.append([f"**{cell}**" if (number, i) in best else cell for i, cell in zip(columns, cells, strict=True)])
     rows = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     return f"**{table.title}**\n\n{rows}\n\n{' '.join(table.notes)}\n"
-
-
-def _latex(value: Value, column: Column, *, bold: bool) -> str:
-    text = escaped(shown(value, column))
-    if isinstance(value, Estimate | float):
-        text = text.replace("-", "$-$")
-    return rf"\textbf{{{text}}}" if bold else text
-
-
-def escaped(text: str) -> str:
-    """Return a text with LaTeX's special characters escaped."""
-    return text.translate(_ESCAPES)

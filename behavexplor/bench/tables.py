@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Final
 
 from behavexplor.bench.comparisons import EqualTime, comparisons, in_equal_time, joint_comparisons
@@ -16,12 +17,10 @@ from behavexplor.bench.table import (
     Table,
     Value,
     mean,
-    n_at_fault,
     n_kinds_at_fault,
     n_weaknesses,
-    of_group,
-    place_cells,
-    place_columns,
+    novelty,
+    table_by_method,
     total,
     unique,
 )
@@ -37,12 +36,7 @@ RARITY: Final = (
 
 
 def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
-    """Return all tables of an experiment.
-
-    Args:
-        experiment: the experiment.
-        summaries: summaries of its finished campaigns.
-    """
+    """Return all tables of an experiment."""
     made = [violations("violations", "Violations found", experiment, summaries, tuple(experiment.methods))]
     cut = in_equal_time(experiment, summaries)
     if cut:
@@ -51,55 +45,52 @@ def tables(experiment: Experiment, summaries: Sequence[Summary]) -> list[Table]:
         made.append(violations(f"violations-{name}", f"Violations found: {name}", experiment, summaries, methods))
     if all_classified(summaries):
         made.append(distinct(experiment, summaries))
-        made += filter(None, [forecasts(experiment, summaries), pooled_forecasts(experiment, summaries)])
+        made += [forecasts(experiment, summaries), pooled_forecasts(experiment, summaries)]
     if all_signed(summaries):
         made.append(weaknesses(experiment, summaries))
     made += overviews(experiment, summaries, cut)
     made.append(times(experiment, summaries))
-    made += filter(None, [mutations(experiment, summaries), correlations(experiment, summaries)])
-    return made + joint_comparisons(experiment, summaries) + comparisons(experiment, summaries)
+    made += [mutations(experiment, summaries), correlations(experiment, summaries)]
+    made += joint_comparisons(experiment, summaries) + comparisons(experiment, summaries)
+    return [table for table in made if table.rows]
 
 
 def violations(
     name: str, title: str, experiment: Experiment, summaries: Sequence[Summary], methods: Sequence[str]
 ) -> Table:
     """Return the table of total and unique violations by spec, means over the seeds (the paper's RQ1, RQ2 and RQ3)."""
-    columns = [*_found(summaries), (Column("Novel %"), lambda summary: 100 * summary.novelty_rate)]
+    columns = [*_found(summaries), (Column("Novel %"), novelty)]
     notes = (
         "Question: how many failures does each method find, and of how many kinds? (RQ1 of the paper for different "
         "methods, RQ2 for an ablation, RQ3 for windows)",
         f"Means over n campaigns of {experiment.budget} executions, with the 95 % interval in brackets (Student's t).",
         *_explained(summaries),
     )
-    return _means(Table(name, title, (), (), (), notes), experiment, summaries, methods, columns)
+    return _means(Table(name, title, (), notes=notes), experiment, summaries, columns, methods)
 
 
 def violations_in_equal_time(experiment: Experiment, cut: EqualTime) -> Table:
     """Return the table of violations that each method found in the same time."""
-    columns = [(Column("Executions"), _n_executions), *_found(cut.summaries)]
+    columns: list[tuple[Column, Figure]] = [(Column("Executions"), attrgetter("executions")), *_found(cut.summaries)]
     notes = (
         "Question: which method finds most in the same time, as the paper compares them, instead of in the same number "
         "of executions?",
         *cut.notes,
         *_explained(cut.summaries),
     )
-    table = Table("violations-equal-time", "Violations found in equal time", (), (), (), notes)
-    return _means(table, experiment, cut.summaries, tuple(experiment.methods), columns)
-
-
-def _n_executions(summary: Summary) -> int:
-    return summary.executions
+    table = Table("violations-equal-time", "Violations found in equal time", (), notes=notes)
+    return _means(table, experiment, cut.summaries, columns)
 
 
 def _found(summaries: Sequence[Summary]) -> list[tuple[Column, Figure]]:
     """Return the columns of findings, with their figures."""
-    columns: list[tuple[Column, Figure]] = [(Column("At fault", interval=True, best=True), n_at_fault)]
+    columns: list[tuple[Column, Figure]] = [(Column("At fault", interval=True, best=True), Summary.at_fault)]
     if all_classified(summaries):
         columns += [(Column("At-fault classes", interval=True, best=True), n_kinds_at_fault)]
     columns += [
         *((Column(label), total(label)) for label in _labels(summaries)),
         (Column("Sum", interval=True, best=True), total(None)),
-        (Column("R1 by NPC"), lambda summary: summary.npc_caused),
+        (Column("R1 by NPC"), attrgetter("npc_caused")),
     ]
     if all_classified(summaries):
         columns += [(Column(f"Unique {label}"), unique(label)) for label in _labels(summaries)]
@@ -124,23 +115,16 @@ def _means(
     table: Table,
     experiment: Experiment,
     summaries: Sequence[Summary],
-    methods: Sequence[str],
     columns: Sequence[tuple[Column, Figure]],
+    methods: Sequence[str] = (),
 ) -> Table:
     """Return a table with a row for each method in each environment, and the means of the figures in its columns."""
-    rows: list[tuple[Value, ...]] = []
-    blocks = []
-    for env, ads in experiment.places:
-        of_methods = [(method, of_group(summaries, (env, ads, method))) for method in methods]
-        block: list[tuple[Value, ...]] = [
-            (*place_cells(experiment, env, ads), method, len(found), *(mean(found, figure) for _, figure in columns))
-            for method, found in of_methods
-            if found
-        ]
-        rows += block
-        blocks.append(len(block))
-    heads = (*place_columns(experiment), Column("Method"), Column("n"), *(column for column, _ in columns))
-    return replace(table, columns=heads, rows=tuple(rows), blocks=tuple(filter(None, blocks)))
+
+    def cells(found: Sequence[Summary]) -> tuple[Value, ...]:
+        return (len(found), *(mean(found, figure) for _, figure in columns))
+
+    heads = (Column("n"), *(column for column, _ in columns))
+    return table_by_method(replace(table, columns=heads), experiment, summaries, cells, methods)
 
 
 def distinct(experiment: Experiment, summaries: Sequence[Summary]) -> Table:

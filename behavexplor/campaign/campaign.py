@@ -18,17 +18,7 @@ from typing import Any
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.config import Budget, CampaignConfig
 from behavexplor.campaign.judgment import Judgment, ads_failure, judgment
-from behavexplor.campaign.progress import (
-    ASKING,
-    EXECUTING,
-    JUDGING,
-    MINING,
-    STARTING,
-    STORING,
-    WAITING,
-    Progress,
-    StageClock,
-)
+from behavexplor.campaign.progress import Progress, Stage, StageClock
 from behavexplor.campaign.record import ERROR, Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.logical import LogicalScenario
@@ -50,13 +40,7 @@ class ExecutionError(Exception):
 
 @dataclass
 class _Pending:
-    """A candidate whose result the method has not been told.
-
-    Attributes:
-        candidate: the candidate.
-        result: future for the trace as bytes, or the stored execution.
-        judgment: the judgment; None until it is made.
-    """
+    """A candidate whose result the method has not been told."""
 
     candidate: Candidate
     result: Future[bytes] | Execution
@@ -105,7 +89,7 @@ class Campaign:
         self._specs = specs
         self._stop_after = stop_after
         self._clock = clock or StageClock(store.stages)
-        self._executing = EXECUTING if executor.runs_here else WAITING
+        self._executing = Stage.EXECUTING if executor.runs_here else Stage.WAITING
         self._failures = 0  # those that the method has been told, stored or not
         self._archive = NoveltyArchive()
         self._stored = store.end  # lower candidates have been executed, but the store may have lost some
@@ -149,9 +133,9 @@ class Campaign:
             self._store.note_end(ended)
         return ended
 
-    def _during(self, stage: str, number: int) -> AbstractContextManager[None]:
+    def _during(self, stage: Stage, number: int) -> AbstractContextManager[None]:
         """Return a context whose time counts for a stage, or for the start if an execution is stored already."""
-        return self._clock.during(stage if number >= self._stored else STARTING)
+        return self._clock.during(stage if number >= self._stored else Stage.STARTING)
 
     def _has_enough(self) -> bool:
         told = self._asked - len(self._pending)
@@ -166,7 +150,7 @@ class Campaign:
         """Ask for candidates until the batch is full. Return why the search ended, or None if it has not."""
         while len(self._pending) < self._config.batch and self._within_budget() and not self.stopping:
             try:
-                with self._during(ASKING, self._asked):
+                with self._during(Stage.ASKING, self._asked):
                     candidate = self._method.ask()
             except SearchExhausted as end:
                 return str(end)
@@ -224,7 +208,7 @@ class Campaign:
 
     def _judgment(self, pending: _Pending) -> Judgment:
         data, failure = self._outcome(pending)
-        with self._during(JUDGING, pending.candidate.number):
+        with self._during(Stage.JUDGING, pending.candidate.number):
             try:
                 return judgment(data, failure, self._specs)
             except InputError as error:
@@ -246,7 +230,7 @@ class Campaign:
             raise ExecutionError(f"Execution {candidate.number} could not be carried out: {message}") from error
 
     def _record(self, candidate: Candidate, judged: Judgment) -> Record:
-        with self._during(MINING, candidate.number):
+        with self._during(Stage.MINING, candidate.number):
             novelty = self._archive.observe(judged.trace)
             learned = self._method.tell(candidate, judged.trace, judged.verdict)
         return Record(
@@ -272,7 +256,7 @@ class Campaign:
         waited = time.monotonic() - self._committed
         if self._store.pending < rows and waited < seconds:
             return
-        with self._clock.during(STORING):
+        with self._clock.during(Stage.STORING):
             committed = self._store.commit(self._clock.total)
         for execution in committed:
             self.progress = self.progress.after(execution.record, resumed=False)

@@ -89,13 +89,7 @@ def written_format(path: Path) -> str | None:
 
 
 def insert(connection: sqlite3.Connection, rows: list[Row], notes: Mapping[str, str] = MappingProxyType({})) -> None:
-    """Write rows and notes to disk in one transaction, replacing rows with the same number and notes of the same name.
-
-    Args:
-        connection: connection to the database.
-        rows: the rows.
-        notes: texts by name, see `read_note`.
-    """
+    """Write rows and notes (texts by name) in one transaction, in place of those with the same numbers and names."""
     with connection:
         connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", notes.items())
         connection.executemany(
@@ -117,12 +111,7 @@ def read_note(connection: sqlite3.Connection, name: str) -> bytes:
 
 
 class ExecutionTable:
-    """The executions in a database.
-
-    Args:
-        path: path of the file.
-        connection: connection to the database.
-    """
+    """The executions in a database."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self._path = path
@@ -265,11 +254,7 @@ def _free_name(path: Path) -> Path:
 
 
 def _checked(found: tuple[Any, ...]) -> Row:
-    """Return a row after checking its checksums.
-
-    Raises:
-        DamagedError: if a checksum is wrong.
-    """
+    """Return a row after checking its checksums."""
     number, record, trace, elapsed, checksum, record_checksum = found
     if not isinstance(record, bytes) or not isinstance(trace, bytes | None) or not isinstance(elapsed, float):
         raise DamagedError("a value is of a wrong type")

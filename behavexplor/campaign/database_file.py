@@ -91,11 +91,7 @@ def _set_up(path: Path, connection: sqlite3.Connection, *, is_reader: bool) -> N
 
 
 def _check_files(path: Path) -> None:
-    """Check a database and the files beside it before SQLite opens them.
-
-    Raises:
-        InputError: if one of them is a link or not a regular file, or the journal names a file to delete.
-    """
+    """Check a database and the files beside it before SQLite opens them."""
     journal = path.with_name(path.name + "-journal")
     try:
         for file in (path, *(path.with_name(path.name + ending) for ending in AUXILIARY)):
@@ -117,12 +113,7 @@ def _last_bytes(file: Path, count: int) -> bytes:
 
 
 def _check_schema(path: Path, connection: sqlite3.Connection, *, is_reader: bool) -> None:
-    """Check that a database has no other tables than ours, and nothing else that would act.
-
-    Raises:
-        InputError: if it has.
-        sqlite3.Error: if the schema cannot be read. A reader takes what can be read.
-    """
+    """Check that a database has no other tables than ours, and nothing else that would act."""
     try:
         for entry in _entries(connection):
             if entry not in _known_entries():

@@ -42,11 +42,6 @@ class Judgment:
 def judgment(data: bytes, failure: dict[str, str] | None, specs: Sequence[Spec]) -> Judgment:
     """Judge an execution.
 
-    Args:
-        data: the trace as bytes.
-        failure: how the ADS failed; None if it did not.
-        specs: requirements that judge the trace.
-
     Raises:
         InputError: if a spec cannot judge the trace.
     """

@@ -15,7 +15,7 @@ from behavexplor.behavior.clusters import k_means
 from behavexplor.behavior.miner import NoveltyArchive
 from behavexplor.campaign.campaign import Campaign, search_method
 from behavexplor.campaign.config import Budget, CampaignConfig, check_revision, stored_config
-from behavexplor.campaign.progress import STARTING, StageClock
+from behavexplor.campaign.progress import Stage, StageClock
 from behavexplor.campaign.provenance import own_run, remember
 from behavexplor.campaign.store import Store
 from behavexplor.data.durable import write_durably
@@ -111,7 +111,7 @@ def opened(
         if logical.has_original and not (folder / ROAD_FILE).is_file():
             write_durably(folder / ROAD_FILE, executor.submit(ROAD, b"").result().decode())
         clock = StageClock(store.stages)
-        clock.seconds[STARTING] = time.monotonic() - begun
+        clock.seconds[Stage.STARTING] = time.monotonic() - begun
         campaign = Campaign(config, search, logical, store, executor, specs, stop_after, clock)
         stored = store.end
         yield Ready(campaign, store, warnings)
@@ -120,11 +120,7 @@ def opened(
 
 
 def _reopened(run: Path, config: CampaignConfig) -> Store:
-    """Return the store of a run to resume.
-
-    Raises:
-        InputError: if the run has more executions than the budget allows.
-    """
+    """Return the store of a run to resume."""
     store = Store.reopen(run)
     try:
         _check_budget(run, config, len(store))

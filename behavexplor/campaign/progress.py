@@ -5,32 +5,65 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from enum import StrEnum, auto
 from types import MappingProxyType
 from typing import Any, Final, Self
 
 from behavexplor.campaign.record import Record
+from behavexplor.judge.classes import words_of
 
-STARTING, ASKING, EXECUTING, WAITING, JUDGING, MINING, STORING = (
-    "starting",
-    "asking",
-    "executing",
-    "waiting",
-    "judging",
-    "mining",
-    "storing",
-)
-STAGES: Final[Mapping[str, str]] = MappingProxyType(
+
+class Stage(StrEnum):
+    """What a campaign does at a time. Stages do not overlap."""
+
+    STARTING = auto()
+    ASKING = auto()
+    EXECUTING = auto()
+    WAITING = auto()
+    JUDGING = auto()
+    MINING = auto()
+    STORING = auto()
+
+
+STAGES: Final[Mapping[Stage, str]] = MappingProxyType(
     {
-        STARTING: "loading the driver, its environment, the workers and what is stored",
-        ASKING: "choosing scenarios",
-        EXECUTING: "driving in this process",
-        WAITING: "waiting for worker processes, which drive",
-        JUDGING: "reading and judging traces",
-        MINING: "comparing behaviors and learning from results",
-        STORING: "writing to disk",
+        Stage.STARTING: "loading the driver, its environment, the workers and what is stored",
+        Stage.ASKING: "choosing scenarios",
+        Stage.EXECUTING: "driving in this process",
+        Stage.WAITING: "waiting for worker processes, which drive",
+        Stage.JUDGING: "reading and judging traces",
+        Stage.MINING: "comparing behaviors and learning from results",
+        Stage.STORING: "writing to disk",
     }
 )
+LISTED: Final = 3  # number of failures of each spec whose numbers are kept
 _MOST_SECONDS: Final = 1e12
+
+
+@dataclass(frozen=True)
+class ClassSummary:
+    """One class of failures.
+
+    Attributes:
+        id: the class, see `behavexplor.judge.classes`.
+        count: number of its failures.
+        first: number of the first of them.
+        at_fault: number of its failures for which the driving system was at fault, as far as their traces can tell.
+    """
+
+    id: str
+    count: int
+    first: int
+    at_fault: int
+
+    @property
+    def words(self) -> str:
+        """The class as a sentence."""
+        return words_of(self.id)
+
+    def after(self, record: Record) -> Self:
+        """Return the class with one more failure."""
+        return replace(self, count=self.count + 1, at_fault=self.at_fault + record.at_fault)
 
 
 @dataclass(frozen=True)
@@ -42,9 +75,8 @@ class Progress:
         failed: number of failed executions.
         violations: numbers of failures by the most severe spec that they violate. R1 comes before R2 and R3, because a
             collision also keeps the ego from its destination. "error" counts failures of the ADS itself.
-        classes: numbers of failures by their class, see `behavexplor.judge.classes`. Each class is a unique violation.
-        at_fault: numbers of the failures for which the driving system was at fault as far as the trace can tell, by
-            their class.
+        examples: numbers of the first failures of each of these specs, at most `LISTED`.
+        classes: the classes of failures by their ids. Each class is a unique violation.
         novel: number of executions with a behavior that was new to the campaign.
         elapsed: running time, including the time before an interruption [s].
         earlier: running time before the interruption [s].
@@ -57,8 +89,8 @@ class Progress:
     executions: int = 0
     failed: int = 0
     violations: Mapping[str, int] = field(default_factory=dict)
-    classes: Mapping[str, int] = field(default_factory=dict)
-    at_fault: Mapping[str, int] = field(default_factory=dict)
+    examples: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    classes: Mapping[str, ClassSummary] = field(default_factory=dict)
     novel: int = 0
     elapsed: float = 0.0
     earlier: float = 0.0
@@ -67,35 +99,39 @@ class Progress:
     method: Mapping[str, float] = field(default_factory=dict)
     last: Mapping[str, int] = field(default_factory=dict)
 
-    def after(self, record: Record, *, resumed: bool) -> Self:
-        """Return the progress after one more execution.
+    @property
+    def at_fault(self) -> int:
+        """Number of failures for which the driving system was at fault, as far as their traces can tell."""
+        return sum(one.at_fault for one in self.classes.values())
 
-        Args:
-            record: record of the execution.
-            resumed: whether it was taken from an earlier run.
-        """
+    @property
+    def largest_first(self) -> tuple[ClassSummary, ...]:
+        """The classes of failures, the most frequent first."""
+        return tuple(sorted(self.classes.values(), key=lambda one: (-one.count, one.first)))
+
+    def after(self, record: Record, *, resumed: bool) -> Self:
+        """Return the progress after one more execution."""
         first, kind = record.violated[:1], record.violation_class
         marks = [*(["novel"] if record.novel else []), *first]
         marks += ["class"] if kind is not None and kind not in self.classes else []
+        classes = self.classes
+        if kind is not None:
+            classes = {**classes, kind: classes.get(kind, ClassSummary(kind, 0, record.id, 0)).after(record)}
         return replace(
             self,
             executions=self.executions + 1,
             failed=self.failed + record.failed,
             violations={**self.violations, **{name: self.violations.get(name, 0) + 1 for name in first}},
-            classes=_counted(self.classes, kind),
-            at_fault=_counted(self.at_fault, kind if record.at_fault else None),
+            examples={**self.examples, **{name: (*self.examples.get(name, ()), record.id)[:LISTED] for name in first}},
+            classes=classes,
             novel=self.novel + record.novel,
             resumed=self.resumed + resumed,
             last={**self.last, **dict.fromkeys(marks, record.id)},
         )
 
 
-def _counted(counts: Mapping[str, int], name: str | None) -> Mapping[str, int]:
-    return counts if name is None else {**counts, name: counts.get(name, 0) + 1}
-
-
 class StageClock:
-    """A clock that adds up the time in each stage. Stages do not overlap.
+    """A clock that adds up the time in each stage.
 
     Args:
         earlier: time in each stage before the campaign was resumed [s].
@@ -106,10 +142,10 @@ class StageClock:
 
     def __init__(self, earlier: Mapping[str, float] = MappingProxyType({})) -> None:
         self._earlier = earlier
-        self.seconds = dict.fromkeys(STAGES, 0.0)
+        self.seconds = dict.fromkeys(map(str, Stage), 0.0)
 
     @contextmanager
-    def during(self, stage: str) -> Iterator[None]:
+    def during(self, stage: Stage) -> Iterator[None]:
         """Return a context whose time counts for a stage."""
         begun = time.monotonic()
         try:
@@ -133,8 +169,8 @@ def executing_and_analysing(stages: Mapping[str, float]) -> tuple[float, float]:
     """Return the time spent on executions, and on everything else but the start [s]; nan if it is not known."""
     if not stages:
         return math.nan, math.nan
-    executing = sum(stages.get(stage, 0.0) for stage in (EXECUTING, WAITING))
-    return executing, sum(stages.get(stage, 0.0) for stage in (ASKING, JUDGING, MINING, STORING))
+    executing = stages.get(Stage.EXECUTING, 0.0) + stages.get(Stage.WAITING, 0.0)
+    return executing, sum(stages.values()) - executing - stages.get(Stage.STARTING, 0.0)
 
 
 def _is_time(value: Any) -> bool:

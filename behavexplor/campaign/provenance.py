@@ -157,14 +157,6 @@ def accepted(stored: StoredConfig, consent: Consent = Consent(), runs: Collectio
     """Return the configuration of a run folder, by which something may be executed.
 
     What the folder says of trust and confinement counts only if this machine has made it, or if the user trusts it.
-
-    Args:
-        stored: what the folder says.
-        consent: what the user agrees to.
-        runs: keys of the code that would be run.
-
-    Raises:
-        InputError: see `agreed`.
     """
     config = stored.says
     found = agreed(claim_of(config, stored.folder / CONFIG), consent, runs)

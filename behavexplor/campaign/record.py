@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
@@ -81,23 +81,8 @@ class Record:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the record as JSON values, in a fixed order."""
-        values = {
-            "id": self.id,
-            "origin": self.origin,
-            "parent": self.parent,
-            "end": self.end,
-            "error": None if self.error is None else dict(self.error),
-            "duration": self.duration,
-            "violated": list(self.violated),
-            "class": self.violation_class,
-            "fault": self.fault,
-            "degree": self.degree,
-            "degrees": dict(self.degrees),
-            "novelty": self.novelty,
-            "novel": self.novel,
-            "search": dict(self.search),
-            "scenario": dict(self.scenario),
-        }
+        values: dict[str, Any] = {_KEYS.get(name, name): getattr(self, name) for name in _NAMES}
+        values["violated"] = list(self.violated)
         return {name: value for name, value in values.items() if value is not None or name == "parent"}
 
     def to_json(self) -> str:
@@ -119,6 +104,8 @@ class Record:
 
 
 _ADAPTER: Final = TypeAdapter(Record)
+_NAMES: Final = tuple(one.name for one in fields(Record))
+_KEYS: Final = {"violation_class": "class"}  # of a record in JSON, where they are not the names of the fields
 
 
 @dataclass

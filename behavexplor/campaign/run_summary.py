@@ -1,34 +1,16 @@
 """The figures of a run at one moment, read from its folder: for the terminal, for a JSON file and for notebooks."""
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from behavexplor.campaign.config import Budget, CampaignConfig, stored_config
+from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Store
-from behavexplor.judge.classes import words_of
-
-
-@dataclass(frozen=True)
-class ClassSummary:
-    """One class of failures.
-
-    Attributes:
-        id: the class, see `behavexplor.judge.classes`.
-        words: the class as a sentence.
-        count: number of its failures.
-        first: number of the first of them.
-        at_fault: number of its failures for which the driving system was at fault, as far as their traces can tell.
-    """
-
-    id: str
-    words: str
-    count: int
-    first: int
-    at_fault: int
 
 
 @dataclass(frozen=True)
@@ -43,7 +25,7 @@ class RunSummary:
         budget: number of executions, or running time.
         executions: number of stored executions.
         elapsed: running time up to the last of them [s].
-        complete: whether the budget is used up.
+        complete: whether the budget is used up, or the search has ended before.
         failed: number of failed executions.
         at_fault: number of the failures for which the driving system was at fault, as far as their traces can tell.
         violations: numbers of failures by the most severe spec that they violate.
@@ -80,7 +62,9 @@ class RunSummary:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figures as JSON values."""
-        return {**asdict(self), "failure_rate": self.failure_rate, "at_fault_rate": self.at_fault_rate}
+        values = {**asdict(self), "failure_rate": self.failure_rate, "at_fault_rate": self.at_fault_rate}
+        values["classes"] = [{"id": one.id, "words": one.words, **asdict(one)} for one in self.classes]
+        return values
 
 
 def summarize(run: Path) -> RunSummary:
@@ -90,44 +74,28 @@ def summarize(run: Path) -> RunSummary:
         InputError: if the folder is not a run folder, or is damaged.
     """
     config = stored_config(run).says
-    store = Store.read(run)
-    try:
-        return summary_of(config, list(store.records()), store.elapsed)
-    finally:
-        store.close()
+    with closing(Store.read(run)) as store:
+        found = Progress(elapsed=store.elapsed)
+        for record in store.records():
+            found = found.after(record, resumed=True)
+        return _summary(config, found, ended=store.ended is not None)
 
 
-def summary_of(config: CampaignConfig, records: Sequence[Record], elapsed: float) -> RunSummary:
-    """Return the figures of a campaign.
-
-    Args:
-        config: its configuration.
-        records: its records so far.
-        elapsed: its running time [s].
-    """
-    failures = [record for record in records if record.failed]
+def _summary(config: CampaignConfig, found: Progress, *, ended: bool) -> RunSummary:
     budget = Budget.parse(config.budget)
-    is_complete = elapsed >= (budget.seconds or 0.0) if budget.executions is None else len(records) >= budget.executions
     return RunSummary(
         env=config.env,
         ads=config.ads,
         method=config.method,
         seed=config.seed,
         budget=config.budget,
-        executions=len(records),
-        elapsed=elapsed,
-        complete=is_complete,
-        failed=len(failures),
-        at_fault=sum(record.at_fault for record in failures),
-        violations=dict(Counter(record.violated[0] for record in failures)),
-        classes=_classes(failures),
-    )
-
-
-def _classes(failures: Iterable[Record]) -> tuple[ClassSummary, ...]:
-    return tuple(
-        ClassSummary(kind, words_of(kind), len(group), group[0].id, sum(record.at_fault for record in group))
-        for kind, group in by_class(failures).items()
+        executions=found.executions,
+        elapsed=found.elapsed,
+        complete=ended or found.executions >= (budget.executions or inf) or found.elapsed >= (budget.seconds or inf),
+        failed=found.failed,
+        at_fault=found.at_fault,
+        violations=found.violations,
+        classes=found.largest_first,
     )
 
 

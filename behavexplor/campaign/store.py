@@ -84,10 +84,6 @@ class Store:
     def create(cls, folder: Path, config: str) -> Self:
         """Begin a run in an empty or new folder.
 
-        Args:
-            folder: run folder, which is created if it does not exist.
-            config: configuration of the campaign as YAML.
-
         Raises:
             InputError: if the folder cannot be written, or is not empty.
         """
@@ -276,24 +272,6 @@ class Store:
                 losses.damaged.append(number)
                 losses.cut_off = self._table.last is None
 
-    def failures(self) -> Iterator[tuple[int, str, str | None]]:
-        """Yield the number, the most severe violated spec, and the class of each failed execution, in order.
-
-        The class is None in runs of early versions.
-
-        Raises:
-            InputError: if a record is damaged.
-        """
-        first = "json_extract(record, '$.violated[0]')"  # readers do not trust generated columns of the file
-        columns = f"id, {first}, json_extract(record, '$.class')"
-        query = f"SELECT {columns} FROM executions WHERE {first} IS NOT NULL ORDER BY id"  # noqa: S608 - all our own
-        try:
-            for number, name, kind in self._connection.execute(query):
-                yield number, name.decode(), kind and kind.decode()
-        except sqlite3.DatabaseError as error:  # such as a record that is not JSON
-            damage = f"{self.folder / DATABASE} is damaged: {error}"
-            raise InputError(f"{damage}; fuzz --resume executes what is lost again") from None
-
     def execution(self, number: int) -> Execution:
         """Return an execution.
 
@@ -349,11 +327,7 @@ def _execution(row: database.Row) -> Execution:
 
 
 def _record(row: database.Row) -> Record:
-    """Return the record in a row.
-
-    Raises:
-        DamagedError: if the row holds no valid record, or the record of another execution.
-    """
+    """Return the record in a row."""
     try:
         record = Record.from_json(row.record)
     except ValueError as error:

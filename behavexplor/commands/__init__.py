@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 import sysconfig
+import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -17,11 +18,10 @@ from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import tyro
 
-from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER, folder_for_matplotlib, has_temporary_folder
 from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, sentence
 
@@ -50,6 +50,10 @@ COMMANDS = (
 )
 _MODULES = {"import": "importing"}  # commands whose modules and functions are named otherwise
 
+NO_TEMPORARY_FOLDER: Final = (
+    "There is no folder for temporary files: set the environment variable TMPDIR to a folder that can be written"
+)
+_MATPLOTLIB: Final = "MPLCONFIGDIR"  # names the folder in which matplotlib keeps its cache
 _OUTPUT_FAILS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of errors that name no file
 
 _DESCRIPTION = "Find out how a driving policy fails."
@@ -161,3 +165,33 @@ def program() -> str:
     """Return the name by which the user called this program."""
     called = os.environ.get("BEHAVEXPLOR_PROGRAM") or Path(sys.argv[0]).name
     return called if not called.endswith(".py") else "python -m behavexplor"
+
+
+@contextmanager
+def folder_for_matplotlib() -> Iterator[None]:
+    """Give matplotlib, which highway-env imports, a temporary folder if HOME cannot be written; it warns otherwise."""
+    if _MATPLOTLIB in os.environ or _has_home() or not has_temporary_folder():
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="behavexplor-matplotlib-", ignore_cleanup_errors=True) as folder:
+        os.environ[_MATPLOTLIB] = folder
+        try:
+            yield
+        finally:
+            del os.environ[_MATPLOTLIB]
+
+
+def has_temporary_folder() -> bool:
+    """Return whether temporary files can be written."""
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def _has_home() -> bool:
+    try:
+        return os.access(Path.home(), os.W_OK)
+    except RuntimeError:  # the user has no home
+        return False

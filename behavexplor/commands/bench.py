@@ -12,10 +12,9 @@ import tyro
 from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import EXPERIMENT, Experiment, PlannedRun, read_experiment
 from behavexplor.bench.experiment_archive import ARCHIVE, Archive, read_archive, write_archive
-from behavexplor.bench.forecast import forecast
-from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, run_state
+from behavexplor.bench.runs import ExperimentProgress, ExperimentRunner, forecast, run_state
 from behavexplor.bench.summaries import Summary, summaries_csv, summarize
-from behavexplor.bench.table import Table, table_csv, table_latex, table_markdown
+from behavexplor.bench.table import Table, table_csv, table_markdown
 from behavexplor.bench.tables import tables
 from behavexplor.campaign.campaign import search_method
 from behavexplor.campaign.config import RUNS, check_said_twice
@@ -23,8 +22,7 @@ from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Trust
-from behavexplor.commands.report import PAGE
-from behavexplor.commands.wording import clock, say, text
+from behavexplor.commands.wording import clock, counted, say, text
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores
@@ -32,6 +30,7 @@ from behavexplor.execution.ray_cluster import parse_cluster
 from behavexplor.execution.start import check_loading, fewest_workers, logical_of_target, start_executor
 from behavexplor.judge.robustness import load_specs
 from behavexplor.report.experiment_page import experiment_page
+from behavexplor.report.run_page import PAGE
 
 _MAX_JOBS = 1024
 
@@ -85,7 +84,7 @@ def bench(  # noqa: PLR0913 - one argument for each flag
     summaries = {**archived, **_summaries(finished, root, quiet=quiet)}
     if summaries:
         _report(chosen, root, {run: summaries[run] for run in chosen.runs() if run in summaries})
-    say(f"{len(summaries)} of {_counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
+    say(f"{len(summaries)} of {counted(len(chosen.runs()), 'campaign')} finished; all results are in {root}")
     if summaries:
         say(f"Report: {root / PAGE}")
     return code
@@ -110,31 +109,22 @@ def _plan(experiment: Experiment, runs: Sequence[PlannedRun], root: Path, jobs: 
     left = sum(experiment.budget - found.executions for found in states if not found.finished)
     parts = ", ".join(
         [
-            _counted(len(experiment.envs), "environment"),
-            _counted(len(experiment.systems), "driving system"),
-            _counted(len(experiment.methods), "method"),
-            _counted(experiment.seeds, "seed"),
+            counted(len(experiment.envs), "environment"),
+            counted(len(experiment.systems), "driving system"),
+            counted(len(experiment.methods), "method"),
+            counted(experiment.seeds, "seed"),
         ]
     )
     at_a_time = jobs or available_cores()  # of a cluster the number of nodes is unknown here
     seconds = forecast(experiment, runs, root, at_a_time)
     return (
-        f"{_counted(planned, 'campaign')} of {_counted(experiment.budget, 'execution')}: {parts}\n"
-        f"{finished} finished; {_counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
+        f"{counted(planned, 'campaign')} of {counted(experiment.budget, 'execution')}: {parts}\n"
+        f"{finished} finished; {counted(left, 'execution')} left, about {clock(seconds)} with {at_a_time} at a time"
     )
 
 
-def _counted(number: int, noun: str) -> str:
-    """Return a number with its noun, such as "1 environment" or "4 environments"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
 def _prepare(experiment: Experiment, root: Path) -> None:
-    """Check the whole experiment before its first campaign, and create its folder.
-
-    Raises:
-        InputError: if an environment, an ADS, a method, a spec or the folder cannot be used.
-    """
+    """Check the whole experiment before its first campaign, and create its folder."""
     known = any((root / name).is_file() for name in (EXPERIMENT, ARCHIVE))
     if root.is_dir() and any(root.iterdir()) and not known:
         raise InputError(f"{root} is neither empty nor an experiment folder: choose another --out")
@@ -177,7 +167,7 @@ def _run(
 def _words(progress: ExperimentProgress) -> str:
     failed = f", {len(progress.failed)} failed" if progress.failed else ""
     left = f", about {clock(progress.left)} left" if progress.left is not None else ""
-    return f"{progress.finished} of {_counted(progress.runs, 'campaign')}{failed}{left}"
+    return f"{progress.finished} of {counted(progress.runs, 'campaign')}{failed}{left}"
 
 
 def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> dict[PlannedRun, Summary]:
@@ -191,11 +181,7 @@ def _summaries(runs: Sequence[PlannedRun], root: Path, *, quiet: bool) -> dict[P
 
 
 def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
-    """Print the tables, and write the tables, curves, summaries, archive and page to the experiment folder.
-
-    Raises:
-        InputError: if a file cannot be written.
-    """
+    """Print the tables, and write the tables, curves, summaries, archive and page to the experiment folder."""
     summaries = list(campaigns.values())
     made = tables(experiment, summaries)
     printed = "\n\n".join(map(text, made)) + "\n"
@@ -217,7 +203,7 @@ def _report(experiment: Experiment, root: Path, campaigns: Archive) -> None:
 
 
 def _files(table: Table) -> dict[str, str]:
-    return {"csv": table_csv(table), "tex": table_latex(table), "md": table_markdown(table)}
+    return {"csv": table_csv(table), "md": table_markdown(table)}
 
 
 def _stoppable(runner: ExperimentRunner) -> AbstractContextManager[None]:

@@ -77,11 +77,7 @@ def _table(outcomes: Sequence[CheckedCase]) -> str:
 
 
 def _write(path: Path, suite: Suite, outcomes: Sequence[CheckedCase]) -> None:
-    """Write results as JUnit XML.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
+    """Write results as JUnit XML."""
     tests = TestSuite(f"behavexplor {suite.env}")
     for outcome in outcomes:
         test = TestCase(outcome.case.name, classname=suite.env)

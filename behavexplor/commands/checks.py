@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from behavexplor.campaign.run_summary import ClassSummary, RunSummary
+from behavexplor.campaign.progress import ClassSummary
+from behavexplor.campaign.run_summary import RunSummary
 from behavexplor.commands.wording import class_count
 from behavexplor.data.durable import write_given
 from behavexplor.data.untrusted import read_file

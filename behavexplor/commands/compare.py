@@ -166,11 +166,7 @@ def values(pairs: Sequence[Pairs]) -> list[dict[str, Any]]:
 
 
 def _write(folder: Path, pairs: Sequence[Pairs], pages: Sequence[Path]) -> None:
-    """Write the paired statistics as JSON, and the page.
-
-    Raises:
-        InputError: if the files cannot be written.
-    """
+    """Write the paired statistics as JSON, and the page."""
     runs = [read_run(place / name) for place in pages for name in (pair_campaigns.FIRST, pair_campaigns.SECOND)]
     text = page(runs, _REPLAYS, (COLUMNS, rows(pairs)))
     try:

@@ -12,10 +12,11 @@ from behavexplor.campaign.config import stamped_folder
 from behavexplor.commands import OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.fuzz import fuzz
-from behavexplor.commands.report import PAGE, report
+from behavexplor.commands.report import report
 from behavexplor.commands.wording import say
 from behavexplor.data.durable import folder_in
 from behavexplor.errors import InputError, missing_library
+from behavexplor.report.run_page import PAGE
 
 
 def demo(

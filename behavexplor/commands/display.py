@@ -3,9 +3,8 @@
 import shlex
 import time
 from collections import Counter
-from collections.abc import Sequence
 from types import TracebackType
-from typing import NamedTuple, Self, TextIO
+from typing import Self, TextIO
 
 from rich.live import Live
 from rich.panel import Panel
@@ -19,12 +18,10 @@ from behavexplor.campaign.progress import Progress
 from behavexplor.campaign.store import Store
 from behavexplor.commands.wording import class_count, clock, hanging
 from behavexplor.errors import printable, sentence
-from behavexplor.judge.classes import words_of
 from behavexplor.judge.discovery import Discovery
 from behavexplor.judge.specs import DIFFERS, ERROR
 
 LINE_SECONDS = 10.0  # interval between plain lines [s]
-_LISTED_FAILURES = 3  # number of listed failures for each spec
 _LISTED_CLASSES = 8  # number of listed classes
 _FIGURES = {  # figures of search methods, in words
     "corpus": "kept scenarios",
@@ -103,7 +100,7 @@ class Display:
         right = [("failed", f"{progress.failed} ({share(progress.failed, progress)})")]
         right += [(name, f"{count}{_ago(progress, name)}") for name, count in progress.violations.items()]
         right += [("classes of failures", f"{len(progress.classes)}{_ago(progress, 'class')}")]
-        right += [("at fault", f"{sum(progress.at_fault.values())} in {class_count(len(progress.at_fault))}")]
+        right += [("at fault", f"{progress.at_fault} in {class_count(_classes_at_fault(progress))}")]
         figures = {_FIGURES.get(name, name.replace("_", " ")): value for name, value in progress.method.items()}
         right += [(name, f"{value:.4g}") for name, value in figures.items()]
         blank = ("", "")
@@ -135,75 +132,59 @@ def summary(progress: Progress, store: Store, program: str, method: str) -> str:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [f"None failed. All results are in {store.folder}", "Search with a larger budget:", command]
         return "\n".join(lines)
-    failures = [_Failure(*row) for row in store.failures()]
-    kinds = [failure.kind for failure in failures if failure.kind is not None]
-    unique = f" in {class_count(len(set(kinds)))}, {_at_fault(progress)}" if kinds else ""
-    failed = f"{progress.failed} failed ({share(progress.failed, progress)}){unique}"
+    classes = f"{class_count(len(progress.classes))}, {_at_fault(progress)}"
+    failed = f"{progress.failed} failed ({share(progress.failed, progress)}) in {classes}"
     lines += [hanging("", f"{failed}; each failure is counted under its most severe type:")]
     width = max(12, *map(len, progress.violations))
-    lines += [_line_of(name, width, [one for one in failures if one.spec == name]) for name in progress.violations]
-    lines += [*_errors(failures, progress, store), *_listed_classes(failures), *_outlook(kinds, progress, method)]
+    lines += [_line_of(name, width, progress) for name, count in progress.violations.items() if count]
+    kinds = Counter({one.id: one.count for one in progress.classes.values()})
+    outlook = Discovery.of(kinds.elements(), progress.executions).outlook(method)
+    lines += [*_errors(progress, store), *_listed_classes(progress), hanging("", outlook)]
     lines += [f"All results are in {store.folder}", "with a file for each failure in its folder failures."]
     folder = shlex.quote(str(store.folder))
-    lines += ["Replay the first failure:", f"{program} replay {folder} {failures[0].number}"]  # on lines of their own,
+    first = min(one.first for one in progress.classes.values())
+    lines += ["Replay the first failure:", f"{program} replay {folder} {first}"]  # on lines of their own,
     lines += ["Write a report on the run:", f"{program} report {folder}"]  # so that they can be copied
-    return "\n".join(line for line in lines if line)
+    return "\n".join(lines)
 
 
 def _at_fault(progress: Progress) -> str:
     """Return the failures for which the driving system was at fault, in words."""
-    return f"{sum(progress.at_fault.values())} at fault in {class_count(len(progress.at_fault))}"
+    return f"{progress.at_fault} at fault in {class_count(_classes_at_fault(progress))}"
 
 
-def _outlook(kinds: Sequence[str], progress: Progress, method: str) -> list[str]:
-    """Return a line on what has not been found yet; none without classes."""
-    if not kinds:
-        return []
-    return [hanging("", Discovery.of(kinds, progress.executions).outlook(method))]
+def _classes_at_fault(progress: Progress) -> int:
+    return sum(one.at_fault > 0 for one in progress.classes.values())
 
 
-class _Failure(NamedTuple):
-    number: int
-    spec: str
-    kind: str | None
-
-
-def _errors(failures: list["_Failure"], progress: Progress, store: Store) -> list[str]:
+def _errors(progress: Progress, store: Store) -> list[str]:
     """Return a line about a driver that failed instead of driving, and one about what highway-env did not confirm."""
-    errors = [failure for failure in failures if failure.spec == ERROR]
-    own, unconfirmed = (
-        [failure.number for failure in errors if (failure.kind == f"{ERROR}/{DIFFERS}") == is_ours]
-        for is_ours in (False, True)
-    )
+    errors = [one for one in progress.classes.values() if one.id.startswith(f"{ERROR}/")]
+    own = [one for one in errors if one.id != f"{ERROR}/{DIFFERS}"]
+    unconfirmed = [one for one in errors if one not in own]
     lines = []
-    for numbers, what in ((own, "The driver itself failed"), (unconfirmed, "highway-env did not confirm the failure")):
-        if numbers:
-            count = "every execution" if len(numbers) == progress.executions else f"{len(numbers)} executions"
-            error = store.execution(numbers[0]).record.error or {}
-            lines.append(f"{what} in {count}, first in {numbers[0]}: {sentence(error.get('message', ''))}")
+    for found, what in ((own, "The driver itself failed"), (unconfirmed, "highway-env did not confirm the failure")):
+        if found:
+            number, first = sum(one.count for one in found), min(one.first for one in found)
+            count = "every execution" if number == progress.executions else f"{number} executions"
+            error = store.execution(first).record.error or {}
+            lines.append(f"{what} in {count}, first in {first}: {sentence(error.get('message', ''))}")
     return lines
 
 
-def _line_of(spec: str, width: int, failures: list[_Failure]) -> str:
-    """Return a line with the number of violations of a spec and the first of them; empty if there are none."""
-    if not failures:
-        return ""
-    more = ", ..." if len(failures) > _LISTED_FAILURES else ""
-    listed = ", ".join(str(failure.number) for failure in failures[:_LISTED_FAILURES])
-    return f"  {spec:{width}} {len(failures):5}   executions {listed}{more}"
+def _line_of(spec: str, width: int, progress: Progress) -> str:
+    """Return a line with the number of violations of a spec and the first of them."""
+    count, listed = progress.violations[spec], progress.examples[spec]
+    more = ", ..." if count > len(listed) else ""
+    return f"  {spec:{width}} {count:5}   executions {', '.join(map(str, listed))}{more}"
 
 
-def _listed_classes(failures: list[_Failure]) -> list[str]:
+def _listed_classes(progress: Progress) -> list[str]:
     """Return the most frequent classes with a title, each as a sentence and by its id."""
-    counts = Counter(failure.kind for failure in failures if failure.kind is not None)
-    if not counts:
-        return []
-    first = {failure.kind: failure.number for failure in reversed(failures)}
-    shown = counts.most_common(_LISTED_CLASSES)
-    title = "The classes:" if len(shown) == len(counts) else f"The {len(shown)} most frequent classes:"
-    lines = [title]
-    for kind, count in shown:
-        lines += [hanging(f"{count:7}  ", words_of(str(kind))), f"         {kind}, first {first[kind]}"]
+    shown, count = progress.largest_first[:_LISTED_CLASSES], len(progress.classes)
+    lines = ["The classes:" if len(shown) == count else f"The {len(shown)} most frequent classes:"]
+    for one in shown:
+        lines += [hanging(f"{one.count:7}  ", one.words), f"         {one.id}, first {one.first}"]
     return lines
 
 

@@ -102,11 +102,6 @@ def described(kind: type) -> dict[str, str]:
 def check_unchanged(given: Mapping[str, Any], stored: Any, what: str) -> None:
     """Check that flags beside --resume do not change the configuration of what is resumed.
 
-    Args:
-        given: values of the flags by key of the configuration.
-        stored: the configuration.
-        what: what is resumed, for the message.
-
     Raises:
         InputError: if a value differs.
     """

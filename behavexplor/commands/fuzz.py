@@ -159,11 +159,7 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str) -> int
 
 
 def _checked_workers(workers: int | None, cluster: str | None) -> int:
-    """Return the number of workers for `behavexplor.campaign.opening.opened`.
-
-    Raises:
-        InputError: if the number is out of range.
-    """
+    """Return the number of workers for `behavexplor.campaign.opening.opened`."""
     if cluster is None:
         return chosen_workers(workers)
     parse_cluster(cluster)

@@ -78,11 +78,7 @@ def _road(config: CampaignConfig, run: Path) -> RoadShape:
 
 
 def _show(execution: Execution, shape: RoadShape, place: _Place) -> None:
-    """Draw an execution.
-
-    Raises:
-        InputError: if the execution does not belong to this environment, or the pictures cannot be written.
-    """
+    """Draw an execution."""
     foreign = f"Execution {execution.id} does not belong to the environment of this run"
     if shape.surfaces and len(execution.load_trace().illegal_lines) != len(shape.line_kinds):  # if the road is known
         raise InputError(f"{foreign}: its trace has different illegal lines")
@@ -107,11 +103,7 @@ def _draw(execution: Execution, shape: RoadShape, place: _Place) -> None:
 
 
 def _save(footage: Footage, frame: int, place: _Place, name: str) -> tuple[Path, Path]:
-    """Write an animation and a picture of one frame, and return their paths.
-
-    Raises:
-        InputError: if they cannot be written.
-    """
+    """Write an animation and a picture of one frame, and return their paths."""
     try:
         folder = folder_in(*place)
     except OSError as error:
@@ -128,11 +120,7 @@ def _save(footage: Footage, frame: int, place: _Place, name: str) -> tuple[Path,
 
 
 def _avoid(execution: Execution, config: CampaignConfig, run: Path, place: _Place) -> int:
-    """Drive and draw the avoidance of a collision that triage has stored.
-
-    Raises:
-        InputError: if there is none.
-    """
+    """Drive and draw the avoidance of a collision that triage has stored."""
     file = witness_path(run, execution.id)
     if not file.is_file():
         raise InputError(_why_not_avoided(execution, run))

@@ -8,12 +8,9 @@ import tyro
 from behavexplor.bench.experiment import EXPERIMENT
 from behavexplor.commands import OK
 from behavexplor.commands.wording import say
-from behavexplor.data.durable import write_durably
 from behavexplor.errors import InputError
 from behavexplor.report.reading import read_run
-from behavexplor.report.run_page import page
-
-PAGE = "report.html"
+from behavexplor.report.run_page import PAGE, page, written
 
 
 def report(
@@ -42,10 +39,5 @@ def report(
         if (run / EXPERIMENT).is_file():
             raise InputError(f"{run} is the folder of an experiment: its page is {run / PAGE}, which `bench` writes")
     path = out or (runs[0] / PAGE if len(runs) == 1 else Path(PAGE))
-    text = page([read_run(run) for run in runs], replays)
-    try:
-        write_durably(path, text)
-    except OSError as error:
-        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
-    say(f"Report: {path}")
+    say(f"Report: {written(path, page([read_run(run) for run in runs], replays))}")
     return OK

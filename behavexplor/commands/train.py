@@ -88,11 +88,6 @@ def train(
 def resumed_config(kind: type[_Config], file: Path, what: str) -> _Config:
     """Return the configuration in the folder of a training that is resumed.
 
-    Args:
-        kind: type of the configuration.
-        file: its file.
-        what: what is resumed, for messages.
-
     Raises:
         InputError: if the folder has no such file, or the file cannot be used.
     """

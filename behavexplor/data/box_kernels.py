@@ -1,10 +1,12 @@
-"""Compiled distances of boxes, see `behavexplor.data.geometry`, whose functions call these."""
+"""Contact and distances of boxes and segments, compiled; `behavexplor.data.geometry` has them for many pairs."""
 
 import math
-from typing import Final
+from typing import Final, TypeAlias
 
 from behavexplor.data.array_types import Floats, Ints
 from behavexplor.jit import kernel_in_place, kernel_inner
+
+Corners: TypeAlias = tuple[tuple[float, float, float, float], tuple[float, float, float, float]]  # all x, all y [m]
 
 BLOCK: Final = 8  # points that share one bound in the search for the nearest segment
 _SLACK: Final = 1e-6  # more than rounding changes a distance [m]
@@ -14,47 +16,42 @@ _SLACK: Final = 1e-6  # more than rounding changes a distance [m]
 def fill_box_distances(a: Floats, b: Floats, gaps: Floats) -> None:
     """Fill in the distance of each pair of boxes; corners of shape (n, 4, 2), distances of shape (n,)."""
     for i in range(len(gaps)):
-        gaps[i] = _between_boxes(a[i], b[i])
+        gaps[i] = _between_boxes(_corners_in(a[i]), _corners_in(b[i]))
 
 
 @kernel_in_place
 def fill_distances_from_first(
-    position: Floats, cos: Floats, sin: Floats, size: Floats, frame: Ints, vehicle: Ints, room: Floats, gaps: Floats
+    position: Floats, cos: Floats, sin: Floats, size: Floats, frame: Ints, vehicle: Ints, gaps: Floats
 ) -> None:
     """Fill in distances; see `behavexplor.data.geometry.distances_from_first`.
 
-    The directions of the first vehicle and of the others have the shape (2, n). `room` is for the corners of two boxes.
+    The directions of the first vehicle and of the others have the shape (2, n).
     """
     for i in range(len(gaps)):
         t, other = frame[i], vehicle[i]
-        _fill_corners(position[t, 0], cos[0, i], sin[0, i], size[0], room[0])
-        _fill_corners(position[t, other], cos[1, i], sin[1, i], size[other], room[1])
-        gaps[i] = _between_boxes(room[0], room[1])
+        ego = corners(position[t, 0, 0], position[t, 0, 1], cos[0, i], sin[0, i], size[0, 0], size[0, 1])
+        place, extent = position[t, other], size[other]
+        npc = corners(place[0], place[1], cos[1, i], sin[1, i], extent[0], extent[1])
+        gaps[i] = _between_boxes(ego, npc)
 
 
 @kernel_in_place
 def fill_distances_from_segments(
-    position: Floats,
-    cos: Floats,
-    sin: Floats,
-    size: Floats,
-    segments: Floats,
-    segment: Ints,
-    room: Floats,
-    gaps: Floats,
+    position: Floats, cos: Floats, sin: Floats, size: Floats, segments: Floats, segment: Ints, gaps: Floats
 ) -> None:
     """Fill in distances; see `behavexplor.data.geometry.distances_from_segments`.
 
-    The directions of the boxes have the shape (n,). `room` is for the corners of a box.
+    The directions of the boxes have the shape (n,).
     """
     for i in range(len(gaps)):
-        box, line = room[0], segments[segment[i]]
-        _fill_corners(position[i], cos[i], sin[i], size, box)
+        box = corners(position[i, 0], position[i, 1], cos[i], sin[i], size[0], size[1])
+        line = segments[segment[i]]
+        ax, ay, bx, by = line[0, 0], line[0, 1], line[1, 0], line[1, 1]
         gaps[i] = 0.0
-        if not _meets(box, line):
-            gaps[i] = min(_to_segment(box[0], line[0], line[1]), _corners_to_edges(line, box))
-            for k in range(1, 4):
-                gaps[i] = min(gaps[i], _to_segment(box[k], line[0], line[1]))
+        if not line_meets_box(box, ax, ay, bx, by):
+            gaps[i] = min(_to_edges(ax, ay, box), _to_edges(bx, by, box))
+            for k in range(4):
+                gaps[i] = min(gaps[i], line_distance(box[0][k], box[1][k], ax, ay, bx, by))
 
 
 @kernel_in_place
@@ -77,7 +74,7 @@ def fill_point_segment_distances(points: Floats, segments: Floats, gaps: Floats)
     """Fill in the distances of points, shape (n, 2), from segments, shape (m, 2, 2); distances of shape (n, m)."""
     for i in range(len(points)):
         for k in range(len(segments)):
-            gaps[i, k] = _to_segment(points[i], segments[k, 0], segments[k, 1])
+            gaps[i, k] = _to_segment(points[i], segments[k])
 
 
 @kernel_in_place
@@ -94,7 +91,7 @@ def fill_near_segments(
     upper, count = math.inf, 0
     for block in range(len(gaps)):
         for k in range(len(segments)):
-            gaps[block, k] = _to_segment(points[block * BLOCK], segments[k, 0], segments[k, 1])
+            gaps[block, k] = _to_segment(points[block * BLOCK], segments[k])
             upper = min(upper, gaps[block, k])
     upper = max(upper - within, 0.0)
     for block in range(len(gaps)):
@@ -147,19 +144,88 @@ def fill_changed_frames(position: Floats, heading: Floats, frames: Ints) -> int:
 
 
 @kernel_inner
-def _fill_corners(position: Floats, cos: float, sin: float, size: Floats, corners: Floats) -> None:
-    """Fill in the corners of a box, as `behavexplor.data.geometry.box_corners` computes them."""
-    for k in range(4):
-        ahead = (0.5 if k < 2 else -0.5) * size[0]
-        aside = (-0.5 if 0 < k < 3 else 0.5) * size[1]
-        corners[k, 0] = ahead * cos - aside * sin + position[0]
-        corners[k, 1] = ahead * sin + aside * cos + position[1]
+def corners(x: float, y: float, cos: float, sin: float, length: float, width: float) -> Corners:
+    """Compute the corners of an oriented box, in order around it, from its center and the direction of its heading."""
+    a, b = 0.5 * length, 0.5 * width
+    return (
+        (a * cos - b * sin + x, a * cos - -b * sin + x, -a * cos - -b * sin + x, -a * cos - b * sin + x),
+        (a * sin + b * cos + y, a * sin + -b * cos + y, -a * sin + -b * cos + y, -a * sin + b * cos + y),
+    )
 
 
 @kernel_inner
-def _between_boxes(a: Floats, b: Floats) -> float:
-    """Return the distance between two boxes, corners of shape (4, 2)."""
-    return 0.0 if _overlap(a, b) else min(_corners_to_edges(a, b), _corners_to_edges(b, a))
+def boxes_touch(a: Corners, b: Corners) -> bool:
+    """Return whether two boxes touch or overlap, by the separating axis theorem."""
+    return not (_sides_separate(a, b) or _sides_separate(b, a))
+
+
+@kernel_inner
+def _sides_separate(box: Corners, other: Corners) -> bool:
+    """Return whether a side of the box is an axis that separates it from the other box."""
+    xs, ys = box
+    for i in range(2):
+        ex, ey = xs[i + 1] - xs[i], ys[i + 1] - ys[i]
+        low, high = span(box, ex, ey)
+        other_low, other_high = span(other, ex, ey)
+        if high < other_low or other_high < low:
+            return True
+    return False
+
+
+@kernel_inner
+def span(box: Corners, ex: float, ey: float) -> tuple[float, float]:
+    """Compute the least and greatest projection of the corners on an axis."""
+    xs, ys = box
+    low, high = math.inf, -math.inf
+    for i in range(4):
+        along = xs[i] * ex + ys[i] * ey
+        low, high = min(low, along), max(high, along)
+    return low, high
+
+
+@kernel_inner
+def line_distance(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
+    """Compute the distance of a point from a segment [m]."""
+    dx, dy = bx - ax, by - ay
+    squared = dx * dx + dy * dy
+    share = ((x - ax) * dx + (y - ay) * dy) / (squared if squared > 0 else 1.0)
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(x - (ax + share * dx), y - (ay + share * dy))
+
+
+@kernel_inner
+def line_meets_box(box: Corners, ax: float, ay: float, bx: float, by: float) -> bool:
+    """Return whether a segment touches or enters a box.
+
+    The separating axes are two sides of the box and the normal of the segment.
+    """
+    xs, ys = box
+    for i in range(3):
+        ex, ey = ay - by, bx - ax
+        if i < 2:
+            ex, ey = xs[i + 1] - xs[i], ys[i + 1] - ys[i]
+        low, high = span(box, ex, ey)
+        start, end = ax * ex + ay * ey, bx * ex + by * ey
+        if high < min(start, end) or max(start, end) < low:
+            return False
+    return True
+
+
+@kernel_inner
+def _corners_in(box: Floats) -> Corners:
+    """Return the corners in an array, shape (4, 2)."""
+    return (box[0, 0], box[1, 0], box[2, 0], box[3, 0]), (box[0, 1], box[1, 1], box[2, 1], box[3, 1])
+
+
+@kernel_inner
+def _between_boxes(a: Corners, b: Corners) -> float:
+    """Return the distance between two boxes."""
+    least = 0.0
+    if not boxes_touch(a, b):
+        least = math.inf
+        for k in range(4):
+            least = min(least, _to_edges(a[0][k], a[1][k], b), _to_edges(b[0][k], b[1][k], a))
+    return least
 
 
 @kernel_inner
@@ -172,59 +238,19 @@ def _is_still(position: Floats, before: Floats, heading: Floats, heading_before:
 
 
 @kernel_inner
-def _corners_to_edges(points: Floats, box: Floats) -> float:
-    """Return the least distance of points, shape (n, 2), from the edges of a box, shape (4, 2)."""
+def _to_edges(x: float, y: float, box: Corners) -> float:
+    """Return the least distance of a point from the edges of a box."""
+    xs, ys = box
     least = math.inf
-    for i in range(len(points)):
-        for k in range(4):
-            least = min(least, _to_segment(points[i], box[k], box[(k + 1) % 4]))
+    for k in range(4):
+        after = (k + 1) % 4
+        least = min(least, line_distance(x, y, xs[k], ys[k], xs[after], ys[after]))
     return least
 
 
 @kernel_inner
-def _to_segment(point: Floats, start: Floats, end: Floats) -> float:
-    along_x, along_y = end[0] - start[0], end[1] - start[1]
-    squared = along_x * along_x + along_y * along_y
-    share = ((point[0] - start[0]) * along_x + (point[1] - start[1]) * along_y) / (squared if squared > 0.0 else 1.0)
-    share = min(max(share, 0.0), 1.0)
-    return math.hypot(point[0] - (start[0] + share * along_x), point[1] - (start[1] + share * along_y))
-
-
-@kernel_inner
-def _overlap(a: Floats, b: Floats) -> bool:
-    """Return whether two boxes touch or overlap, by the separating axis theorem."""
-    for k in range(2):
-        if _separates(a, b, a[k + 1, 0] - a[k, 0], a[k + 1, 1] - a[k, 1]):
-            return False
-        if _separates(a, b, b[k + 1, 0] - b[k, 0], b[k + 1, 1] - b[k, 1]):
-            return False
-    return True
-
-
-@kernel_inner
-def _meets(box: Floats, segment: Floats) -> bool:
-    """Return whether a segment touches or enters a box, by the separating axis theorem."""
-    for k in range(2):
-        if _separates(box, segment, box[k + 1, 0] - box[k, 0], box[k + 1, 1] - box[k, 1]):
-            return False
-    return not _separates(box, segment, -(segment[1, 1] - segment[0, 1]), segment[1, 0] - segment[0, 0])
-
-
-@kernel_inner
-def _separates(a: Floats, b: Floats, x: float, y: float) -> bool:
-    """Return whether two sets of points lie apart along a direction."""
-    low_a, high_a = _extent(a, x, y)
-    low_b, high_b = _extent(b, x, y)
-    return high_a < low_b or high_b < low_a
-
-
-@kernel_inner
-def _extent(points: Floats, x: float, y: float) -> tuple[float, float]:
-    low, high = math.inf, -math.inf
-    for i in range(len(points)):
-        along = points[i, 0] * x + points[i, 1] * y
-        low, high = min(low, along), max(high, along)
-    return low, high
+def _to_segment(point: Floats, segment: Floats) -> float:
+    return line_distance(point[0], point[1], segment[0, 0], segment[0, 1], segment[1, 0], segment[1, 1])
 
 
 @kernel_in_place

@@ -92,19 +92,11 @@ class DrawnLogicalScenario:
 
     @cached_property
     def encoding(self) -> "DrawnEncoding":
-        """The encoding of scenarios as vectors.
-
-        Raises:
-            InputError: if the environment makes no draws.
-        """
+        """The encoding of scenarios as vectors."""
         return DrawnEncoding(self)
 
     def check(self, scenario: Any) -> None:
-        """Check that a scenario belongs to this environment and configuration.
-
-        Raises:
-            InputError: if it does not; the message names the difference.
-        """
+        """Check that a scenario belongs to this environment and configuration."""
         if not isinstance(scenario, DrawnScenario):
             raise InputError(f"functional: this is a scenario of {scenario.functional!r}, not of {self.name!r}")
         if scenario.setup != self.setup:
@@ -118,11 +110,7 @@ class DrawnLogicalScenario:
                 raise InputError(f"draws[{draw.name!r}][{draw.position}]: {value} is not in [0, 1)")
 
     def adopted(self, scenario: Any) -> DrawnScenario:
-        """Return the scenario of another driver as one of this set: the same draws in the same scene.
-
-        Raises:
-            InputError: if the scenes differ; the message names the difference.
-        """
+        """Return the scenario of another driver as one of this set: the same draws in the same scene."""
         same_scene = isinstance(scenario, DrawnScenario) and scenario.setup.scene == self.setup.scene
         adopted: DrawnScenario = replace(scenario, setup=self.setup) if same_scene else scenario
         self.check(adopted)
@@ -152,11 +140,7 @@ class DrawnLogicalScenario:
         )
 
     def mutate_little(self, scenario: DrawnScenario, rng: np.random.Generator, noise: Noise) -> DrawnScenario:
-        """Return a mutant by Gaussian noise on the shares of some vehicles' draws, reflected at 0 and 1.
-
-        Raises:
-            InputError: if no mutant was found.
-        """
+        """Return a mutant by Gaussian noise on the shares of some vehicles' draws, reflected at 0 and 1."""
 
         def changed(forms: Floats) -> Floats:
             shares = self.shares(forms)
@@ -166,11 +150,7 @@ class DrawnLogicalScenario:
         return self._mutate(scenario, rng, noise.keep_probability, changed, reseed=False)
 
     def mutate_much(self, scenario: DrawnScenario, rng: np.random.Generator, keep_probability: float) -> DrawnScenario:
-        """Return a mutant by new draws for some vehicles.
-
-        Raises:
-            InputError: if no mutant was found.
-        """
+        """Return a mutant by new draws for some vehicles."""
         return self._mutate(scenario, rng, keep_probability, lambda _: self._fresh(rng), reseed=True)
 
     def _mutate(
@@ -246,11 +226,7 @@ class DrawnLogicalScenario:
         return tuple(Part(str(i), tuple(values[j] for j in block)) for i, block in enumerate(self.blocks))
 
     def with_parts(self, scenario: DrawnScenario, parts: Parts) -> DrawnScenario:
-        """Return a scenario with other draws.
-
-        Raises:
-            InputError: if the draws are not valid.
-        """
+        """Return a scenario with other draws."""
         forms = self._plain_forms.copy()
         for block, part in zip(self.blocks, parts, strict=True):
             for j, value in zip(block, part.values, strict=True):
@@ -269,11 +245,6 @@ class DrawnEncoding:
     """Encoding of a highway-env environment's scenarios as points of [0, 1]^n.
 
     The last block has one gene, the seed. A gene that a block does not need stands for nothing.
-
-    Attributes:
-        logical: the encoded logical scenario.
-        n_blocks: number of blocks in a vector.
-        n_genes: number of genes in a block.
 
     Raises:
         InputError: if the environment makes no draws.
@@ -295,11 +266,7 @@ class DrawnEncoding:
         return self.n_blocks * self.n_genes
 
     def decode(self, vector: Floats) -> DrawnScenario:
-        """Return the scenario of a vector, shape (n,). Values beyond [0, 1] are clipped.
-
-        Raises:
-            InputError: if the vector has a wrong shape or is not finite.
-        """
+        """Return the scenario of a vector, shape (n,). Values beyond [0, 1] are clipped."""
         vector = np.asarray(vector, dtype=np.float64)
         if vector.shape != (self.size,) or not np.isfinite(vector).all():
             raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")

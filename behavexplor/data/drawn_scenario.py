@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, Self
 
 import numpy as np
 
-from behavexplor.data.untrusted import object_fields, parse_json
+from behavexplor.data.untrusted import object_fields
 from behavexplor.errors import InputError, brief
 
 Traffic = Literal["default", "wide"]
@@ -156,7 +156,7 @@ class DrawnScenario:
         }
 
     def to_json(self) -> str:
-        """Return the scenario as one line of JSON. `from_json` restores it exactly."""
+        """Return the scenario as one line of JSON. `behavexplor.data.scenario.parse_scenario` restores it exactly."""
         return json.dumps(self.to_dict(), separators=(",", ":"))
 
     @classmethod
@@ -179,12 +179,3 @@ class DrawnScenario:
                 raise InputError(f"{name}: expected a text, got {brief(fields[name])}")
         setup = Setup(fields["functional"], config_text(fields["config"]), fields["traffic"], fields["highway-env"])
         return cls(setup, fields["seed"], sorted_draws(draws))
-
-    @classmethod
-    def from_json(cls, text: str) -> Self:
-        """Create a scenario from JSON, as returned by `to_json`.
-
-        Raises:
-            InputError: if the text is too long or not JSON, or a field is wrong; the message names the field.
-        """
-        return cls.from_dict(parse_json(text, "a scenario"))

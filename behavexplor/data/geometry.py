@@ -9,19 +9,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from behavexplor.data import box_kernels
 from behavexplor.data.array_types import Floats, Ints
-from behavexplor.data.box_kernels import (
-    BLOCK,
-    fill_box_distances,
-    fill_changed_frames,
-    fill_distances_from_first,
-    fill_distances_from_segments,
-    fill_gap_bounds,
-    fill_gaps_from_lines,
-    fill_near_segments,
-    fill_point_segment_distances,
-    fill_stations,
-)
 
 _UNIT_BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 
@@ -70,7 +59,7 @@ def boxes_overlap(a: Floats, b: Floats) -> NDArray[np.bool_]:
 def point_segment_distances(points: Floats, segments: Floats) -> Floats:
     """Compute the distances of points, shape (n, 2), from segments, shape (m, 2, 2); distances of shape (n, m)."""
     gaps = np.empty((len(points), len(segments)))
-    fill_point_segment_distances(np.array(points, order="C"), np.array(segments, order="C"), gaps)
+    box_kernels.fill_point_segment_distances(np.array(points, order="C"), np.array(segments, order="C"), gaps)
     return gaps
 
 
@@ -106,7 +95,7 @@ def box_distance(a: Floats, b: Floats) -> Floats:
     if a.shape != b.shape:
         a, b = np.broadcast_arrays(a, b)
     gaps = np.empty(a.shape[:-2])
-    fill_box_distances(_flat(a, 4), _flat(b, 4), gaps.reshape(-1))
+    box_kernels.fill_box_distances(_flat(a, 4), _flat(b, 4), gaps.reshape(-1))
     return gaps
 
 
@@ -124,7 +113,9 @@ def gap_bounds(position: Floats, heading: Floats, outer: Floats, inner: Floats) 
         distance [m].
     """
     lower = np.empty((len(position), len(outer) - 1))
-    upper = fill_gap_bounds(np.ascontiguousarray(position), np.ascontiguousarray(heading), outer, inner, lower)
+    upper = box_kernels.fill_gap_bounds(
+        np.ascontiguousarray(position), np.ascontiguousarray(heading), outer, inner, lower
+    )
     return lower, upper
 
 
@@ -136,7 +127,8 @@ def changed_frames(position: Floats, heading: Floats) -> Ints:
         heading: headings, shape (T, N) [rad].
     """
     frames = np.empty(len(heading), dtype=np.intp)
-    return frames[: fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)]
+    count = box_kernels.fill_changed_frames(np.ascontiguousarray(position), np.ascontiguousarray(heading), frames)
+    return frames[:count]
 
 
 def distances_from_first(position: Floats, heading: Floats, size: Floats, frame: Ints, vehicle: Ints) -> Floats:
@@ -155,7 +147,7 @@ def distances_from_first(position: Floats, heading: Floats, size: Floats, frame:
     turned, gaps = np.empty((2, len(frame))), np.empty(len(frame))
     turned[0], turned[1] = heading[frame, 0], heading[frame, vehicle]
     directions = np.cos(turned), np.sin(turned)  # numpy's own functions, whose last bits differ from C's
-    fill_distances_from_first(np.ascontiguousarray(position), *directions, size, frame, vehicle, _room(), gaps)
+    box_kernels.fill_distances_from_first(np.ascontiguousarray(position), *directions, size, frame, vehicle, gaps)
     return gaps
 
 
@@ -174,7 +166,7 @@ def distances_from_segments(position: Floats, heading: Floats, size: Floats, seg
     """
     gaps = np.empty(len(position))
     directions = np.cos(heading), np.sin(heading)
-    fill_distances_from_segments(np.ascontiguousarray(position), *directions, size, segments, segment, _room(), gaps)
+    box_kernels.fill_distances_from_segments(np.ascontiguousarray(position), *directions, size, segments, segment, gaps)
     return gaps
 
 
@@ -190,10 +182,12 @@ def near_segments(points: Floats, segments: Floats, reach: float, within: float)
     Returns:
         Indices of the points and of the segments of the pairs, and an upper bound of the least distance [m].
     """
-    blocks = -(-len(points) // BLOCK)
+    blocks = -(-len(points) // box_kernels.BLOCK)
     gaps = np.empty((blocks, len(segments)))
-    point, segment = np.empty((2, blocks * BLOCK * len(segments)), dtype=np.intp)
-    count, upper = fill_near_segments(np.ascontiguousarray(points), segments, reach, within, gaps, point, segment)
+    point, segment = np.empty((2, blocks * box_kernels.BLOCK * len(segments)), dtype=np.intp)
+    count, upper = box_kernels.fill_near_segments(
+        np.ascontiguousarray(points), segments, reach, within, gaps, point, segment
+    )
     return point[:count], segment[:count], upper
 
 
@@ -206,13 +200,10 @@ def gaps_from_lines(position: Floats, heading: Floats, size: Floats, segments: F
     angle = np.arctan2(along[:, 1], along[:, 0])
     turned, gaps = heading - angle[segment], np.empty(len(heading))
     lines = np.column_stack([segments[:, 0], np.cos(angle), np.sin(angle)])
-    fill_gaps_from_lines(np.ascontiguousarray(position), np.cos(turned), np.sin(turned), size, lines, segment, gaps)
+    box_kernels.fill_gaps_from_lines(
+        np.ascontiguousarray(position), np.cos(turned), np.sin(turned), size, lines, segment, gaps
+    )
     return gaps
-
-
-def _room() -> Floats:
-    """Return room for the corners of two boxes."""
-    return np.empty((2, 4, 2))
 
 
 def _flat(points: Floats, count: int) -> Floats:
@@ -259,7 +250,7 @@ def project_on_polyline(points: Floats, polyline: Floats) -> tuple[Floats, Float
     vertices = np.array(polyline, dtype=np.float64, order="C")
     pieces, ends, heading = _pieces(vertices.tobytes())
     station = np.empty(len(points))
-    fill_stations(np.array(points, dtype=np.float64, order="C"), vertices, pieces, ends, station)
+    box_kernels.fill_stations(np.array(points, dtype=np.float64, order="C"), vertices, pieces, ends, station)
     return station, np.interp(station, (ends[:-1] + ends[1:]) / 2, heading)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Self
 
-from behavexplor.data.untrusted import object_fields, parse_json
+from behavexplor.data.untrusted import object_fields
 from behavexplor.errors import InputError, brief
 
 MAX_NAME_LENGTH = 200  # characters
@@ -124,7 +124,7 @@ class ScriptedScenario:
         }
 
     def to_json(self) -> str:
-        """Return the scenario as one line of JSON. `from_json` restores it exactly."""
+        """Return the scenario as one line of JSON. `behavexplor.data.scenario.parse_scenario` restores it exactly."""
         return json.dumps(self.to_dict(), separators=(",", ":"))
 
     @classmethod
@@ -139,15 +139,6 @@ class ScriptedScenario:
         for i, entry in enumerate(_list("npcs", fields["npcs"])):
             npcs.append(_within(f"npcs[{i}]", _npc_from_dict, entry))
         return cls(fields["functional"], tuple(npcs))
-
-    @classmethod
-    def from_json(cls, text: str) -> Self:
-        """Create a scenario from JSON, as returned by `to_json`.
-
-        Raises:
-            InputError: if the text is too long or not JSON, or a field is wrong; the message names the field.
-        """
-        return cls.from_dict(parse_json(text, "a scenario"))
 
 
 def _npc_from_dict(value: object) -> NPC:

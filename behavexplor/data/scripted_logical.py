@@ -1,22 +1,228 @@
 """Logical scenarios of scripted vehicles: ranges of concrete scenarios on a map, with their mutations and encoding.
 
-Source: paper section 2.2, for the parameters that are searched (the NPCs' routes and waypoints).
+The encoding makes vectors of fixed length of them. Every vector is a valid scenario. Source: paper section 2.2, for the
+parameters that are searched (the NPCs' routes and waypoints).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import EGO_SIZE, VEHICLE_SIZES
 from behavexplor.data.logical import Mutations, Noise, Part, Parts, Value
+from behavexplor.data.roadmap import Route
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
-from behavexplor.data.scripted_encoding import ScriptedEncoding, mutate_routes, mutate_waypoints
 from behavexplor.data.scripted_ranges import ScriptedRanges
 from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError
+
+TYPE, ROUTE, START = 0, 1, 2  # genes of an NPC: type, route and start; the other positions and the speeds follow
+_UNUSED = 0.5  # gene of a waypoint that the route does not have
+_DIGITS = 6  # decimals of decoded positions [m] and speeds [m/s], so that copies of a scenario are equal to it
+_STEPS = 64  # positions tried along a lane for a vehicle that cannot start at its own position
+_ATTEMPTS = 1000
+
+
+class ScriptedEncoding:
+    """Encoding of a logical scenario's concrete scenarios as points of [0, 1]^n.
+
+    Each parameter is a gene, and uniform genes give the distribution of the sampler. An NPC is a block of genes:
+
+    - its type and its route, each an equal part of [0, 1];
+    - the position of every waypoint, as a share of the part of its range that lies behind the previous waypoint;
+    - the speed at every waypoint but the last, as a share of the speed range.
+
+    If NPCs would start in each other's way, the point is repaired deterministically: one NPC after the other takes the
+    nearest free position along its lane, or else along the first lane of the next route.
+
+    Raises:
+        InputError: if the logical scenario has no NPCs.
+    """
+
+    def __init__(self, logical: ScriptedRanges) -> None:
+        if logical.n_npcs < 1:
+            raise InputError(f"{logical.name}: a scenario has no NPCs, so there is nothing to search; raise n_npcs")
+        self.logical = logical
+        self._routes = logical.roadmap.npc_routes
+        self._n_waypoints = max(len(logical.position_ranges(route)) for route in self._routes)
+        self.n_blocks = logical.n_npcs
+        self.n_genes = START + 2 * self._n_waypoints - 1
+
+    @property
+    def size(self) -> int:
+        """Length n of a vector."""
+        return self.n_blocks * self.n_genes
+
+    @cached_property
+    def speed_genes(self) -> NDArray[np.intp]:
+        """Indices of an NPC's speed genes within its block, shape (waypoints - 1,)."""
+        return np.arange(START + self._n_waypoints, self.n_genes)
+
+    def draw_gene(self, rng: np.random.Generator) -> int:
+        """Draw the gene of the route, or with equal probability that of one of the speeds."""
+        return ROUTE if rng.random() < 0.5 else int(rng.choice(self.speed_genes))
+
+    def decode(self, vector: Floats) -> ScriptedScenario:
+        """Decode a vector to a scenario.
+
+        Args:
+            vector: genes, shape (n,). Values beyond [0, 1] are clipped.
+
+        Returns:
+            A scenario that is valid in `logical`.
+        """
+        vector = np.asarray(vector, dtype=np.float64)
+        if vector.shape != (self.size,) or not np.isfinite(vector).all():
+            raise InputError(f"vector: expected {self.size} finite numbers, got shape {vector.shape}")
+        npcs: list[NPC] = []
+        for genes in np.clip(vector, 0.0, 1.0).reshape(self.n_blocks, self.n_genes):
+            npcs.append(self._placed(genes, npcs))
+        return ScriptedScenario(self.logical.name, tuple(npcs))
+
+    def encode(self, scenario: ScriptedScenario) -> Floats:
+        """Encode a scenario as a vector. `decode` restores it to six decimals.
+
+        The genes of type and route are the middles of their parts of [0, 1].
+
+        Args:
+            scenario: a scenario that is valid in `logical` and has an NPC for each block.
+
+        Returns:
+            Genes, shape (n,).
+        """
+        if len(scenario.npcs) != self.n_blocks:
+            raise InputError(f"npcs: expected {self.n_blocks}, got {len(scenario.npcs)}")
+        return np.concatenate([self._block(npc) for npc in scenario.npcs])
+
+    def features(self, vectors: Floats) -> Floats:
+        """Convert vectors to features for distances and regression.
+
+        Types and routes are one-hot: any two different types, or routes, are at distance 1.
+
+        Args:
+            vectors: genes, shape (k, n).
+
+        Returns:
+            Features, shape (k, n_blocks * (types + routes + n_genes - 2)).
+        """
+        blocks = vectors.reshape(len(vectors), self.n_blocks, self.n_genes)
+        parts = [
+            np.eye(count)[_parts(blocks[..., gene], count)] / np.sqrt(2)
+            for gene, count in ((TYPE, len(self.logical.vehicle_types)), (ROUTE, len(self._routes)))
+        ]
+        return np.concatenate([*parts, blocks[..., START:]], axis=2).reshape(len(vectors), -1)
+
+    def _placed(self, genes: Floats, others: list[NPC]) -> NPC:
+        """Decode an NPC from a block of genes, moved to the nearest position at which it can start beside `others`."""
+        route = int(_parts(genes[ROUTE], len(self._routes)))
+        for i in range(len(self._routes)):
+            for start in _outwards(float(genes[START])):
+                npc = self._npc(genes, self._routes[(route + i) % len(self._routes)], start)
+                if self.logical.spawn_conflict(npc, others) is None:
+                    return npc
+        raise InputError(f"{self.logical.name}: no place for {self.n_blocks} NPCs; use fewer")
+
+    def _npc(self, genes: Floats, route: Route, start: float) -> NPC:
+        kinds = self.logical.vehicle_types
+        ranges = self.logical.position_ranges(route)
+        shares = [start, *genes[START + 1 : START + len(ranges)].tolist()]
+        slowest, fastest = self.logical.speed_range
+        speeds = slowest + genes[self.speed_genes[: len(ranges) - 1]] * (fastest - slowest)
+        positions = [0.0]
+        for (first, high), share in zip(ranges.tolist(), shares, strict=True):
+            low = max(first, positions[-1])
+            positions.append(min(max(round(low + share * (high - low), _DIGITS), low), high))
+        speeds = np.clip(speeds.round(_DIGITS), slowest, fastest)
+        waypoints = map(Waypoint, positions[1:], [*speeds.tolist(), 0.0])
+        return NPC(kinds[int(_parts(genes[TYPE], len(kinds)))], route.name, tuple(waypoints))
+
+    def _block(self, npc: NPC) -> Floats:
+        kinds, names = self.logical.vehicle_types, [route.name for route in self._routes]
+        route = self._routes[names.index(npc.route)]
+        genes = np.full(self.n_genes, _UNUSED)
+        genes[TYPE] = (kinds.index(npc.type) + 0.5) / len(kinds)
+        genes[ROUTE] = (names.index(npc.route) + 0.5) / len(names)
+        slowest, fastest = self.logical.speed_range
+        previous = 0.0
+        ranges = self.logical.position_ranges(route).tolist()
+        for i, ((first, high), waypoint) in enumerate(zip(ranges, npc.waypoints, strict=True)):
+            low = max(first, previous)
+            previous = waypoint.position
+            genes[START + i] = (previous - low) / (high - low) if high > low else _UNUSED
+            if i < len(npc.waypoints) - 1:
+                genes[self.speed_genes[i]] = (waypoint.speed - slowest) / (fastest - slowest)
+        return genes
+
+
+def _parts(genes: Floats, count: int) -> NDArray[np.intp]:
+    """Return the index of the part that contains each gene, among `count` equal parts of [0, 1]."""
+    return np.minimum((np.clip(genes, 0.0, 1.0) * count).astype(np.intp), count - 1)
+
+
+def _outwards(share: float) -> Iterator[float]:
+    """Yield shares of a lane: the given one, then others at a growing distance from it."""
+    yield share
+    for step in range(1, _STEPS + 1):
+        for other in (share + step / _STEPS, share - step / _STEPS):
+            if 0.0 <= other <= 1.0:
+                yield other
+
+
+def shift_waypoints(npc: NPC, logical: ScriptedRanges, rng: np.random.Generator, noise: Noise) -> NPC:
+    """Return an NPC with Gaussian noise on its waypoints, regardless of other vehicles.
+
+    A waypoint stays in its lane. Waypoints on one lane that overtook each other are sorted. Speeds stay in their range,
+    and the last one stays 0.
+
+    Args:
+        npc: an NPC that is valid in `logical`.
+        logical: logical scenario with the lanes and the speed range.
+        rng: random generator.
+        noise: size of the noise.
+    """
+    low, high = logical.position_ranges(logical.roadmap.routes[npc.route]).T
+    values = np.array([(waypoint.position, waypoint.speed) for waypoint in npc.waypoints])
+    change = rng.normal(0.0, (noise.sigma_position, noise.sigma_speed), values.shape)
+    noisy = values + change * (rng.random((len(values), 1)) >= noise.point_keep_probability)
+    position = np.sort(_clipped(noisy[:, 0], low, high))
+    position = np.maximum.accumulate(_clipped(position, low, high))
+    speed = _clipped(noisy[:, 1], *logical.speed_range)
+    speed[-1] = 0.0
+    return NPC(npc.type, npc.route, tuple(map(Waypoint, position.tolist(), speed.tolist())))
+
+
+def _clipped(values: Floats, low: Floats | float, high: Floats | float) -> Floats:
+    """Return what `np.clip` returns, which takes ten times as long for a few numbers."""
+    return np.minimum(np.maximum(values, low), high)
+
+
+def mutated(
+    scenario: ScriptedScenario,
+    logical: ScriptedRanges,
+    rng: np.random.Generator,
+    keep_probability: float,
+    change: Callable[[NPC], NPC],
+) -> ScriptedScenario:
+    """Change each NPC with probability 1 - epsilon, and place it beside the other NPCs by the spawn rules.
+
+    Raises:
+        InputError: if no mutant was found.
+    """
+    for _ in range(_ATTEMPTS):
+        npcs = list(scenario.npcs)
+        for i in np.flatnonzero(rng.random(len(npcs)) > keep_probability):
+            others = npcs[:i] + npcs[i + 1 :]
+            npcs[i] = logical.place(partial(change, npcs[i]), others)
+        mutant = ScriptedScenario(scenario.functional, tuple(npcs))
+        if mutant != scenario:
+            return mutant
+    raise InputError(f"None of {_ATTEMPTS} mutations changed a scenario with {len(scenario.npcs)} NPCs")
+
 
 WAYPOINTS: Final = "waypoints"
 ROUTES: Final = "routes"
@@ -27,11 +233,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
 
     @cached_property
     def encoding(self) -> ScriptedEncoding:
-        """The encoding of scenarios as vectors.
-
-        Raises:
-            InputError: if a scenario has no NPCs.
-        """
+        """The encoding of scenarios as vectors."""
         return ScriptedEncoding(self)
 
     @property
@@ -64,39 +266,22 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return tuple(self.roadmap.line_kinds)
 
     def adopted(self, scenario: ScriptedScenario) -> ScriptedScenario:
-        """Return the scenario of another driver, which is the same for every driver.
-
-        Raises:
-            InputError: if it is not valid here.
-        """
+        """Return the scenario of another driver, which is the same for every driver."""
         self.check(scenario)
         return scenario
 
     def mutate_little(self, scenario: ScriptedScenario, rng: np.random.Generator, noise: Noise) -> ScriptedScenario:
-        """Return a mutant by noise on the waypoints of some NPCs; see `mutate_waypoints`."""
-        return mutate_waypoints(
-            scenario,
-            self,
-            rng,
-            keep_probability=noise.keep_probability,
-            sigma_position=noise.sigma_position,
-            sigma_speed=noise.sigma_speed,
-            point_keep_probability=noise.point_keep_probability,
-        )
+        """Return a mutant by Gaussian noise on the waypoints of some NPCs, whose routes and types stay unchanged."""
+        return mutated(scenario, self, rng, noise.keep_probability, lambda npc: shift_waypoints(npc, self, rng, noise))
 
     def mutate_much(
         self, scenario: ScriptedScenario, rng: np.random.Generator, keep_probability: float
     ) -> ScriptedScenario:
-        """Return a mutant by new types, routes and waypoints for some NPCs; see `mutate_routes`."""
-        return mutate_routes(scenario, self, rng, keep_probability=keep_probability)
+        """Return a mutant by a new type, a new route and new uniform waypoints for some NPCs."""
+        return mutated(scenario, self, rng, keep_probability, lambda _: self.sample_npc(rng))
 
     def first_frame(self, scenario: ScriptedScenario, end: str) -> Trace:
-        """Return the trace of an episode that ended before any vehicle moved.
-
-        Args:
-            scenario: a valid scenario.
-            end: kind of end, one of `behavexplor.data.trace.ENDS`.
-        """
+        """Return the trace of an episode that ended before any vehicle moved."""
         roadmap = self.roadmap
         poses = np.stack([roadmap.start_pose, *map(self.start_pose_of, scenario.npcs)])
         speeds = np.array([0.0, *(npc.waypoints[0].speed for npc in scenario.npcs)])
@@ -126,11 +311,7 @@ class ScriptedLogicalScenario(ScriptedRanges):
         return tuple(part_of(npc, self) for npc in scenario.npcs)
 
     def with_parts(self, scenario: ScriptedScenario, parts: Parts) -> ScriptedScenario:
-        """Return a scenario with other vehicles.
-
-        Raises:
-            InputError: if the vehicles are not valid.
-        """
+        """Return a scenario with other vehicles."""
         changed = replace(scenario, npcs=tuple(vehicle_of(part, self) for part in parts))
         self.check(changed)
         return changed

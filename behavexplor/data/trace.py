@@ -172,12 +172,7 @@ class Trace:
         return float(np.hypot(*(self.position[-1, 0] - self.destination)))
 
     def until(self, frames: int, end: str) -> Self:
-        """Return the first frames of the trace, as of an episode that ended there.
-
-        Args:
-            frames: number of frames, at least 1.
-            end: kind of end.
-        """
+        """Return the first frames of the trace, as of an episode that ended there."""
         given = self.action_frame < frames
         return replace(
             self,

@@ -76,11 +76,7 @@ def parse_yaml(text: str, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> An
 
 
 def _extent(node: yaml.Node, known: dict[int, tuple[int, int]]) -> tuple[int, int]:
-    """Return the number of nodes in a node, with aliases expanded, and their depth.
-
-    Raises:
-        ValueError: if they are nested too deeply, a node contains itself, or an integer is too long.
-    """
+    """Return the number of nodes in a node, with aliases expanded, and their depth."""
     if node.tag == _INTEGER and len(node.value) > MAX_DIGITS:
         raise ValueError("an integer in it is too long")
     if id(node) not in known:

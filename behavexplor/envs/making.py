@@ -153,11 +153,7 @@ def make_recorded(setup: Setup) -> Any:
 
 
 def _check_ego(name: str, env: gymnasium.Env[Any, Any]) -> None:
-    """Refuse an environment with several egos, since one driver drives one.
-
-    Raises:
-        InputError: if it has not exactly one ego, or tuples for several.
-    """
+    """Refuse an environment with several egos, since one driver drives one."""
     made: Any = env.unwrapped
     count = len(made.controlled_vehicles)
     if count != 1:
@@ -171,11 +167,7 @@ def _check_ego(name: str, env: gymnasium.Env[Any, Any]) -> None:
 
 
 def _check_times(env: gymnasium.Env[Any, Any]) -> None:
-    """Refuse times with which highway-env would divide by zero, or would never move its vehicles.
-
-    Raises:
-        InputError: if one is out of range.
-    """
+    """Refuse times with which highway-env would divide by zero, or would never move its vehicles."""
     made: Any = env.unwrapped
     config = made.config
     for key in ("policy_frequency", "simulation_frequency", "duration"):

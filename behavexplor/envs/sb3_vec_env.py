@@ -30,9 +30,6 @@ class LockStepVecEnv(VecEnv):
     """A vector environment that resets in the same step, as a Stable-Baselines3 `VecEnv`.
 
     `seed` applies to the next `reset`.
-
-    Args:
-        env: the vector environment.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
@@ -136,11 +133,7 @@ class DrivingVecEnv(LockStepVecEnv):
 
 
 def _check_alike(single: gymnasium.Env[Any, Any], env_fns: Sequence[Callable[[], gymnasium.Env[Any, Any]]]) -> None:
-    """Check that functions make the same environment as the first of them.
-
-    Raises:
-        InputError: if one of them does not.
-    """
+    """Check that functions make the same environment as the first of them."""
     if all(getattr(make, "__module__", None) == make_vec_env.__module__ for make in env_fns):
         return
     made: Any = single.unwrapped

@@ -114,11 +114,7 @@ def _attributes(cls: type) -> tuple[str, ...]:
 
 
 class ChangedError(InputError):
-    """Functions or constants are others than those that the compiled engine was ported from.
-
-    Args:
-        names: their names.
-    """
+    """Functions or constants are others than those that the compiled engine was ported from."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.reason = f"compiled engine was ported from another {', '.join(names[:3])} than the one that runs here"

@@ -161,11 +161,7 @@ def vector_env(env_class: type[DrivingEnv]) -> type[DrivingVectorEnv]:
 
 
 def _check_supported(env: DrivingEnv) -> None:
-    """Check that the vector environment can replace an environment.
-
-    Raises:
-        InputError: if it cannot. The message names what is not supported.
-    """
+    """Check that the vector environment can replace an environment."""
     obstacle = odd_method(env, DrivingEnv) or odd_observation(env.observation_type) or odd_action(env.action_type)
     if obstacle:
         raise InputError(

@@ -41,9 +41,6 @@ class AimingOptions:
         reach: greatest distance between the centers of the vehicle and the recorded ego when they meet [m].
         changing_share: share of vehicles that are aimed at the part of the drive in which the ego changed lanes or
             turned, if it did.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     draws: Annotated[int, between(1, 1000)] = 48

@@ -44,9 +44,6 @@ class AVFuzzerOptions:
         local_after: number of generations since the start or restart before the local fuzzer may begin.
         local_generations: number of generations of the local fuzzer.
         local_factor: factor on the mutation probability in the local fuzzer.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     population: Annotated[int, between(2)] = 4
@@ -247,10 +244,6 @@ def fitness(trace: Trace, *, collided: bool) -> float:
     The fitness is that of the ISSTA 2023 paper's baseline, see the module. It is the largest value of
     |v_ego - v_npc| / (d + 1)^2 over all frames and NPCs, where d is the distance of the boxes [m]. After a collision,
     it is 100 + |v_ego - v_npc| for the nearest NPC in the last frame.
-
-    Args:
-        trace: trace of the execution.
-        collided: whether the ego touched an NPC.
     """
     if len(trace.size) == 1:
         return 0.0

@@ -158,9 +158,6 @@ class AssessmentOptions:
             [m]; None for the verdict of the spec.
         retreat: growth of the distance to the destination within one frame beyond which an execution counts as a
             failure and its trace is cut off [m]; None for no such limit.
-
-    Raises:
-        InputError: if an option is out of range; the message names the option.
     """
 
     degree: Literal["sum", "clipped"] = "sum"
@@ -186,14 +183,7 @@ class Assessment:
 
 
 def assess(trace: Trace, verdict: Verdict, line_kinds: Sequence[str], options: AssessmentOptions) -> Assessment:
-    """Assess an execution.
-
-    Args:
-        trace: trace of the execution.
-        verdict: verdict of the specs.
-        line_kinds: the kinds of the illegal lines in the trace.
-        options: options of the assessment.
-    """
+    """Assess an execution."""
     seen = _until_retreat(trace, options)
     degree = verdict.degree if options.degree == "sum" else _clipped_degree(seen, line_kinds, options)
     failed = verdict.failed
@@ -281,9 +271,6 @@ class BehAVExplorOptions:
         gamma: the small number in the denominator 1 - d + gamma of the change of the violation degree.
         assessment: options for the violation degree and the failure of an execution, as the search sees them.
         miner: options for abstracting behaviors.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     initial_corpus: Annotated[int, between(1)] = 4

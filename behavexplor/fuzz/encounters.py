@@ -183,9 +183,6 @@ class EncountersOptions:
         elites: number of scenarios that a niche keeps.
         failure_cost: number of tries that a failure counts as.
         aiming: options of aiming.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     initial: Annotated[int, between(1)] = 40
@@ -200,13 +197,7 @@ class EncountersOptions:
 
 @dataclass(frozen=True)
 class Elite:
-    """A scenario that came near to a violation.
-
-    Attributes:
-        candidate: its candidate.
-        drive: the ego's drive in it.
-        miss: the near miss.
-    """
+    """A scenario that came near to a violation."""
 
     candidate: Candidate
     drive: Drive

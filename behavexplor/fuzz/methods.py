@@ -14,8 +14,8 @@ METHODS = MappingProxyType(
         "avfuzzer": "behavexplor.fuzz.avfuzzer:AVFuzzer",
         "samota": "behavexplor.fuzz.samota:SAMOTA",
         "nsga2": "behavexplor.fuzz.nsga2:NSGA2",
-        "map-elites": "behavexplor.fuzz.map_elites:MAPElites",
-        "novelty-search": "behavexplor.fuzz.novelty_search:NoveltySearch",
+        "map-elites": "behavexplor.fuzz.quality_diversity:MAPElites",
+        "novelty-search": "behavexplor.fuzz.quality_diversity:NoveltySearch",
         "encounters": "behavexplor.fuzz.encounters:Encounters",
         "uniform": "behavexplor.fuzz.uniform:Uniform",
     }
@@ -49,9 +49,5 @@ def load_method(name: str) -> type[SearchMethod]:
 
 
 def describe_method(name: str) -> str:
-    """Return the one-line description of a search method: the first line of its docstring.
-
-    Raises:
-        InputError: see `load_method`.
-    """
+    """Return the one-line description of a search method: the first line of its docstring."""
     return (load_method(name).__doc__ or "").strip().partition("\n")[0]

@@ -31,9 +31,6 @@ class NSGA2Options:
         crossover_probability: probability of simulated binary crossover.
         crossover_eta: distribution index of the crossover. With a greater index, offspring resemble their parents more.
         mutation_eta: distribution index of polynomial mutation.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     population: Annotated[int, between(4, MAX_POPULATION)] = 20
@@ -125,11 +122,7 @@ class NSGA2:
 
 
 def _algorithm(size: int, options: NSGA2Options) -> Any:
-    """Create pymoo's algorithm on points of [0, 1]^size.
-
-    Raises:
-        InputError: if pymoo is not installed.
-    """
+    """Create pymoo's algorithm on points of [0, 1]^size."""
     try:
         from pymoo.algorithms.moo.nsga2 import NSGA2 as Algorithm  # noqa: PLC0415, N811 - slow to import
         from pymoo.core.problem import Problem  # noqa: PLC0415

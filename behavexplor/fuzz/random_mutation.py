@@ -26,9 +26,6 @@ class RandomMutationOptions:
         sigma_speed: standard deviation of waypoint mutation [m/s].
         sigma_draw: in highway-env environments, the standard deviation of the small mutation of a draw, as a share of
             the draw's range.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     initial_corpus: Annotated[int, between(1)] = 4

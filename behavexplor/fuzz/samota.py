@@ -215,9 +215,6 @@ class SAMOTAOptions:
         mutation: "uniform" for genes that are drawn anew, or "gaussian" for noise on genes.
         mutation_probability: probability that a gene mutates; None for 1 / n with n genes.
         mutation_sigma: standard deviation of "gaussian" noise, as a share of the gene's range.
-
-    Raises:
-        InputError: if an option is out of range; the message names it.
     """
 
     population: Annotated[int, between(2, MAX_POPULATION)] = 6

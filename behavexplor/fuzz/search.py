@@ -70,11 +70,6 @@ class SearchMethod(Protocol):
     def tell(self, candidate: Candidate, trace: Trace, verdict: Verdict) -> Mapping[str, Any]:
         """Learn from an execution.
 
-        Args:
-            candidate: the executed candidate.
-            trace: its trace.
-            verdict: its verdict.
-
         Returns:
             Figures about the execution, as JSON values for its record.
         """

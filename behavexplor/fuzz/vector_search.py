@@ -45,11 +45,6 @@ class Asker:
     def farthest(self, rng: np.random.Generator, samples: int, count: int) -> Floats:
         """Draw uniform points, and return those farthest from all earlier candidates.
 
-        Args:
-            rng: random generator.
-            samples: number of points to draw.
-            count: number of points to return.
-
         Returns:
             Points, the farthest one first, shape (count, n).
         """

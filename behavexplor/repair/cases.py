@@ -207,11 +207,7 @@ def check_free(folder: Path) -> None:
 
 
 def _check(path: Path, case: Case) -> None:
-    """Check what the fields of a case say, but for the names in `holds`.
-
-    Raises:
-        InputError: if the scenario is not valid.
-    """
+    """Check what the fields of a case say, but for the names in `holds`."""
     try:
         case.load_scenario()
     except InputError as error:

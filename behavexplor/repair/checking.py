@@ -41,13 +41,7 @@ class CheckedCase:
 
 
 class Checker:
-    """Drives the cases of a suite.
-
-    Args:
-        executor: executor of the driver.
-        logical: logical scenario of its environment.
-        specs: the specs of the suite.
-    """
+    """Drives the cases of a suite."""
 
     def __init__(self, executor: Executor, logical: LogicalScenario, specs: Sequence[Spec]) -> None:
         self._executor = executor
@@ -85,11 +79,7 @@ class Checker:
 
 
 def _check_names(suite: Suite, known: Sequence[str]) -> None:
-    """Check the specs that have to hold.
-
-    Raises:
-        InputError: if a case names none, or an unknown one.
-    """
+    """Check the specs that have to hold."""
     for case in suite.cases:
         if not case.holds or not set(case.holds) <= set(known):
             raise InputError(

@@ -39,12 +39,7 @@ Observe = Callable[[int], None]
 
 
 class Driven(NamedTuple):
-    """A driver of a differential search.
-
-    Attributes:
-        executor: executor of the driver.
-        logical: logical scenario of its environment.
-    """
+    """A driver of a differential search."""
 
     executor: Executor
     logical: LogicalScenario
@@ -175,13 +170,7 @@ def driven(config: CampaignConfig, folder: Path, workers: int, observe: Observe)
 
 
 def second_config(first: CampaignConfig, ads: str, folder: Path) -> CampaignConfig:
-    """Return the configuration of the second driver, in the scene of the first one's run.
-
-    Args:
-        first: configuration of the first driver.
-        ads: name of the second driver.
-        folder: run folder of the first driver.
-    """
+    """Return the configuration of the second driver, in the scene of the first one's run."""
     with closing(Store.read(folder)) as store:
         scenario = store.execution(0).scenario
     config = replace(first, ads=ads)
@@ -196,9 +185,6 @@ def compared(folder: Path) -> list[Pairs]:
 
 def check_search(config: CampaignConfig) -> None:
     """Check the search for differences as far as that is possible before a driver is loaded.
-
-    Args:
-        config: configuration of the first driver, with the search method.
 
     Raises:
         InputError: if the search method cannot be used.

@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import yaml
 from pydantic import ConfigDict
@@ -14,6 +14,7 @@ from behavexplor.data.drawn_scenario import DEFAULT, Traffic
 from behavexplor.data.durable import write_durably
 from behavexplor.data.target import Target
 from behavexplor.data.untrusted import read_file
+from behavexplor.data.validation import between, validated
 from behavexplor.errors import InputError
 
 CONFIG, ROUNDS = "retraining.yaml", "rounds.jsonl"
@@ -22,11 +23,7 @@ Sources = Literal["none", "own", "found", "both"]
 
 
 class DivergedError(Exception):
-    """A training has diverged: the network has weights that are not finite numbers.
-
-    Args:
-        number: number of the round.
-    """
+    """A training has diverged: the network has weights that are not finite numbers."""
 
     def __init__(self, number: int) -> None:
         super().__init__(
@@ -35,7 +32,7 @@ class DivergedError(Exception):
         )
 
 
-@dataclass(frozen=True)
+@validated
 class RetrainingConfig:
     """The configuration of a retraining.
 
@@ -57,9 +54,6 @@ class RetrainingConfig:
         env_config: Configuration of the environment as in the policy's training, as far as it differs from what the
             policy declares: keys of highway-env (docs/highway-env.md).
         traffic: Traffic in highway-env's own environments: their own, or a wider range (docs/highway-policies.md).
-
-    Raises:
-        InputError: if a value is out of range.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -67,32 +61,17 @@ class RetrainingConfig:
     env: str
     policy: str
     pool: Sources = "own"
-    share: float = 0.5
-    rounds: int = 8
-    steps: int = 250_000
-    seed: int = 0
-    envs: int | None = None
-    rate: float | None = None
+    share: Annotated[float, between(0, 0.95)] = 0.5
+    rounds: Annotated[int, between(1, 1000)] = 8
+    steps: Annotated[int, between(1, 10**9)] = 250_000
+    seed: Annotated[int, between(0, 2**63 - 1)] = 0
+    envs: Annotated[int, between(1, MOST_ENVS)] | None = None
+    rate: Annotated[float, between(1e-7, 0.1)] | None = None
     method: str = "uniform"
-    budget: int = 250
-    validation: int = 1000
+    budget: Annotated[int, between(1, 100_000)] = 250
+    validation: Annotated[int, between(1, 100_000)] = 1000
     env_config: dict[str, Any] = field(default_factory=dict)
     traffic: Traffic = DEFAULT
-
-    def __post_init__(self) -> None:
-        ranges = {
-            "share": (0.0, 0.95),
-            "rounds": (1, 1000),
-            "steps": (1, 10**9),
-            "seed": (0, 2**63 - 1),
-            "envs": (1, MOST_ENVS),
-            "rate": (1e-7, 0.1),
-            "budget": (1, 100_000),
-            "validation": (1, 100_000),
-        }
-        for name, (low, high) in ranges.items():
-            if getattr(self, name) is not None and not low <= getattr(self, name) <= high:
-                raise InputError(f"{name} {getattr(self, name)} must lie between {low:g} and {high:g}")
 
     def to_yaml(self) -> str:
         """Return the whole configuration as YAML."""

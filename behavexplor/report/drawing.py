@@ -125,12 +125,7 @@ def _palette(pictures: list[Image.Image]) -> Image.Image:
 
 
 def draw(footage: Footage, frame: int) -> Image.Image:
-    """Draw one frame: the road, the illegal lines, the vehicles' paths, the vehicles, and a circle at a violation.
-
-    Args:
-        footage: the episode.
-        frame: index of the frame.
-    """
+    """Draw one frame: the road, the illegal lines, the vehicles' paths, the vehicles, and a circle at a violation."""
     trace, shape, colors = footage.trace, footage.shape, page_colors()
     canvas = _Canvas(trace.position[frame, 0])
     canvas.road(shape, trace)

@@ -60,14 +60,7 @@ class Bars:
 def experiment_page(
     experiment: Experiment, summaries: Sequence[Summary], tables: Sequence[Table], curves: Sequence[Curve]
 ) -> str:
-    """Return the page in ASCII. Equal experiments give equal pages.
-
-    Args:
-        experiment: the experiment.
-        summaries: summaries of the finished campaigns.
-        tables: tables of these campaigns, from `behavexplor.bench.tables.tables`.
-        curves: curves of these campaigns, from `behavexplor.bench.curves.curves`.
-    """
+    """Return the page in ASCII. Equal experiments give equal pages."""
     return rendered(
         "experiment.html.jinja",
         ("theme.js",),

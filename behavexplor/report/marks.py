@@ -62,12 +62,7 @@ def _into_box(point: Floats, trace: Trace, frame: int, vehicle: int) -> Floats:
 
 
 def outcome(violated: Sequence[str], end: str) -> str:
-    """Describe the outcome of an execution, to follow its number.
-
-    Args:
-        violated: names of the violated specs.
-        end: kind of end, one of `behavexplor.data.trace.ENDS`.
-    """
+    """Describe the outcome of an execution, to follow its number."""
     return f"violates {' and '.join(violated) or 'nothing'}, ended by {_ENDED_BY[end]}"
 
 

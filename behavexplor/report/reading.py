@@ -4,7 +4,8 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -143,12 +144,14 @@ def read_run(folder: Path) -> ReportedRun:
     triage = Triage.read(folder) if (folder / TRIAGE).is_file() else None
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()
-    for execution in stored(folder):
-        entries.append(Entry.of(execution))
-        digest.update(execution.trace)
-        digest.update(json.dumps(execution.record.to_dict(), sort_keys=True).encode())
-        if entries[-1].violated:
-            findings.append(known.get(execution.id) or _finding(execution))
+    with closing(Store.read(folder)) as store:
+        stages = store.stages
+        for execution in store.executions():
+            entries.append(Entry.of(execution))
+            digest.update(execution.trace)
+            digest.update(json.dumps(execution.record.to_dict(), sort_keys=True).encode())
+            if entries[-1].violated:
+                findings.append(known.get(execution.id) or _finding(execution))
     if not entries:
         again = f"`behavexplor fuzz --resume {shlex.quote(str(folder))}`"
         raise InputError(f"{folder} has no executions yet: resume it with {again}")
@@ -159,24 +162,7 @@ def read_run(folder: Path) -> ReportedRun:
     weaknesses = triage.weaknesses if triage else {}
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
-    return ReportedRun(folder, config, *found, digests, _stages(folder))
-
-
-def stored(folder: Path) -> Iterator[Execution]:
-    """Yield all executions of a run, in order."""
-    store = Store.read(folder)
-    try:
-        yield from store.executions()
-    finally:
-        store.close()
-
-
-def _stages(folder: Path) -> dict[str, float]:
-    store = Store.read(folder)
-    try:
-        return store.stages
-    finally:
-        store.close()
+    return ReportedRun(folder, config, *found, digests, stages)
 
 
 def _finding(execution: Execution) -> Finding:

@@ -1,19 +1,318 @@
-"""The report on one or several runs, as one self-contained HTML file."""
+"""The report on runs as one self-contained HTML file, with a section for each run: gallery, curves and behaviors."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final
 
+import numpy as np
+
+from behavexplor.behavior.features import TIME_STEP
+from behavexplor.behavior.miner import NOVELTY_THRESHOLD
+from behavexplor.campaign.record import Record
+from behavexplor.campaign.store import Store
+from behavexplor.data.array_types import Floats
+from behavexplor.data.conventions import VEHICLE_SIZES
+from behavexplor.data.durable import write_durably
+from behavexplor.data.trace import Trace
+from behavexplor.data.untrusted import read_file
 from behavexplor.errors import InputError
 from behavexplor.judge.specs import SPECS
-from behavexplor.report.gallery import PASSED
+from behavexplor.report.behavior_map import LETTERS, Behaviors, behaviors, evenly
+from behavexplor.report.charts import Chart, Series, StagePart, chart, stage_parts
+from behavexplor.report.gallery import PASSED, Card, cards, minimal_name, replay_values
+from behavexplor.report.marks import type_color
+from behavexplor.report.packing import MAX_FRAMES
 from behavexplor.report.reading import ReportedRun
 from behavexplor.report.rendering import rendered
-from behavexplor.report.sections import curves, section
+from behavexplor.report.road_shapes import known_road, road_values
+from behavexplor.triage.minimized import trace_path
 
+PAGE: Final = "report.html"
 MOST_REPLAYS: Final = 2000  # of each run
+MOST_COMPARED: Final = 750  # greatest number of executions on the map of behaviors
+MOST_PLACES: Final = 50_000_000  # of vehicles in frames, in all traces of a page
+MOST_STATES: Final = 2_000_000  # of all behaviors on the map
+MOST_SHOWN: Final = 200_000  # places of vehicles in one replay
 Paired = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 _NOT_EXAMINED: Final = "not examined"
+_PASSED_RIBBONS, _CLASS_RIBBONS = 8, 30
+_SYMBOLS: Final = {
+    "R1": "R1: collision",
+    "R2": "R2: illegal line touched",
+    "R3": "R3: destination missed",
+    PASSED: "no violation",
+}
+
+
+@dataclass(frozen=True)
+class Ribbon:
+    """The behavior of one execution as a strip.
+
+    Attributes:
+        id: number of the execution.
+        class_id: class of its card, or `PASSED` without a violation.
+        strip: begin and length of each stretch of one abstract state, in percent of the longest ribbon, and the state.
+        text: the abstract trace as text.
+        linked: whether the replay is in the page.
+    """
+
+    id: int
+    class_id: str
+    strip: tuple[tuple[float, float, int], ...]
+    text: str
+    linked: bool
+
+
+@dataclass(frozen=True)
+class MapPoint:
+    """One execution on the map of behaviors.
+
+    Attributes:
+        id: number of the execution.
+        x: horizontal position, in [0, 100].
+        y: vertical position, in [0, 100].
+        spec: first violated spec, or `PASSED`.
+        class_id: class of the failure, or `PASSED`.
+        linked: whether the replay is in the page.
+    """
+
+    id: int
+    x: float
+    y: float
+    spec: str
+    class_id: str
+    linked: bool
+
+
+@dataclass(frozen=True)
+class Section:
+    """The content of a section about one run.
+
+    Attributes:
+        number: number of the run in the page, counted from 1.
+        run: the run.
+        limit: greatest number of replays.
+        cards: cards of the gallery.
+        charts: curves over the executions.
+        found: behaviors.
+        ribbons: behaviors of some executions as ribbons.
+        longest: duration of the longest ribbon [s].
+        places: executions on the map of behaviors.
+        has_road: whether the road of the environment is known.
+        left_out: whether executions are left out because they are too long, or have too many vehicles.
+        values: data for the page's script.
+    """
+
+    number: int
+    run: ReportedRun
+    limit: int
+    cards: tuple[Card, ...]
+    charts: tuple[Chart, ...]
+    found: Behaviors
+    ribbons: tuple[Ribbon, ...]
+    longest: float
+    places: tuple[MapPoint, ...]
+    has_road: bool
+    left_out: bool
+    values: Mapping[str, Any]
+
+    @property
+    def embedded(self) -> int:
+        """Number of replays in the page."""
+        return len(self.values["replays"])
+
+    @property
+    def types(self) -> list[tuple[str, int]]:
+        """Vehicle types in the replays, with the numbers of their colors."""
+        names = {name for replay in self.values["replays"].values() for name in replay["types"]}
+        known = [(name, type_color(name)) for name in VEHICLE_SIZES if name in names]
+        return known + ([("other", type_color("other"))] if names - VEHICLE_SIZES.keys() else [])
+
+    @property
+    def symbols(self) -> list[tuple[str, str]]:
+        """Specs on the map, with their labels."""
+        present = {place.spec for place in self.places}
+        known = [(spec, name) for spec, name in _SYMBOLS.items() if spec in present]
+        return known + ([("other", "other failure")] if present - _SYMBOLS.keys() else [])
+
+    @property
+    def stages(self) -> tuple[StagePart, ...]:
+        """Where the time of the run went; empty if it is not known."""
+        return stage_parts(self.run.stages)
+
+    @property
+    def parameters(self) -> list[tuple[str, str]]:
+        """Names and values of the campaign's configuration."""
+        return [(name, str(value)) for name, value in asdict(self.run.config).items()]
+
+
+def section(number: int, run: ReportedRun, limit: int) -> Section:
+    """Return the section about a run.
+
+    Args:
+        number: number of the run in the page, counted from 1.
+        run: the run.
+        limit: greatest number of replays.
+
+    Raises:
+        InputError: if the run is damaged.
+    """
+    gallery = cards(run, limit)
+    replayed = {name for card in gallery for name in card.replays if isinstance(name, int)}
+    classes = [card for card in gallery if card.class_id != PASSED and not card.is_minimal]
+    strips = [(card.look_at, card.class_id) for card in classes][:_CLASS_RIBBONS]
+    new = [entry.id for entry in run.entries if entry.novel and not entry.violated]
+    strips += [(name, PASSED) for name in evenly(new, _PASSED_RIBBONS)]
+    compared = evenly([entry.id for entry in run.entries], MOST_COMPARED)
+    wanted = list(dict.fromkeys([*sorted(replayed), *(name for name, _ in strips), *compared]))
+    traces, records = _looked_at(run, wanted, replayed)
+    strips = [(name, class_id) for name, class_id in strips if name in traces]
+    found = behaviors(traces)
+    replays = _replays(run, traces, records, found) | _minimal_replays(run, gallery)
+    shown = [replace(card, replays=tuple(name for name in card.replays if str(name) in replays)) for card in gallery]
+    shape = known_road(run.config.env, run.folder)
+    longest = max((len(found.labels[name]) for name, _ in strips), default=0) or 1
+    return Section(
+        number=number,
+        run=run,
+        limit=limit,
+        cards=tuple(shown),
+        charts=curves([run]) + clouds(run),
+        found=found,
+        ribbons=tuple(_ribbon(found, name, class_id, longest, name in records) for name, class_id in strips),
+        longest=longest * TIME_STEP,
+        places=_places(run, found, records),
+        has_road=shape is not None,
+        left_out=len(traces) < len(wanted) or shown != list(gallery),
+        values={"road": road_values(shape, next(iter(traces.values()))), "replays": replays},
+    )
+
+
+def _looked_at(
+    run: ReportedRun, wanted: Sequence[int], replayed: Collection[int]
+) -> tuple[dict[int, Trace], dict[int, Record]]:
+    """Return traces, and the records of the replayed executions, by the numbers of the executions in order.
+
+    Args:
+        run: the run.
+        wanted: numbers of the wanted executions, the most important first. There is always room for the first.
+        replayed: numbers of those with replays.
+    """
+    traces: dict[int, Trace] = {}
+    records: dict[int, Record] = {}
+    places, states = MOST_PLACES, float(MOST_STATES)
+    with closing(Store.read(run.folder)) as store:
+        for number in wanted:
+            execution = store.execution(number)
+            trace = execution.load_trace()
+            places, states = places - trace.heading.size, states - trace.duration / TIME_STEP
+            if traces and min(places, states) < 0:
+                break
+            traces[number] = trace
+            if number in replayed and _fits(trace):
+                records[number] = execution.record
+    return dict(sorted(traces.items())), dict(sorted(records.items()))
+
+
+def _fits(trace: Trace) -> bool:
+    return min(len(trace.time), MAX_FRAMES) * len(trace.size) <= MOST_SHOWN
+
+
+def _replays(
+    run: ReportedRun, traces: Mapping[int, Trace], records: Mapping[int, Record], found: Behaviors
+) -> dict[str, Any]:
+    """Return the replays by the numbers of their executions."""
+    replays = {}
+    for number, record in records.items():
+        try:
+            replays[str(number)] = replay_values(traces[number], record, found.stretches(number))
+        except InputError as error:
+            raise InputError(f"{run.folder}: execution {number} has no valid scenario: {error}") from None
+    return replays
+
+
+def _minimal_replays(run: ReportedRun, gallery: Sequence[Card]) -> dict[str, Any]:
+    """Return the replays of minimized failures by their names."""
+    replays = {}
+    for number in (card.look_at for card in gallery if card.is_minimal):
+        minimal, path = run.minimized[number], trace_path(run.folder, number)
+        try:
+            trace = Trace.from_bytes(read_file(path))
+            if not _fits(trace):
+                continue
+            record = Record(id=number, end=trace.end, violated=minimal.violated, scenario=minimal.scenario)
+            replays[minimal_name(number)] = replay_values(trace, record, ())
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path} cannot be read: {error}; delete it and minimize again") from None
+    return replays
+
+
+def _ribbon(found: Behaviors, number: int, class_id: str, longest: int, linked: bool) -> Ribbon:
+    strip, begin = [], 0
+    for letter, count in found.stretches(number):
+        strip.append((round(100 * begin / longest, 2), round(100 * count / longest, 2), LETTERS.index(letter)))
+        begin += count
+    return Ribbon(number, class_id, tuple(strip), found.text(number), linked)
+
+
+def _places(run: ReportedRun, found: Behaviors, replayed: Collection[int]) -> tuple[MapPoint, ...]:
+    """Return the map, scaled into a square. Failures come last, so that they are drawn on top."""
+    kinds = {finding.id: (finding.spec, finding.class_id) for finding in run.findings}
+    points = np.array(list(found.places.values()))
+    extent = np.ptp(points, axis=0)
+    scaled = (points - points.min(0) - extent / 2) / max(float(extent.max()), 1e-9) * 100 + 50
+    places = []
+    for number, (x, y) in zip(found.places, scaled, strict=True):
+        spec, class_id = kinds.get(number, (PASSED, PASSED))
+        places.append(MapPoint(number, round(float(x), 1), round(float(y), 1), spec, class_id, number in replayed))
+    return tuple(sorted(places, key=lambda place: (place.spec != PASSED, place.id)))
+
+
+def curves(runs: Sequence[ReportedRun]) -> tuple[Chart, ...]:
+    """Return the curves of failures, classes and new behaviors over the executions, for one run or several."""
+    counts: dict[str, list[Series]] = {"Failures": [], "Classes of violations": [], "New behaviors": []}
+    for index, run in enumerate(runs):
+        numbers = np.array([entry.id + 1.0 for entry in run.entries])
+        for title, steps in zip(counts, _steps(run), strict=True):
+            name = title.lower() if len(runs) == 1 else f"{index + 1} {run.name}"
+            counts[title].append(Series(name, numbers, np.cumsum(steps), style=index))
+    charts = (chart(title, series) for title, series in counts.items())
+    return tuple(drawn for drawn in charts if drawn is not None)
+
+
+def _steps(run: ReportedRun) -> tuple[Floats, Floats, Floats]:
+    """Return three arrays of 1 and 0 over the executions: failure, first failure of its class, new behavior."""
+    firsts = {findings[0].id for findings in run.classes.values()}
+    return (
+        np.array([float(bool(entry.violated)) for entry in run.entries]),
+        np.array([float(entry.id in firsts) for entry in run.entries]),
+        np.array([float(entry.novel) for entry in run.entries]),
+    )
+
+
+def clouds(run: ReportedRun) -> tuple[Chart, ...]:
+    """Return the charts of novelty and energy over the executions, if the records have them."""
+    limit = np.full(len(run.entries), NOVELTY_THRESHOLD)
+    novelty = np.array([entry.novelty for entry in run.entries])
+    energy = np.array([entry.energy for entry in run.entries])
+    numbers = np.array([entry.id + 1.0 for entry in run.entries])
+    threshold = [Series("threshold of new behavior", numbers, limit, style=2)] if np.isfinite(novelty).any() else []
+    charts = (
+        chart("Novelty", _cloud(run, numbers, novelty) + threshold),
+        chart("Energy of the parent", _cloud(run, numbers, energy)),
+    )
+    return tuple(drawn for drawn in charts if drawn is not None)
+
+
+def _cloud(run: ReportedRun, numbers: Floats, values: Floats) -> list[Series]:
+    failed = np.array([bool(entry.violated) for entry in run.entries])
+    return [
+        Series("no violation", numbers, np.where(failed, np.nan, values), dots=True, style=0),
+        Series("failed", numbers, np.where(failed, values, np.nan), dots=True, style=1),
+    ]
 
 
 def _by_requirement(counts: Mapping[str, int]) -> str:
@@ -66,6 +365,19 @@ def page(runs: Sequence[ReportedRun], replays: int, paired: Paired = ((), ())) -
         values={"runs": [part.values for part in sections]},
         PASSED=PASSED,
     )
+
+
+def written(path: Path, text: str) -> Path:
+    """Write a page, and return its path.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    try:
+        write_durably(path, text)
+    except OSError as error:
+        raise InputError(f"The report {path} cannot be written: {error.strerror}") from None
+    return path
 
 
 def comparison(runs: Sequence[ReportedRun]) -> tuple[tuple[str, tuple[str, ...]], ...]:

@@ -19,10 +19,6 @@ def synthetic_trace(scenario: Any, logical: LogicalScenario) -> Trace:
     Its speed is drawn from the text of the scenario, so that equal scenarios have equal traces. The NPCs follow their
     routes through their waypoints.
 
-    Args:
-        scenario: the concrete scenario.
-        logical: the logical scenario to which it belongs.
-
     Raises:
         InputError: if its vehicles are not scripted.
     """

@@ -58,10 +58,6 @@ class ScriptedDriver:
 def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int]:
     """Find a driver that does not crash in a scenario.
 
-    Args:
-        scenario: the scenario.
-        rng: generator for the drivers that act by chance.
-
     Returns:
         The first driver that does not crash, None if all of them do; and the number of drivers that were tried, which
         is 0 if these drivers cannot drive in the environment.

@@ -147,10 +147,7 @@ class Cause:
 def find_cause(simulation: Simulation, scenario: Scenario, trace: Trace) -> Cause | None:
     """Return the cause of the first violated spec, in the order R1, R2, R3.
 
-    Args:
-        simulation: simulation with the same ADS and environment as in the recorded execution.
-        scenario: the executed scenario.
-        trace: its trace, with the decision log.
+    The simulation must have the ADS and the environment of the recorded execution, and the trace its decision log.
 
     Returns:
         The cause, or None if no spec is violated or the ADS is not the rule planner.

@@ -40,14 +40,7 @@ class Rerun:
 
 
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:
-    """Execute a scenario again and compare the traces.
-
-    Args:
-        simulation: simulation with the same ADS and environment as in the recorded execution.
-        scenario: the executed scenario.
-        trace: its recorded trace.
-        specs: specs that judge both traces.
-    """
+    """Execute a scenario again, with the same ADS in the same environment, and compare the traces."""
     try:
         again = simulation.run(scenario)
     except ADSError:
@@ -67,9 +60,6 @@ class FailureEvaluator(Evaluator):
     Args:
         specs: names of the user's specs, see `behavexplor.judge.robustness.load_specs`.
         target: the fields of a `behavexplor.data.target.Target`.
-
-    Attributes:
-        specs: these names.
     """
 
     def __init__(self, specs: Sequence[str] = (), **target: Any) -> None:
@@ -92,9 +82,6 @@ class Examiner(FailureEvaluator):
     def examine(self, request: bytes) -> bytes:
         """Examine a failure.
 
-        Args:
-            request: the failure, as encoded by `examination`.
-
         Returns:
             The finding, and the witness if there is one, as JSON.
         """
@@ -106,13 +93,7 @@ class Examiner(FailureEvaluator):
 
 
 def examination(record: Record, trace: bytes, seed: int) -> bytes:
-    """Return the request for `Examiner.examine` about a stored execution.
-
-    Args:
-        record: the record of the execution.
-        trace: its trace as bytes.
-        seed: the seed of the campaign.
-    """
+    """Return the request for `Examiner.examine` about a stored execution."""
     return b"%d\n%b\n%b" % (seed, record.to_json().encode(), trace)
 
 
@@ -121,12 +102,7 @@ def examined(
 ) -> tuple[Finding, Witness | OtherDriver | None]:
     """Examine a failure: execute its scenario again, and find out whose fault it was and what caused it.
 
-    Args:
-        simulation: simulation with the same ADS and environment as in the recorded execution.
-        record: the record of the failed execution.
-        trace: its trace.
-        seed: the seed of the campaign.
-        specs: the specs of the campaign.
+    The simulation must have the ADS and the environment of the recorded execution.
 
     Returns:
         The finding, and a witness if the failure is a collision that the ego could have avoided.

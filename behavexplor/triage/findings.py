@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.specs import DIFFERS
 
-FORMAT: Final = 1
+T = TypeVar("T")
+
+FORMAT: Final = 1  # of the files of triage and of minimization
 TRIAGE, WITNESSES = "triage.json", "witnesses"
 
 
@@ -122,9 +124,6 @@ class Triage:
     def read(cls, folder: Path) -> Self:
         """Read the findings from a run folder.
 
-        Args:
-            folder: run folder.
-
         Raises:
             InputError: if the folder has no findings, or their file is damaged or has another format version.
         """
@@ -132,17 +131,7 @@ class Triage:
         if not path.is_file():
             command = f"`behavexplor triage {shlex.quote(str(folder))}`"
             raise InputError(f"{folder} has no {TRIAGE}: create it with {command}")
-        try:
-            values = json.loads(read_file(path))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path} cannot be read: {error}; delete it and run `behavexplor triage` again") from None
-        found = values.pop("format", None) if isinstance(values, dict) else None
-        if found != FORMAT:
-            raise InputError(
-                f"{path} has format {found}, but this version reads format {FORMAT}: delete the file and run "
-                "`behavexplor triage` again"
-            )
-        return checked(cls, values, f"triage in {path}")
+        return read_made(cls, path, "`behavexplor triage`")
 
     def write(self, folder: Path) -> None:
         """Write the findings into a run folder. The file is replaced as a whole."""
@@ -157,12 +146,25 @@ class Triage:
         return dict(sorted(groups.items(), key=lambda group: (-len(group[1]), group[1][0].id)))
 
 
-def known_findings(folder: Path) -> dict[int, Finding]:
-    """Return the findings of a run by the numbers of their executions; none before triage.
+def read_made(kind: type[T], path: Path, command: str) -> T:
+    """Return what a command has written into a run folder, as JSON with the fields of a dataclass and a `FORMAT`.
 
     Raises:
-        InputError: see `Triage.read`.
+        InputError: if the file cannot be read, is damaged, or has another format version.
     """
+    mend = f"delete it and run {command} again"
+    try:
+        values = json.loads(read_file(path))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read: {error}; {mend}") from None
+    found = values.pop("format", None) if isinstance(values, dict) else None
+    if found != FORMAT:
+        raise InputError(f"{path} has format {found}, but this version reads format {FORMAT}: {mend}")
+    return checked(kind, values, str(path))
+
+
+def known_findings(folder: Path) -> dict[int, Finding]:
+    """Return the findings of a run by the numbers of their executions; none before triage."""
     if not (folder / TRIAGE).is_file():
         return {}
     return {finding.id: finding for finding in Triage.read(folder).findings}

@@ -106,13 +106,8 @@ class ManyScenarios:
 class SameFailure:
     """The property that a failure still happens; see `behavexplor.triage.shrinking.Property`.
 
-    Args:
-        driven: the driver of the failed execution.
-        specs: the specs of the campaign.
-        scenario: the scenario of the failed execution.
-        sought: signature of the failure.
-        known: the finding of triage about the failure, whose fault and cause are kept; None without triage.
-        seed: seed for the random evasions by which fault is determined.
+    Its signature stays the `sought` one. Fault and cause stay those of the `known` finding of triage, if there is one.
+    The `seed` is that of the random evasions by which fault is determined.
     """
 
     def __init__(
@@ -180,9 +175,6 @@ class Minimizer(FailureEvaluator):
     def minimize(self, request: bytes) -> bytes:
         """Minimize a failure.
 
-        Args:
-            request: the failure, as encoded by `minimization`.
-
         Returns:
             The minimized failure as a line of JSON, and the trace of its scenario.
         """
@@ -196,14 +188,7 @@ class Minimizer(FailureEvaluator):
 
 
 def minimization(record: Record, trace: bytes, seed: int, known: Finding | None) -> bytes:
-    """Return the request for `Minimizer.minimize` about a stored execution.
-
-    Args:
-        record: the record of the execution.
-        trace: its trace as bytes.
-        seed: the seed of the campaign.
-        known: the finding of triage about it; None without triage.
-    """
+    """Return the request for `Minimizer.minimize` about a stored execution."""
     values = {"record": record.to_dict(), "seed": seed, "finding": None if known is None else asdict(known)}
     return json.dumps(values).encode() + b"\n" + trace
 
@@ -212,14 +197,6 @@ def minimized(
     driven: ManyScenarios, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None, seed: int
 ) -> tuple[Minimized, Trace]:
     """Minimize a failure. Its class stays the same, and its fault and cause as far as they are known.
-
-    Args:
-        driven: the driver of the failed execution.
-        specs: the specs of the campaign.
-        record: the record of the failed execution.
-        trace: its trace.
-        known: the finding of triage about it; None without triage.
-        seed: the seed of the campaign.
 
     Returns:
         The minimized failure and the trace of its scenario.
@@ -231,31 +208,26 @@ def minimized(
     shrunk = shrink(parts, same, removable=removable, limit=LIMIT if same.held_by([parts]) == [True] else 0)
     minimal = logical.with_parts(scenario, shrunk.parts)
     again = driven.run(minimal)
-    reproduced = signature(again, specs) == sought  # no, if it is flaky, or the compiled engine found it alone
-    if not reproduced:
-        minimal, again = scenario, trace
-    return Minimized(
-        id=record.id,
-        class_id=sought.class_id,
-        fault=known.fault if known else sought.fault,
-        cause=known.cause if known else None,
-        reproduced=reproduced,
-        is_minimal=reproduced and shrunk.is_minimal,
-        found=size_of(parts, removable=removable),
+    found = replace(left_as_found(logical, specs, record, trace, known), executions=shrunk.executions)
+    if signature(again, specs) != sought:  # it is flaky, or the compiled engine found it alone
+        return found, trace
+    found = replace(
+        found,
+        reproduced=True,
+        is_minimal=shrunk.is_minimal,
         minimal=size_of(logical.parts(minimal), removable=removable),
-        executions=shrunk.executions,
         violated=(ERROR,) if isinstance(again, ADSError) else judge(again, specs).violated,
         scenario=minimal.to_dict(),
-    ), logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
+    )
+    return found, logical.first_frame(minimal, ERROR) if isinstance(again, ADSError) else again
 
 
 def left_as_found(
-    logical: LogicalScenario, specs: Sequence[Spec], execution: Execution, known: Finding | None
+    logical: LogicalScenario, specs: Sequence[Spec], record: Record, trace: Trace, known: Finding | None
 ) -> Minimized:
     """Return a failure that cannot be minimized as it was found; see `minimized` for the arguments."""
-    record = execution.record
-    sought = recorded_signature(record, execution.load_trace(), specs)
-    size = size_of(logical.parts(execution.scenario), removable=logical.removable)
+    sought = recorded_signature(record, trace, specs)
+    size = size_of(logical.parts(record.load_scenario()), removable=logical.removable)
     return Minimized(
         id=record.id,
         class_id=sought.class_id,
@@ -282,7 +254,7 @@ def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = 
     Raises:
         InputError: if an execution has no failure.
     """
-    failures = {number: kind or "" for number, _, kind in store.failures()}
+    failures = {record.id: record.violation_class or "" for record in store.records() if record.failed}
     for number in numbers:
         if number not in failures:
             folder = store.folder
@@ -337,10 +309,10 @@ def minimize_failures(
             if answer is None:
                 execution = store.execution(number)
                 logical, specs = logical_of_target(executor, config.env), load_specs(config.specs)
-                answer = left_as_found(logical, specs, execution, known.get(number)), execution.trace
-            minimal, trace = answer
-            minimal.write(store.folder, trace)
-            yield minimal
+                record, trace = execution.record, execution.load_trace()
+                answer = left_as_found(logical, specs, record, trace, known.get(number)), execution.trace
+            answer[0].write(store.folder, answer[1])
+            yield answer[0]
     finally:
         executor.shutdown(wait=False)
 

@@ -4,17 +4,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from behavexplor.data.durable import write_durably
 from behavexplor.data.logical import Size
 from behavexplor.data.scenario import Scenario, read_scenario
-from behavexplor.data.untrusted import read_file
-from behavexplor.data.validation import checked
-from behavexplor.errors import InputError
-from behavexplor.triage.findings import Finding
+from behavexplor.triage.findings import FORMAT, Finding, read_made
 
-FORMAT: Final = 1
 MINIMIZED: Final = "minimized"
 
 
@@ -53,24 +49,6 @@ class Minimized:
         """Return the minimized scenario."""
         return read_scenario(dict(self.scenario))
 
-    @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a minimized failure from its file.
-
-        Raises:
-            InputError: if the file cannot be read, or is not one of a minimized failure.
-        """
-        try:
-            values = json.loads(read_file(path))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(
-                f"{path} cannot be read: {error}; delete it and run `behavexplor minimize` again"
-            ) from None
-        found = values.pop("format", None) if isinstance(values, dict) else None
-        if found != FORMAT:
-            raise InputError(f"{path} has format {found}, but this version reads format {FORMAT}: delete the file")
-        return checked(cls, values, str(path))
-
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as JSON values."""
         return {**asdict(self), "found": list(self.found), "minimal": list(self.minimal)}
@@ -95,7 +73,9 @@ def trace_path(folder: Path, number: int) -> Path:
 
 def read_minimized(folder: Path) -> dict[int, Minimized]:
     """Return the minimized failures of a run by the numbers of their executions."""
-    found = (Minimized.read(path) for path in sorted((folder / MINIMIZED).glob("*.json")))
+    found = (
+        read_made(Minimized, path, "`behavexplor minimize`") for path in sorted((folder / MINIMIZED).glob("*.json"))
+    )
     return {one.id: one for one in found}
 
 

@@ -67,9 +67,6 @@ class RunTriage:
     def examine(self, observe: Callable[[int], None]) -> Triage:
         """Examine the waiting failures, and write the findings into the run folder.
 
-        Args:
-            observe: function that gets the number of examined failures.
-
         Raises:
             InputError: if the run folder cannot be written, or is damaged.
             RuntimeError: if a failure could not be examined.

@@ -6,7 +6,7 @@ import behavexplor
 from behavexplor.ads.in_memory import GivenDriver
 from behavexplor.api.observers import observed
 from behavexplor.campaign.config import Budget, CampaignConfig
-from behavexplor.campaign.progress import Progress
+from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.campaign.store import Store
 from tests.campaign.test_store import execution
 
@@ -45,7 +45,7 @@ def test_no_failures_are_minimized_if_none_are_given(run, monkeypatch):
 
 def test_progress_is_said_once(capfd):
     with observed(True, Budget(executions=10)) as show:
-        show(Progress(executions=4, failed=1, classes={"R1/b": 1}))
+        show(Progress(executions=4, failed=1, classes={"R1/b": ClassSummary("R1/b", 1, 0, 0)}))
     assert "4 executions, 1 failed in 1 class" in (said := capfd.readouterr().err)
     assert "4 executions, 4 executions" not in said
 

@@ -85,7 +85,7 @@ def test_each_environment_may_have_driving_systems_of_its_own():
         ({"methods": {"A": {"config": "paper", "options": {}}}}, "has a config: give either the config alone"),
         ({"methods": {"A": {"method": 3}}}, "method of the method 'A' of the experiment"),
         ({"methods": {"A b": {"method": "uniform"}, "A/b": {"method": "random"}}}, "share a folder"),
-        ({"seeds": 0}, "seeds of the experiment must lie between 1 and 1000, not be 0"),
+        ({"seeds": 0}, "seeds: must be a number from 1 to 1000, got 0"),
         ({"seeds": "many"}, "seeds of the experiment"),
         ({"budget": "30m"}, "budget of the experiment"),
         ({"batch": 0}, "The batch 0"),

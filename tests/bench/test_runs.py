@@ -17,8 +17,7 @@ import pytest
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
 from behavexplor.bench.campaign_service import CampaignService, Outcome, campaign_request, take_outcome
 from behavexplor.bench.experiment import experiment_config, read_experiment
-from behavexplor.bench.forecast import forecast, trial
-from behavexplor.bench.runs import ExperimentRunner, RunState, run_state
+from behavexplor.bench.runs import ExperimentRunner, RunState, forecast, run_state, trial
 from behavexplor.bench.summaries import summarize
 from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.progress import executing_and_analysing
@@ -107,7 +106,7 @@ def test_every_cell_is_run_and_everything_is_written(whole):
     assert f"Report: {folder / 'out' / 'report.html'}" in result.stdout
     assert "All 4 campaigns are finished." in (folder / "out" / "report.html").read_text()
     names = {path.name for path in (folder / "out" / "tables").iterdir()}
-    assert {"violations.csv", "violations.tex", "times.tex", "failures-behavexplor.csv", "times.md"} <= names
+    assert {"violations.csv", "times.csv", "failures-behavexplor.csv", "times.md"} <= names
 
 
 def test_a_summary_counts_what_is_in_the_run_folder(whole):
@@ -131,7 +130,7 @@ def test_a_summary_counts_what_is_in_the_run_folder(whole):
 def test_what_is_finished_is_not_run_again_and_tables_are_the_same_files(whole):
     folder, _ = whole
     out = folder / "out"
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.suffix in {".csv", ".tex", ".txt", ".svg"}}
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.suffix in {".csv", ".md", ".txt", ".svg"}}
     times = {path: path.stat().st_mtime_ns for path in out.rglob("campaign.db")}
     for flag in ("--tables-only", "--quiet"):
         assert main(["bench", str(folder / "small.yaml"), "--unconfined", "--out", str(out), flag]) == 0

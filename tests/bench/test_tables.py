@@ -13,7 +13,7 @@ from behavexplor.bench.curves import curves, curves_csv, curves_svg
 from behavexplor.bench.experiment import experiment_config
 from behavexplor.bench.statistics import Estimate
 from behavexplor.bench.summaries import Failure, Mutant, Summary, correlation, summaries_csv
-from behavexplor.bench.table import Column, Table, escaped, marked, table_csv, table_latex, table_markdown
+from behavexplor.bench.table import Column, Table, marked, table_csv, table_markdown
 from behavexplor.bench.tables import tables
 from behavexplor.commands.wording import text
 
@@ -212,8 +212,9 @@ def test_times_are_split():
 
 def test_unmeasured_campaigns_have_no_time():
     lost = Summary("lane-follow", "rule", "Search", 1, 100, (), 0.2, math.nan, math.nan)
-    assert made("times", [lost]).rows == ()
-    assert "nan" not in text(made("times", [lost])) + summaries_csv([lost])
+    found = tables(EXPERIMENT, [lost])
+    assert "times" not in [table.name for table in found]
+    assert "nan" not in "".join(map(text, found)) + summaries_csv([lost])
 
 
 def test_correlations_are_of_the_methods_that_have_one():
@@ -353,32 +354,8 @@ def test_the_best_of_a_block_is_marked_also_where_two_look_alike():
     table = Table("t", "T", (Column("Method"), Column("Sum", best=True, interval=True)), rows, (3, 2))
     assert marked(table) == {(0, 1), (1, 1)}
     assert "3.0 [2.0, 4.0]*" in text(table)
-    assert r"a & \textbf{3.0 [2.0, 4.0]} \\" in table_latex(table)
-    assert r"d & 5.0 [4.0, 6.0] \\" in table_latex(table)
-    assert table_latex(table).count(r"\midrule") == 2
-
-
-@pytest.mark.parametrize(
-    ("plain", "latex"),
-    [
-        ("w/o BG_1", r"w/o BG\_1"),
-        ("50 % & more", r"50 \% \& more"),
-        ("p < 0.001", r"p \textless{} 0.001"),
-        ("#{x}$", r"\#\{x\}\$"),
-        ("a\\b~c^d", r"a\textbackslash{}b\textasciitilde{}c\textasciicircum{}d"),
-    ],
-)
-def test_latex_is_escaped(plain, latex):
-    assert escaped(plain) == latex
-
-
-def test_a_latex_table_escapes_names_and_says_what_it_is():
-    lines = table_latex(made("violations")).splitlines()
-    assert lines[0] == r"\begin{table}"
-    assert r"    \toprule" in lines
-    assert r"Scenario & Method & n & At fault & R1 & R2 & R3 & Sum & R1 by NPC & Novel \% \\" in lines[6]
-    assert [line for line in lines if r"Uniform\_1 & 1 & " in line]
-    assert r"\label{tab:violations}" in lines[3]
+    assert "| a | **3.0 [2.0, 4.0]** |" in table_markdown(table)
+    assert "| d | 5.0 [4.0, 6.0] |" in table_markdown(table)
 
 
 def test_a_markdown_table_marks_the_best_and_has_its_notes():

@@ -13,6 +13,7 @@ from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.judgment import judgment
 from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
@@ -41,7 +42,7 @@ class FakeExecutor(Executor):
         if len(self.executed) - 1 == self.fail_at:
             future.set_exception(RuntimeError("the ADS has lost its mind\nand more"))
         else:
-            future.set_result(simulate(ScriptedScenario.from_json(scenario.decode())).to_bytes())
+            future.set_result(simulate(parse_scenario(scenario.decode())).to_bytes())
         return future
 
 
@@ -51,7 +52,7 @@ class FakeThreads(ThreadPoolExecutor):
     runs_here = False
 
     def submit(self, _evaluate, scenario):
-        return super().submit(lambda: simulate(ScriptedScenario.from_json(scenario.decode())).to_bytes())
+        return super().submit(lambda: simulate(parse_scenario(scenario.decode())).to_bytes())
 
 
 class OftenLate(FakeExecutor):
@@ -153,10 +154,14 @@ def test_failures_are_recorded_with_their_class_and_fault(tmp_path):
         assert record["class"] == (kind.id if kind else "R1")  # the fake goes on driving after a contact
         assert record.get("fault") == (contact_fault(trace) if record["class"].startswith("R1") else None)
         kinds[record["class"]] += 1
-    assert list(store.failures()) == [(r["id"], r["violated"][0], r["class"]) for r in records if r["violated"]]
     store.close()
     assert len(kinds) > 1
-    assert seen[-1].classes == kinds
+    assert {kind: one.count for kind, one in seen[-1].classes.items()} == kinds
+    for kind, one in seen[-1].classes.items():
+        assert one.first == next(r["id"] for r in records if r.get("class") == kind)
+    first = [r["id"] for r in records if r["violated"][:1] == ["collision"]]
+    assert seen[-1].examples["collision"] == tuple(first[:3])
+    assert [one.count for one in seen[-1].largest_first] == sorted(kinds.values(), reverse=True)
     newest = max(min(r["id"] for r in records if r.get("class") == kind) for kind in kinds)
     assert seen[-1].last["class"] == newest
 

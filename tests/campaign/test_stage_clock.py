@@ -9,17 +9,7 @@ import pytest
 
 from behavexplor.campaign.config import stored_config
 from behavexplor.campaign.opening import opened
-from behavexplor.campaign.progress import (
-    EXECUTING,
-    JUDGING,
-    STAGES,
-    STARTING,
-    STORING,
-    WAITING,
-    StageClock,
-    executing_and_analysing,
-    known_stages,
-)
+from behavexplor.campaign.progress import STAGES, Stage, StageClock, executing_and_analysing, known_stages
 from behavexplor.campaign.record import DATABASE
 from behavexplor.campaign.store import Store
 from behavexplor.commands import OK, main
@@ -42,44 +32,44 @@ def stages_of(run):
 
 
 def test_the_clock_counts_each_stage_and_continues_after_an_interruption():
-    clock = StageClock({JUDGING: 10.0})
-    with suppress(KeyError), clock.during(JUDGING):
+    clock = StageClock({Stage.JUDGING: 10.0})
+    with suppress(KeyError), clock.during(Stage.JUDGING):
         time.sleep(0.02)
         raise KeyError
-    assert 0.02 <= clock.seconds[JUDGING] < 5
-    assert clock.total[JUDGING] == 10 + clock.seconds[JUDGING]
-    assert sum(clock.seconds.values()) == clock.seconds[JUDGING]
+    assert 0.02 <= clock.seconds[Stage.JUDGING] < 5
+    assert clock.total[Stage.JUDGING] == 10 + clock.seconds[Stage.JUDGING]
+    assert sum(clock.seconds.values()) == clock.seconds[Stage.JUDGING]
 
 
 def test_a_run_keeps_the_time_in_each_stage_and_a_resumed_one_adds_to_it(run):
     first, elapsed = stages_of(run)
     assert list(first) == list(STAGES)
-    assert first[STARTING] > 0 < first[EXECUTING]
-    assert first[WAITING] == 0
-    assert sum(first.values()) - first[STARTING] < elapsed + 1
+    assert first[Stage.STARTING] > 0 < first[Stage.EXECUTING]
+    assert first[Stage.WAITING] == 0
+    assert sum(first.values()) - first[Stage.STARTING] < elapsed + 1
     assert main(["fuzz", "--resume", str(run), "--budget", "6", "--workers", "0", "--quiet"]) == OK
     second, _ = stages_of(run)
     assert all(second[name] >= first[name] for name in STAGES)
-    assert second[EXECUTING] > first[EXECUTING]
+    assert second[Stage.EXECUTING] > first[Stage.EXECUTING]
 
 
 def test_what_is_stored_counts_for_the_start_when_a_run_is_resumed(run):
     before, _ = stages_of(run)
     with opened(stored_config(run).says, run, 0, resume=True) as ready:
         clock = ready.campaign._clock
-        begun = clock.seconds[STARTING]
+        begun = clock.seconds[Stage.STARTING]
         ready.campaign.run(lambda _: None)
-    assert {name for name, seconds in clock.seconds.items() if seconds} == {STARTING, STORING}
-    assert clock.seconds[STARTING] > begun
+    assert {name for name, seconds in clock.seconds.items() if seconds} == {Stage.STARTING, Stage.STORING}
+    assert clock.seconds[Stage.STARTING] > begun
     after, _ = stages_of(run)
-    assert {name for name in STAGES if after[name] != before[name]} == {STARTING}
+    assert {name for name in STAGES if after[name] != before[name]} == {Stage.STARTING}
 
 
 def test_executing_and_analysing_are_all_stages_but_the_start():
     stages = {name: float(2**i) for i, name in enumerate(STAGES)}
     executing, analysing = executing_and_analysing(stages)
-    assert executing == stages[EXECUTING] + stages[WAITING]
-    assert executing + analysing + stages[STARTING] == sum(stages.values())
+    assert executing == stages[Stage.EXECUTING] + stages[Stage.WAITING]
+    assert executing + analysing + stages[Stage.STARTING] == sum(stages.values())
     assert all(map(math.isnan, executing_and_analysing({})))
 
 

@@ -139,13 +139,13 @@ def test_damage_is_named(store, change):
         next(executions)
 
 
-def test_a_damaged_record_is_named_among_the_failures(store):
+def test_a_damaged_record_is_named(store):
     filled(store).close()
     path = store.folder / DATABASE
     path.write_bytes(path.read_bytes().replace(b'{"id": 1', b'["id": 1'))
     damaged = Store.read(store.folder)
     with pytest.raises(InputError, match="is damaged"):
-        list(damaged.failures())
+        list(damaged.records())
     damaged.close()
 
 

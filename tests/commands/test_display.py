@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from behavexplor.campaign.campaign import Progress
 from behavexplor.campaign.config import Budget
+from behavexplor.campaign.progress import ClassSummary, Progress
 from behavexplor.commands.display import Display, summary
 from behavexplor.commands.wording import clock
 from tests.campaign.test_store import execution, filled, store  # noqa: F401 - a fixture
@@ -16,11 +16,13 @@ PROGRESS = Progress(
     executions=50,
     failed=6,
     violations={"collision": 4, "lines": 0, "destination": 2},
-    classes={"R1/going-straight/leading/car-sized": 4, "R3/going-straight/passed": 2},
+    classes={
+        "R1/going-straight/leading/car-sized": ClassSummary("R1/going-straight/leading/car-sized", 4, 3, 2),
+        "R3/going-straight/passed": ClassSummary("R3/going-straight/passed", 2, 7, 1),
+    },
     novel=10,
     elapsed=20.0,
     executing=15.0,
-    at_fault={"R1/kind-10": 2, "R3/kind": 1},
     method={"corpus": 12, "mean_energy": 0.75},
     last={"novel": 39, "collision": 48},
 )
@@ -87,32 +89,38 @@ def test_clock(seconds, text):
     assert clock(seconds) == text
 
 
+def summarized(store, *executions, method="nsga2"):  # noqa: F811 - the fixture
+    """The summary of a campaign of 50 executions, of which these failed."""
+    for one in executions:
+        store.add(one)
+    store.commit()
+    progress = Progress(elapsed=20.0, violations={"collision": 0, "lines": 0, "destination": 0})
+    for record in store.records():
+        progress = progress.after(record, resumed=False)
+    return summary(replace(progress, executions=50), store, "behavexplor", method)
+
+
 def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811 - the fixture
     filled(store)
-    for number in range(3, 8):
-        store.add(execution(number, ["collision", "destination"] if number < 7 else ["destination"]))
-    store.commit()
-    text = summary(PROGRESS, store, "behavexplor", "nsga2")
+    collisions = [execution(number, ["collision", "destination"], "R1/kind") for number in range(3, 7)]
+    text = summarized(store, *collisions, execution(7, ["destination"], "R3/kind"))
     assert "collision        4   executions 3, 4, 5, ..." in text
     assert "destination      1   executions 7\n" in text
+    assert "lines " not in text
     assert f"\nbehavexplor replay {store.folder} 3\n" in text  # on a line of its own, to be copied
 
 
 def test_one_class_is_no_classes(store):  # noqa: F811 - the fixture
-    store.add(execution(0, ["collision"], "R1/kind"))
-    store.commit()
-    text = summary(PROGRESS, store, "behavexplor", "nsga2")
-    assert "in 1 class, 3 at fault in 2 classes; each failure is counted" in text
+    text = summarized(store, execution(0, ["collision"], "R1/kind"))
+    assert "in 1 class, 1 at fault in 1 class; each failure is counted" in text
     assert "A guided search cannot tell how many classes it has not found; another seed\nfinds more.\n" in text
 
 
 def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the fixture
-    for number in range(30):
-        store.add(execution(number, ["collision"], f"R1/kind-{min(number // 2, 10):02}"))
-    store.commit()
-    text = summary(PROGRESS, store, "behavexplor", "uniform")
+    kinds = [f"R1/kind-{min(number // 2, 10):02}" for number in range(30)]
+    text = summarized(store, *(execution(i, ["collision"], kind) for i, kind in enumerate(kinds)), method="uniform")
     assert all(len(line) <= 80 for line in text.splitlines() if str(store.folder) not in line)
-    assert "6 failed (12.0%) in 11 classes, 3 at fault in 2 classes; each failure is" in text
+    assert "30 failed (60.0%) in 11 classes, 30 at fault in 11 classes; each failure is" in text
     assert "The 8 most frequent classes:\n     10  R1/kind-10\n         R1/kind-10, first 20\n" in text
     assert "kind-07" not in text
     assert (
@@ -122,11 +130,11 @@ def test_the_summary_lists_the_most_frequent_classes(store):  # noqa: F811 - the
 
 
 def test_what_is_not_confirmed_is_no_failure_of_the_driver(store):  # noqa: F811 - the fixture
+    failed = []
     for number, kind in enumerate(["differs", "raised", "differs"]):
         one = execution(number, ["error"], f"error/{kind}")
-        store.add(replace(one, record=replace(one.record, error={"kind": kind, "message": f"m{number}"})))
-    store.commit()
-    text = summary(replace(PROGRESS, violations={"error": 3}), store, "behavexplor", "nsga2")
+        failed.append(replace(one, record=replace(one.record, error={"kind": kind, "message": f"m{number}"})))
+    text = summarized(store, *failed)
     assert "The driver itself failed in 1 executions, first in 1: m1\n" in text
     assert "highway-env did not confirm the failure in 2 executions, first in 0: m0\n" in text
 

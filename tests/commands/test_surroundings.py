@@ -6,8 +6,7 @@ import tempfile
 import pytest
 
 from behavexplor import commands
-from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.commands.surroundings import NO_TEMPORARY_FOLDER
+from behavexplor.commands import BAD_INPUT, NO_TEMPORARY_FOLDER, OK, main
 
 
 @pytest.fixture

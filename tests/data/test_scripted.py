@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.scripted import NPC, ScriptedScenario, Waypoint
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
@@ -29,8 +30,8 @@ def with_npc(**fields):
 
 @given(scenarios(LOGICAL))
 def test_json_restores_exactly(scenario):
-    assert ScriptedScenario.from_json(scenario.to_json()) == scenario
-    assert ScriptedScenario.from_json(scenario.to_json()).to_json() == scenario.to_json()
+    assert parse_scenario(scenario.to_json()) == scenario
+    assert parse_scenario(scenario.to_json()).to_json() == scenario.to_json()
 
 
 def test_scenarios_are_values():
@@ -65,7 +66,7 @@ def test_scenarios_are_values():
 )
 def test_errors_name_the_field(value, message):
     with pytest.raises(InputError) as error:
-        ScriptedScenario.from_json(json.dumps(value))
+        parse_scenario(json.dumps(value))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -73,14 +74,14 @@ def test_errors_name_the_field(value, message):
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "NaN", '{"functional": "x", "npcs": ' + " " * 10**6 + "[]}"])
 def test_text_that_is_no_scenario(text):
     with pytest.raises(InputError):
-        ScriptedScenario.from_json(text)
+        parse_scenario(text)
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity"])
 def test_numbers_are_finite(number):
     text = json.dumps(VALID).replace("3.5", number)
     with pytest.raises(InputError, match=r"npcs\[0\].waypoints\[0\].speed"):
-        ScriptedScenario.from_json(text)
+        parse_scenario(text)
 
 
 anything = st.recursive(
@@ -112,14 +113,14 @@ def test_whatever_is_changed_is_refused_in_one_sentence_or_a_scenario(scenario, 
     value = scenario.to_dict()
     for _ in range(data.draw(st.integers(1, 3))):
         value = replaced(value, data.draw(st.sampled_from(sorted(places(value), key=str))), data.draw(anything))
-    for read, given_value in ((ScriptedScenario.from_dict, value), (ScriptedScenario.from_json, json.dumps(value))):
+    for read, given_value in ((ScriptedScenario.from_dict, value), (parse_scenario, json.dumps(value))):
         try:
             restored = read(given_value)
         except InputError as error:
             assert "\n" not in str(error)
             assert len(str(error)) < 400
             continue
-        assert ScriptedScenario.from_json(restored.to_json()) == restored
+        assert parse_scenario(restored.to_json()) == restored
         try:
             LOGICAL.check(restored)
         except InputError as error:
@@ -129,7 +130,7 @@ def test_whatever_is_changed_is_refused_in_one_sentence_or_a_scenario(scenario, 
 @given(st.text(max_size=60))
 def test_any_text_is_refused_or_a_scenario(text):
     with pytest.raises(InputError):
-        ScriptedScenario.from_json(text)
+        parse_scenario(text)
 
 
 @settings(max_examples=100, deadline=None)
@@ -138,9 +139,9 @@ def test_json_cut_or_scratched_anywhere_is_refused_or_a_scenario(scenario, data)
     text = scenario.to_json()
     place = data.draw(st.integers(0, len(text) - 1))
     with pytest.raises(InputError):
-        ScriptedScenario.from_json(text[:place])
+        parse_scenario(text[:place])
     try:
-        ScriptedScenario.from_json(text[:place] + data.draw(st.characters(codec="utf-8")) + text[place + 1 :])
+        parse_scenario(text[:place] + data.draw(st.characters(codec="utf-8")) + text[place + 1 :])
     except InputError as error:
         assert str(error)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from behavexplor.data.roadmap import Route
 from behavexplor.data.scripted import ScriptedScenario
-from behavexplor.data.scripted_encoding import ROUTE, START, TYPE, ScriptedEncoding
+from behavexplor.data.scripted_logical import ROUTE, START, TYPE, ScriptedEncoding
 from behavexplor.envs.functional import IntersectionStraightEnv, LaneChangeEnv, LaneFollowEnv
 from behavexplor.errors import InputError
 from tests.strategies import seeds

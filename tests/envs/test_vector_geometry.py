@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from highway_env.road.road import RoadNetwork
 
+from behavexplor.data import box_kernels
+from behavexplor.data.box_kernels import boxes_touch, line_meets_box
 from behavexplor.data.conventions import EGO_SIZE
 from behavexplor.data.geometry import box_corners, boxes_overlap, segment_meets_box
-from behavexplor.envs.engine import contact, lane_keeping
-from behavexplor.envs.engine.contact import boxes_touch, line_meets_box, touches_line
+from behavexplor.envs.engine import lane_keeping
+from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates, lane_heading, lane_point
 from behavexplor.envs.engine.state import VEHICLE
 from behavexplor.envs.functional import IntersectionLeftEnv, LaneChangeEnv
@@ -19,7 +21,7 @@ from tests.kernel_calls import called_alone
 
 boxes_touch = called_alone(boxes_touch)
 closest_lane = called_alone(closest_lane)
-corners_of = called_alone(contact.corners)
+corners_of = called_alone(box_kernels.corners)
 lane_coordinates = called_alone(lane_coordinates)
 lane_heading = called_alone(lane_heading)
 lane_point = called_alone(lane_point)

@@ -11,13 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from shapely import LineString, Point, Polygon
 
+from behavexplor.data import box_kernels
+from behavexplor.data.box_kernels import boxes_touch, line_distance, line_meets_box
 from behavexplor.data.conventions import EGO_SIZE, MANEUVERS, VEHICLE_SIZES
 from behavexplor.data.npc_motion import motion_table
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.data.trace import ENDS
-from behavexplor.envs.engine import contact, lane_keeping
+from behavexplor.envs.engine import lane_keeping
 from behavexplor.envs.engine.bicycle import _limit_commands
-from behavexplor.envs.engine.contact import boxes_touch, line_distance, line_meets_box, touches_line
+from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import lane_coordinates
 from behavexplor.envs.engine.state import TRAITS, VEHICLE
 from behavexplor.envs.functional import IntersectionLeftEnv, IntersectionStraightEnv, LaneChangeEnv
@@ -30,7 +32,7 @@ from behavexplor.envs.tasks.scripted_world import make_world
 from tests.kernel_calls import called_alone
 
 boxes_touch = called_alone(boxes_touch)
-corners_of = called_alone(contact.corners)
+corners_of = called_alone(box_kernels.corners)
 line_distance = called_alone(line_distance)
 line_meets_box = called_alone(line_meets_box)
 move_npcs = called_alone(move_npcs)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from behavexplor.errors import InputError
-from behavexplor.fuzz.variation import SCALES, check_measures, describe
+from behavexplor.fuzz.quality_diversity import SCALES, check_measures, describe
 from tests.fakes import make_trace, simulate
 
 from .test_assessment import LOGICAL

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from behavexplor.errors import InputError
-from behavexplor.fuzz.map_elites import MAPElites, MAPElitesOptions
-from behavexplor.fuzz.novelty_search import NoveltySearch, NoveltySearchOptions
-from behavexplor.fuzz.variation import VariationOptions
+from behavexplor.fuzz.quality_diversity import (
+    MAPElites,
+    MAPElitesOptions,
+    NoveltySearch,
+    NoveltySearchOptions,
+    VariationOptions,
+)
 from behavexplor.judge.specs import Verdict
 from tests.fakes import LOGICAL, make_trace
 

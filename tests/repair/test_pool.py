@@ -5,7 +5,7 @@ import pytest
 
 from behavexplor.data.scripted import ScriptedScenario
 from behavexplor.envs.functional import LaneChangeEnv
-from behavexplor.repair.scenario_pool import FULL, MOST, Pool, read_pool
+from behavexplor.repair.retraining import FULL, MOST, Pool, read_pool
 
 LOGICAL = LaneChangeEnv.logical
 

@@ -192,9 +192,9 @@ def test_a_damaged_round_is_named_with_what_helps(tmp_path):
         (["learned:nothing"], "learned:"),
         (["missing.npz"], "missing.npz"),
         (["--resume", "missing"], "has no retraining.yaml"),
-        (["learned:lane-change", "--share", "2"], "share 2.0 must lie between"),
+        (["learned:lane-change", "--share", "2"], "share: must be a number from 0 to 0.95, got 2.0"),
         (["learned:lane-change", "--env", "highway-v0"], "follows a route on the roads of this package"),
-        (["learned:lane-change", "--rate", "-1"], "rate -1.0 must lie between"),
+        (["learned:lane-change", "--rate", "-1"], "rate: must be a number from 1e-07 to 0.1, got -1.0"),
     ],
 )
 def test_wrong_input_is_one_sentence(arguments, message, tmp_path, capsys):

@@ -17,11 +17,10 @@ from behavexplor.campaign.database import Row, insert
 from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.store import DATABASE, Execution, Store
 from behavexplor.commands import BAD_INPUT, OK, main
-from behavexplor.commands.report import PAGE
 from behavexplor.data.trace import Trace
-from behavexplor.report import sections
+from behavexplor.report import run_page
 from behavexplor.report.reading import read_run
-from behavexplor.report.run_page import page
+from behavexplor.report.run_page import PAGE, page
 from behavexplor.triage.findings import TRIAGE, Triage
 from tests.report.conftest import EVIL, changed, copied
 
@@ -350,12 +349,12 @@ LEFT_OUT = "Some are left out here"
 def test_what_is_too_large_for_a_page_is_left_out(run, monkeypatch):
     found = read_run(run)
     assert LEFT_OUT not in page([found], 10)
-    whole = sections.section(1, found, 10)
-    monkeypatch.setattr(sections, "MOST_SHOWN", 10)
+    whole = run_page.section(1, found, 10)
+    monkeypatch.setattr(run_page, "MOST_SHOWN", 10)
     without_replays = page([found], 10)
     assert LEFT_OUT in without_replays
     assert "The replay is not in this page" in without_replays
-    monkeypatch.setattr(sections, "MOST_PLACES", 1)
-    least = sections.section(1, found, 10)
+    monkeypatch.setattr(run_page, "MOST_PLACES", 1)
+    least = run_page.section(1, found, 10)
     assert (len(least.places), least.embedded, least.left_out) == (1, 0, True)
     assert (len(whole.places), whole.left_out) == (len(found.entries), False)

@@ -1,6 +1,7 @@
 """What is drawn: charts, behaviors, roads, marks."""
 
 import re
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 
@@ -8,12 +9,13 @@ import gymnasium
 import numpy as np
 import pytest
 
+from behavexplor.campaign.store import Store
 from behavexplor.data.road_shape import RoadShape
 from behavexplor.errors import InputError
 from behavexplor.report.behavior_map import LETTERS, behaviors, evenly, scaled
 from behavexplor.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Series, chart, ticks
 from behavexplor.report.gallery import PASSED, cards, replay_values
-from behavexplor.report.reading import read_run, stored
+from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road, road_values
 
 NO_RUN = Path("no-such-run")
@@ -21,7 +23,8 @@ NO_RUN = Path("no-such-run")
 
 @pytest.fixture(scope="module")
 def executions(run):
-    return list(stored(run))
+    with closing(Store.read(run)) as store:
+        return list(store.executions())
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from behavexplor.ads.rule.weaknesses import WEAKNESSES
-from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
 from behavexplor.triage.counterfactual import (
@@ -28,7 +28,7 @@ QUICK = ("R1-2", "R1-8", "R2-2", "R3-3")
 
 
 def planted(name, profile="hardened+{}"):
-    scenario = ScriptedScenario.from_json((SCENARIOS / f"{name}.json").read_text())
+    scenario = parse_scenario((SCENARIOS / f"{name}.json").read_text())
     simulation = Simulation(scenario.functional, f"rule:{profile.format(name)}")
     return simulation, scenario, simulation.run(scenario)
 

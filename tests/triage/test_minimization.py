@@ -37,8 +37,9 @@ def run(tmp_path_factory):
 
 def test_the_first_failure_of_each_class_is_minimized(run):
     first = {}
-    for number, _, kind in Store.read(run).failures():
-        first.setdefault(kind, number)
+    for record in Store.read(run).records():
+        if record.failed:
+            first.setdefault(record.violation_class, record.id)
     assert sorted(first.values()) == sorted(read_minimized(run))
     assert len(first) > 1
 
@@ -106,7 +107,7 @@ def test_numbers_beside_all_are_refused(tmp_path, capsys):
 def test_a_flaky_failure_is_named_and_stays_as_it_is(tmp_path, capsys):
     folder = tmp_path / "run"
     fuzz(folder, "tests.triage.test_triage:Wavering", 3)
-    number = next(number for number, _, _ in Store.read(folder).failures())
+    number = next(record.id for record in Store.read(folder).records() if record.failed)
     assert main(["minimize", str(folder), str(number), "--workers", "0", "--quiet"]) == OK
     assert f"Execution {number} did not fail in the same way" in capsys.readouterr().out
     found = read_minimized(folder)[number]
@@ -172,10 +173,11 @@ def test_what_triage_has_overtaken_or_lost_its_trace_is_minimized_again(tmp_path
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": 9}', '{"format": 1}', '{"format": 1, "id": "x"}'])
 def test_a_damaged_file_is_one_sentence(tmp_path, text):
-    path = tmp_path / "000001.json"
+    path = minimized_path(tmp_path, 1)
+    path.parent.mkdir()
     path.write_text(text)
     with pytest.raises(InputError, match=str(path)):
-        Minimized.read(path)
+        read_minimized(tmp_path)
 
 
 def test_the_file_is_plain_json(run):

@@ -15,7 +15,7 @@ from behavexplor.campaign.record import Record
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, main
 from behavexplor.commands.triage import report
-from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.judge.specs import judge
@@ -61,7 +61,7 @@ def run(tmp_path_factory):
     simulation = Simulation(config.env, config.ads)
     store = Store.create(folder, config.to_yaml())
     for number, name in enumerate(["R1-1", "R1-3", "R1-1"]):
-        scenario = ScriptedScenario.from_json((SCENARIOS / f"{name}.json").read_text())
+        scenario = parse_scenario((SCENARIOS / f"{name}.json").read_text())
         trace = simulation.run(scenario)
         record = Record(id=number, end=trace.end, violated=judge(trace).violated, scenario=scenario.to_dict())
         store.add(Execution(record, trace.to_bytes(), 0.0))

@@ -7,14 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from behavexplor.ads.road.lane_arrays import (
-    CURVATURE,
-    LENGTH,
-    is_far_from_arc,
-    lane_array,
-    pose_on_lane,
-    project_on_lane,
-)
+from behavexplor.ads.road import lane_arrays
 from behavexplor.data.array_types import Floats
 from behavexplor.data.conventions import wrapped
 from behavexplor.data.roadmap import Lane, RoadMap
@@ -73,7 +66,7 @@ def ego_path(
     stations = np.arange(0.0, route.length + SPACING, SPACING)
     left, right, oncoming = beside[np.searchsorted(route.bounds[1:-1], stations, side="right")].T
     return Path(
-        lanes=lane_array(lanes),
+        lanes=lane_arrays.lane_array(lanes),
         bounds=np.concatenate([[0.0], np.cumsum([lane.length for lane in lanes])]),
         limits=_speed_limits(roadmap, stations, lateral_acceleration, approach_braking),
         left=np.ascontiguousarray(left),
@@ -172,11 +165,11 @@ def locate_on_path(path: Path, x: float, y: float) -> tuple[int, float, float]:
     nearest, best, best_station, best_offset = math.inf, 0, 0.0, 0.0
     for curved in (False, True):  # straight lanes first: they are cheaper, and usually nearer
         for i in range(last + 1):
-            if (path.lanes[i, CURVATURE] != 0.0) != curved:
+            if (path.lanes[i, lane_arrays.CURVATURE] != 0.0) != curved:
                 continue
-            if curved and is_far_from_arc(path.lanes, i, x, y, math.sqrt(nearest)):
+            if curved and lane_arrays.is_far_from_arc(path.lanes, i, x, y, math.sqrt(nearest)):
                 continue
-            station, offset = project_on_lane(path.lanes, i, x, y)
+            station, offset = lane_arrays.project_on_lane(path.lanes, i, x, y)
             gap = offset * offset + _outside(path, i, station) ** 2
             if gap < nearest or (gap == nearest and i < best):
                 nearest, best, best_station, best_offset = gap, i, path.bounds[i] + station, offset
@@ -188,7 +181,7 @@ def _outside(path: Path, lane: int, station: float) -> float:
     """Return how far a station lies beyond a lane's ends [m]; the first and last lane continue beyond the route."""
     if station < 0.0:
         return -station if lane > 0 else 0.0
-    return max(station - path.lanes[lane, LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
+    return max(station - path.lanes[lane, lane_arrays.LENGTH], 0.0) if lane < len(path.lanes) - 1 else 0.0
 
 
 @kernel_inner
@@ -201,7 +194,7 @@ def project_on_path(path: Path, x: float, y: float) -> tuple[float, float]:
 @kernel_inner
 def is_straight(path: Path, lane: int, low: float, high: float) -> bool:
     """Return whether the route is straight between two stations around a lane; the route continues beyond its ends."""
-    if path.lanes[lane, CURVATURE] != 0.0:
+    if path.lanes[lane, lane_arrays.CURVATURE] != 0.0:
         return False
     starts = lane == 0 or low >= path.bounds[lane]
     return bool(starts and (lane == len(path.lanes) - 1 or high <= path.bounds[lane + 1]))
@@ -213,7 +206,7 @@ def pose_on_path(path: Path, station: float) -> tuple[float, float, float]:
     i = 0
     while i < len(path.lanes) - 1 and station > path.bounds[i + 1]:
         i += 1
-    return pose_on_lane(path.lanes, i, station - path.bounds[i])
+    return lane_arrays.pose_on_lane(path.lanes, i, station - path.bounds[i])
 
 
 @kernel_inner

@@ -213,10 +213,6 @@ class RulePlanner:
         observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
         action: acceleration and steering, each in [-1, 1] over its range.
         policy_frequency: decisions per second, 10 Hz.
-
-    Args:
-        roadmap: road map with the ego's route.
-        parameters: numbers of the planner, weaknesses included.
     """
 
     observation: Mapping[str, Any] = OBSERVATION

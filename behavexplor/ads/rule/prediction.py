@@ -49,12 +49,7 @@ class LaneGraph(NamedTuple):
 
 
 def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:
-    """Make the lane graph of all routes, the ego's included: their lanes, and every distinct rest of a route.
-
-    Args:
-        roadmap: road map with the routes.
-        path: path of the ego on this map.
-    """
+    """Make the lane graph of all routes, the ego's included: their lanes, and every distinct rest of a route."""
     routes, ego_route = (*roadmap.npc_routes, roadmap.ego_route), roadmap.ego_route
     lanes = tuple({lane.name: lane for route in routes for lane in route.lanes}.values())
     index = {lane.name: i for i, lane in enumerate(lanes)}

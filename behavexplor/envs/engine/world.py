@@ -101,11 +101,7 @@ def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _
 
 
 def _check_road(env: AbstractEnv) -> None:
-    """Check that the road is one of highway-env's.
-
-    Raises:
-        InputError: if it is another one that behaves differently.
-    """
+    """Check that the road is one of highway-env's."""
     for thing, known in ((env.road, (RegulatedRoad, Road)), (env.road.network, (RoadNetwork,))):
         parent = next((parent for parent in type(thing).__mro__ if parent in known), None)
         changed = f"{type(thing).__name__}" if parent is None else replaced(type(thing), parent, {"__init__"})

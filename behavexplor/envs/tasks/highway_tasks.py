@@ -11,7 +11,7 @@ from behavexplor.envs.engine.pcg64 import Words
 from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.engine.world import BARRIER, World
 from behavexplor.envs.tasks import exit as exit_road
-from behavexplor.envs.tasks import highway, intersection, merge, merge_generic, roundabout, two_way, u_turn
+from behavexplor.envs.tasks import highway, intersection, merge, roundabout, two_way, u_turn
 from behavexplor.envs.tasks.task import Task, TaskKind
 from behavexplor.jit import kernel_inner
 
@@ -19,7 +19,7 @@ from behavexplor.jit import kernel_inner
 KINDS: Final[tuple[TaskKind, ...]] = (
     exit_road.KIND,
     highway.KIND,
-    merge_generic.KIND,
+    merge.GENERIC_KIND,
     merge.KIND,
     roundabout.KIND,
     u_turn.KIND,
@@ -56,7 +56,7 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
     elif number == _HIGHWAY:
         highway.start(world, task, scene, words)
     elif number == _MERGE_GENERIC:
-        merge_generic.start(world, task, scene, words)
+        merge.start_generic(world, task, scene, words)
     elif number == _MERGE:
         merge.start(world, task, scene, words)
     elif number == _ROUNDABOUT:

@@ -1,15 +1,20 @@
-"""highway-env's merge: make room for a vehicle that comes from a ramp (`MergeEnv`)."""
+"""highway-env's merges: make room for a vehicle that comes from a ramp (`MergeEnv`, `MergeGenericEnv`)."""
 
+from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
-from highway_env.envs.merge_env import MergeEnv
+from highway_env.envs.merge_env import MergeEnv, MergeGenericEnv
+from highway_env.road.road import LaneIndex
 
 from behavexplor.envs.engine.lane_geometry import lane_point
 from behavexplor.envs.engine.pcg64 import TWO, Words, integer, uniform
 from behavexplor.envs.engine.state import Scene
 from behavexplor.envs.engine.world import AS_EGO, AS_OTHER, World, place_vehicle
 from behavexplor.envs.tasks.reward_terms import CRASHED, FREE_SPEED, LANE_CHANGE, LANE_NUMBER, SLOW_ON_GOAL
-from behavexplor.envs.tasks.task import Task, TaskKind, check_discrete
+from behavexplor.envs.tasks.task import Config, Task, TaskKind, check_discrete
+from behavexplor.envs.values import POSITIVE
+from behavexplor.errors import InputError
 from behavexplor.jit import kernel_inner
 
 KIND = TaskKind(
@@ -48,3 +53,61 @@ def start(world: World, task: Task, scene: Scene, words: Words) -> None:
     x, y = lane_point(lanes[starts.lanes[2]], 110.0)
     i = place_vehicle(world, scene, AS_OTHER, x, y, 0.0, 20.0)
     scene.vehicles[i].target_speed = 30.0
+
+
+_BEFORE_END = ("before_merge_length", "converge_merge_length", "parallel_merge_length")
+
+
+def _start_lanes(config: Config) -> tuple[LaneIndex, ...]:
+    return *(("a", "b", number) for number in range(config["lanes_count"])), ("j", "k", 0)
+
+
+def _put_starts(row: Any, config: Config) -> None:
+    row.n_others = config["vehicles_count"] + 1
+    row.spacing = sum(config[key] for key in _BEFORE_END)  # the stations over which vehicles are spread
+
+
+def _check(config: Config) -> None:
+    KIND.check(config)
+    if config["after_merge_length"] < 90:
+        raise InputError(f"after_merge_length: {config['after_merge_length']} must be at least 90")
+
+
+GENERIC_KIND = replace(  # with as many lanes and vehicles as the config says
+    KIND,
+    env_classes=(MergeGenericEnv,),
+    end_x=lambda config: sum(config[key] for key in _BEFORE_END) + config["after_merge_length"] - 90,
+    start_lanes=_start_lanes,
+    n_placed=None,
+    put_starts=_put_starts,
+    keys=MappingProxyType(dict.fromkeys((*_BEFORE_END, "after_merge_length"), POSITIVE)),
+    check=_check,
+)
+
+
+@kernel_inner
+def start_generic(world: World, task: Task, scene: Scene, words: Words) -> None:
+    """Place the vehicles: `MergeGenericEnv._make_vehicles`."""
+    lanes, starts, rules = world.network.lanes, task.starts.lanes, task.rules[0]
+    n_lanes = len(starts) - 1
+    x, y = lane_point(lanes[starts[n_lanes - 1]], 30.0)
+    place_vehicle(world, scene, AS_EGO, x, y, 0.0, 30.0)
+    for _ in range(rules.n_others - 1):
+        for _ in range(10):
+            lane = starts[integer(words, n_lanes)]
+            x, y = lane_point(lanes[lane], uniform(words, 0.0, rules.spacing))
+            if _is_free(scene, x, y):
+                place_vehicle(world, scene, AS_OTHER, x, y, 0.0, 30.0 + uniform(words, -2.0, 2.0))
+                break
+    x, y = lane_point(lanes[starts[n_lanes]], 60.0)
+    i = place_vehicle(world, scene, AS_OTHER, x, y, 0.0, 20.0)
+    scene.vehicles[i].target_speed = 30.0
+
+
+@kernel_inner
+def _is_free(scene: Scene, x: float, y: float) -> bool:
+    """Return whether no vehicle is within 15 m on the lane at y, which begins at x = 0."""
+    for j in range(scene.episode.n_vehicles):
+        if scene.vehicles[j].y == y and abs(x - scene.vehicles[j].x) <= 15.0:
+            return False
+    return True

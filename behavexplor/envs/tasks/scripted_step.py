@@ -5,10 +5,11 @@ from typing import Final
 
 from behavexplor.data import scene
 from behavexplor.data.array_types import Bools, Floats, Singles
+from behavexplor.data.box_kernels import boxes_touch, corners
 from behavexplor.data.conventions import EGO_SIZE, is_rear_end
 from behavexplor.data.trace import ENDS
 from behavexplor.envs.engine.bicycle import move
-from behavexplor.envs.engine.contact import boxes_touch, corners, touches_line
+from behavexplor.envs.engine.contact import touches_line
 from behavexplor.envs.engine.lane_geometry import closest_lane, lane_coordinates
 from behavexplor.envs.engine.lane_keeping import keep_lane_and_speed, take_maneuver
 from behavexplor.envs.engine.lane_network import Network

@@ -12,7 +12,7 @@ from behavexplor.ads.loading import load_ads
 from behavexplor.ads.rule import Parameters
 from behavexplor.ads.rule.profiles import DEFAULT, PROFILES, rule_planner
 from behavexplor.ads.rule.weaknesses import R1_1, R2_4, R3_4, WEAKNESSES
-from behavexplor.data.scripted import ScriptedScenario
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.trace import weakness_names
 from behavexplor.envs.functional import IntersectionStraightEnv
 from behavexplor.errors import InputError
@@ -26,7 +26,7 @@ SCENARIOS = Path(__file__).parent.parent / "scenarios"
 
 @pytest.mark.parametrize("name", WEAKNESSES)
 def test_the_violation_occurs_with_the_weakness_and_not_without(name):
-    scenario = ScriptedScenario.from_json((SCENARIOS / f"{name}.json").read_text())
+    scenario = parse_scenario((SCENARIOS / f"{name}.json").read_text())
     weak = Simulation(scenario.functional, f"rule:hardened+{name}").run(scenario)
     careful = Simulation(scenario.functional, "rule:hardened").run(scenario)
     requirement = {"R1": "collision", "R2": "lines", "R3": "destination"}[name[:2]]

@@ -6,7 +6,7 @@ import pytest
 from highway_env.vehicle.behavior import IDMVehicle
 from scipy.stats import binomtest
 
-from behavexplor.data.drawn_scenario import DrawnScenario
+from behavexplor.data.scenario import parse_scenario
 from behavexplor.data.trace import ABSENT, Trace
 from behavexplor.envs.engine.vehicle_parameters import kept_parameters
 from behavexplor.envs.making import environment_id, is_highway, make_env
@@ -63,7 +63,7 @@ def check_replays(name, seeds):
         steps = stock_episode(name, seed)
         recorded, info = drawn_episode(env, steps, seed=seed)
         assert_equal(recorded, steps)
-        scenario = DrawnScenario.from_json(env.played().to_json())
+        scenario = parse_scenario(env.played().to_json())
         again, last = drawn_episode(env, steps, options={"scenario": scenario})
         assert_equal(again, steps)
         if "trace" in info:
