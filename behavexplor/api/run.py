@@ -33,9 +33,9 @@ from behavexplor.report.drawing import decisive_frame, draw, footage_of, save_an
 from behavexplor.report.reading import read_run
 from behavexplor.report.road_shapes import known_road
 from behavexplor.report.run_page import PAGE, page, written
-from behavexplor.triage.findings import Triage, known_findings
-from behavexplor.triage.minimization import chosen_failures, minimize_failures
-from behavexplor.triage.minimized import Minimized, known_minimized
+from behavexplor.triage.findings import Triage
+from behavexplor.triage.minimization import RunMinimization
+from behavexplor.triage.minimized import Minimized
 from behavexplor.triage.run_triage import RunTriage
 
 _SUFFIXES: Final = (".gif", ".png")
@@ -250,14 +250,8 @@ class Run:
             return []
         config = self._accepted(JUDGED)
         count = worker_count(self._given, config.target, workers)
-        with closing(Store.read(self.folder)) as store:
-            chosen = chosen_failures(store, given or [])
-            findings = known_findings(self.folder)
-            known = known_minimized(self.folder, findings)
-            waiting = [number for number in chosen if number not in known]
-            for one in minimize_failures(store, config, waiting, findings, count, self._given.driver):
-                known[one.id] = one
-        return [known[number] for number in chosen]
+        work = RunMinimization(self.folder, config, count, given or (), driver=self._given.driver)
+        return work.minimize(lambda _: None)
 
     def report(self, path: str | Path | None = None, *, replays: int = 100) -> Path:
         """Write the findings as one self-contained HTML page.

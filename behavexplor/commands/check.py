@@ -4,13 +4,13 @@ import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from junitparser import Failure, JUnitXml, TestCase, TestSuite
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
-from behavexplor.commands.flags import Trust, chosen_workers, patience
+from behavexplor.commands.flags import HowToRun, patience
 from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.durable import write_given
 from behavexplor.errors import InputError, sentence
@@ -22,38 +22,31 @@ def check(
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
     *,
     ads: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the suite's)")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Trust = (),
+    running: HowToRun,
     stochastic: bool = False,
-    unconfined: bool = False,
     junit: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None,
-    quiet: bool = False,
 ) -> int:
     """Drive every scenario of a regression suite. The exit code is 1 if one of them fails.
 
     Args:
         folder: Folder of the suite.
         ads: Driving system under test, as for fuzz.
-        workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
-            a driver that is not shipped with behavexplor then needs --unconfined.
-        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
+        running: How the driver runs.
         stochastic: Draw the actions of a stochastic policy, as in its training.
-        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
         junit: Also write the results to this file as JUnit XML, which CI systems show.
-        quiet: Print only the number of failures.
     """
     suite = Suite.read(folder)
-    count = min(chosen_workers(workers), len(suite.cases))
-    settings: dict[str, Any] = {"trust": trust, "unconfined": unconfined, "stochastic": stochastic}
-    waiting = patience(lambda note: None if quiet else say(note, file=sys.stderr))
+    count = min(running.count, len(suite.cases))
+    settings = {"unconfined": running.unconfined, "stochastic": stochastic}
+    waiting = patience(lambda note: None if running.quiet else say(note, file=sys.stderr))
     try:
-        with waiting, opened_driver(suite, ads, count, **settings) as drive:
+        with waiting, opened_driver(suite, ads, count, running.trust, **settings) as drive:
             outcomes = list(drive.all_of(suite.cases))
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A scenario could not be executed: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED
     failed = sum(not outcome.passed for outcome in outcomes)
-    if not quiet:
+    if not running.quiet:
         say(_table(outcomes), end="\n\n")
     say(result(failed, len(outcomes)))
     if junit is not None:

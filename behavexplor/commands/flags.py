@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, dataclass, fields
 from inspect import Parameter, Signature, cleandoc
 from pathlib import Path
 from threading import Timer
@@ -11,7 +11,8 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import tyro
 
-from behavexplor.campaign.config import read_yaml
+from behavexplor.campaign.config import read_yaml, stored_config
+from behavexplor.campaign.provenance import JUDGED, AcceptedConfig, Consent, accepted
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import MOST_WORKERS, available_cores
 
@@ -39,6 +40,36 @@ def flag(metavar: str | None, default: object) -> Any:
         default: what holds without the flag, for the help text; None for nothing.
     """
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default is not None else "")
+
+
+@dataclass(frozen=True)
+class Running:
+    """How a command runs a driver again that a folder names.
+
+    Attributes:
+        workers: Number of worker processes (no effect on the results). 0: this process, with no limits for the driver;
+            a driver that is not shipped with behavexplor then needs --unconfined.
+        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
+        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
+        quiet: Print only the result.
+    """
+
+    workers: Annotated[int | None, flag("N", "the cores")] = None
+    trust: Trust = ()
+    unconfined: bool = False
+    quiet: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of worker processes; see `chosen_workers`."""
+        return chosen_workers(self.workers)
+
+    def accepted(self, run: Path) -> AcceptedConfig:
+        """Return the configuration of a run, whose driver drives again and whose specs judge."""
+        return accepted(stored_config(run), Consent(self.trust, self.unconfined), JUDGED)
+
+
+HowToRun = Annotated[Running, tyro.conf.arg(name="")]  # a parameter whose fields are flags
 
 
 def settings(kind: type, names: str, **other: tuple[object, str]) -> Any:

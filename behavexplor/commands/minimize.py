@@ -2,24 +2,19 @@
 
 import sys
 from collections.abc import Sequence
-from contextlib import closing
 from pathlib import Path
 from statistics import median
 from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.provenance import JUDGED, Consent, accepted
-from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.flags import HowToRun
 from behavexplor.commands.wording import counted, grid, plain_text, say
 from behavexplor.errors import InputError, sentence
-from behavexplor.triage.findings import known_findings
-from behavexplor.triage.minimization import chosen_failures, minimize_failures
-from behavexplor.triage.minimized import Minimized, known_minimized
+from behavexplor.triage.minimization import RunMinimization
+from behavexplor.triage.minimized import Minimized
 
 _NUMBERS = ("vehicles", "free values", "executions")
 
@@ -29,11 +24,8 @@ def minimize(
     numbers: Annotated[tuple[int, ...], tyro.conf.Positional, tyro.conf.arg(name="ids", metavar="[ID ...]")] = (),
     *,
     every: Annotated[bool, tyro.conf.arg(name="all")] = False,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Trust = (),
+    running: HowToRun,
     afresh: bool = False,
-    unconfined: bool = False,
-    quiet: bool = False,
 ) -> int:
     """Find the simplest scenario in which a failure still happens: the fewest vehicles, and the plainest values.
 
@@ -44,33 +36,20 @@ def minimize(
         run: The run folder.
         numbers: Numbers of failed executions; by default the first failure of each class.
         every: Minimize all failures.
-        workers: Number of worker processes; 0 uses this process. The results do not depend on it.
-        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
+        running: How the driver runs.
         afresh: Minimize failures again that have been minimized before. Those for which triage has found another fault
             or cause since then are always minimized again.
-        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
-        quiet: Print only the table.
     """
     if every and numbers:
         raise InputError("Give either numbers of executions or --all")
-    count, config = chosen_workers(workers), accepted(stored_config(run), Consent(trust, unconfined), JUDGED)
-    with closing(Store.read(run)) as store:
-        chosen = chosen_failures(store, numbers, every=every)
-        findings = known_findings(run)
-        known = {} if afresh else known_minimized(run, findings)
-        found = {number: known[number] for number in chosen if number in known}
-        waiting = [number for number in chosen if number not in found]
-        try:
-            with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-                for minimal in minimize_failures(store, config, waiting, findings, count):
-                    found[minimal.id] = minimal
-                    meter.show(len(found) - len(chosen) + len(waiting))
-        except OSError as error:
-            raise InputError(f"The run folder {run} cannot be written: {error.strerror}") from None
-        except RuntimeError as error:
-            say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
-            return EXECUTION_FAILED
-    say(table([found[number] for number in chosen]))
+    work = RunMinimization(run, running.accepted(run), running.count, numbers, every=every, afresh=afresh)
+    try:
+        with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
+            found = work.minimize(meter.show)
+    except RuntimeError as error:
+        say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
+        return EXECUTION_FAILED
+    say(table(found))
     return OK
 
 

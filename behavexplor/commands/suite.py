@@ -9,18 +9,16 @@ from typing import Annotated
 
 import tyro
 
-from behavexplor.campaign.config import CampaignConfig, stored_config
-from behavexplor.campaign.provenance import JUDGED, Consent, accepted
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.store import Store
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.flags import HowToRun, Running
 from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.repair.cases import TEST, Case, Suite, candidates, case_of, check_free, check_same_driving
 from behavexplor.triage.findings import known_findings
-from behavexplor.triage.minimization import minimize_failures
-from behavexplor.triage.minimized import Minimized, known_minimized
+from behavexplor.triage.minimization import RunMinimization
 
 TRIES = 3  # failures of one class that are tried, in case the first ones cannot be reproduced
 
@@ -29,10 +27,7 @@ def suite(
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(name="run", metavar="RUN [RUN ...]")],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")],
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Trust = (),
-    unconfined: bool = False,
-    quiet: bool = False,
+    running: HowToRun,
 ) -> int:
     """Write a regression suite: one minimized scenario of each class of failures, and a test file for pytest.
 
@@ -42,21 +37,17 @@ def suite(
     Args:
         runs: Run folders of one environment.
         out: Folder of the suite, new or empty.
-        workers: Number of worker processes; 0 uses this process. The suite does not depend on it.
-        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
-        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
-        quiet: Print only the summary.
+        running: How the driver runs.
     """
     if not runs:
         raise InputError("Give at least one run folder, such as runs/my-run")
     check_free(out)  # before failures are minimized, which takes minutes
-    count = chosen_workers(workers)
-    configs = [(run, accepted(stored_config(run), Consent(trust, unconfined), JUDGED)) for run in runs]
+    configs = [(run, running.accepted(run)) for run in runs]
     check_same_driving(configs[0], configs[1:])
     cases: dict[str, Case] = {}
     try:
         for run, config in configs:
-            for case in _cases(run, config, cases, count, quiet=quiet):
+            for case in _cases(run, config, cases, running):
                 cases.setdefault(case.class_id, case)
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A failure could not be minimized: {error}')}", file=sys.stderr)
@@ -80,24 +71,19 @@ def suite(
     return OK
 
 
-def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], workers: int, *, quiet: bool) -> list[Case]:
+def _cases(run: Path, config: CampaignConfig, taken: Mapping[str, Case], running: Running) -> list[Case]:
     """Return a case for each class of a run that is not yet taken. Failures are minimized if they have not been."""
+    made: list[Case] = []
     with closing(Store.read(run)) as store:
-        findings = known_findings(run)
-        left = {kind: ids for kind, ids in candidates(store.records(), findings).items() if kind not in taken}
-        known, made = known_minimized(run, findings), []
+        found = candidates(store.records(), known_findings(run))
+        left = {kind: ids for kind, ids in found.items() if kind not in taken}
         for attempt in range(TRIES):
             chosen = [ids[attempt] for ids in left.values() if len(ids) > attempt]
-            waiting = [number for number in chosen if number not in known]
-            with Meter(sys.stderr, len(waiting), "failures", quiet=quiet) as meter:
-                for done, minimal in enumerate(minimize_failures(store, config, waiting, findings, workers), 1):
-                    known[minimal.id] = minimal
-                    meter.show(done)
-            good = _reproduced(known, chosen)
+            if not chosen:
+                break
+            work = RunMinimization(run, config, running.count, chosen)
+            with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
+                good = [minimal for minimal in work.minimize(meter.show) if minimal.reproduced]
             made += [case_of(store, config, minimal) for minimal in good]
             left = {kind: ids for kind, ids in left.items() if kind not in {minimal.class_id for minimal in good}}
     return made
-
-
-def _reproduced(known: Mapping[int, Minimized], numbers: list[int]) -> list[Minimized]:
-    return [known[number] for number in numbers if known[number].reproduced]

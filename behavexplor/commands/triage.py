@@ -9,11 +9,9 @@ from typing import Annotated
 import tyro
 from rich.table import Table
 
-from behavexplor.campaign.config import stored_config
-from behavexplor.campaign.provenance import JUDGED, Consent, accepted
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
-from behavexplor.commands.flags import Trust, chosen_workers
+from behavexplor.commands.flags import HowToRun
 from behavexplor.commands.wording import class_count, grid, hanging, plain_text, say
 from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
@@ -25,13 +23,7 @@ _NUMBERS = ("count", "first", "look at")  # columns of numbers
 
 
 def triage(
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
-    *,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="(default: the cores)")] = None,
-    trust: Trust = (),
-    afresh: bool = False,
-    unconfined: bool = False,
-    quiet: bool = False,
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")], *, running: HowToRun, afresh: bool = False
 ) -> int:
     """Classify the failures of a run, and find out whose fault they were and how they could have been avoided.
 
@@ -40,17 +32,13 @@ def triage(
 
     Args:
         run: The run folder.
-        workers: Number of worker processes; 0 uses this process. The findings do not depend on it.
-        trust: Allow the folder or policy file with this digest ("sha256:...") to execute code. May be repeated.
+        running: How the driver runs.
         afresh: Examine all failures again.
-        unconfined: Allow a driver that is not shipped with behavexplor to write files and use the network.
-        quiet: Print only the tables.
     """
-    count, config = chosen_workers(workers), accepted(stored_config(run), Consent(trust, unconfined), JUDGED)
-    running = RunTriage(run, config, count, afresh=afresh)
+    work = RunTriage(run, running.accepted(run), running.count, afresh=afresh)
     try:
-        with Meter(sys.stderr, len(running.waiting), "failures", quiet=quiet) as meter:
-            found = running.examine(meter.show)
+        with Meter(sys.stderr, len(work.waiting), "failures", quiet=running.quiet) as meter:
+            found = work.examine(meter.show)
     except RuntimeError as error:
         say(f"{program()}: {sentence(f'A failure could not be examined: {error}')}", file=sys.stderr)
         return EXECUTION_FAILED

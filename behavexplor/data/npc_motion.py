@@ -127,14 +127,8 @@ def fill_frames(routes: Routes, route: int, phases: Floats, n_phases: int, time:
     for frame in range(len(time)):
         while phase + 1 < n_phases and phases[phase + 1, BEGIN] <= time[frame]:
             phase += 1
-        table[frame, X], table[frame, Y], table[frame, HEADING], table[frame, SPEED] = npc_at(
-            routes,
-            route,
-            time[frame] - phases[phase, BEGIN],
-            phases[phase, STATION],
-            phases[phase, PHASE_SPEED],
-            phases[phase, PHASE_ACCELERATION],
-        )
+        x, y, heading, speed = npc_at(routes, route, phases[phase], time[frame])
+        table[frame, X], table[frame, Y], table[frame, HEADING], table[frame, SPEED] = x, y, heading, speed
         table[frame, ACCELERATION] = phases[phase, PHASE_ACCELERATION]
 
 
@@ -175,20 +169,17 @@ def fill_phases(waypoints: Floats, phases: Floats) -> int:
 
 
 @kernel_inner
-def npc_at(
-    routes: Routes, route: int, since: float, station: float, speed: float, acceleration: float
-) -> tuple[float, float, float, float]:
-    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC.
+def npc_at(routes: Routes, route: int, phase: Floats, time: float) -> tuple[float, float, float, float]:
+    """Compute the position x and y [m], heading [rad] and speed [m/s] of an NPC at a time in a phase.
 
     Args:
         routes: the routes of all NPCs.
         route: row of the NPC's route.
-        since: time since the current phase began [s].
-        station: station at which the phase began [m].
-        speed: speed at which the phase began [m/s].
-        acceleration: acceleration during the phase [m/s2].
+        phase: the current phase, shape (4,); see `fill_phases`.
+        time: the time [s].
     """
-    station += since * (speed + 0.5 * acceleration * since)
+    since, speed, acceleration = time - phase[BEGIN], phase[PHASE_SPEED], phase[PHASE_ACCELERATION]
+    station = phase[STATION] + since * (speed + 0.5 * acceleration * since)
     i = 0
     while station >= routes.begin[route, i + 1]:
         i += 1

@@ -7,12 +7,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from behavexplor.ads.interface import ADS
+from behavexplor.campaign.config import CampaignConfig
 from behavexplor.campaign.record import Record
 from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
-from behavexplor.execution.evaluator import Evaluator
-from behavexplor.execution.executor import ADSError
+from behavexplor.execution.evaluator import Evaluator, recipe_for
+from behavexplor.execution.executor import ADSError, Executor
 from behavexplor.execution.simulation import Simulation
+from behavexplor.execution.start import start_executor, start_in_process
 from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import SPECS, Spec, judge
 from behavexplor.triage.blame import Blame, blame
@@ -70,6 +73,17 @@ class FailureEvaluator(Evaluator):
         """Load the ADS and make its environment. Calls do not run in batches."""
         super().begin()
         self.batch = None
+
+
+def start_evaluator(
+    kind: type[FailureEvaluator], config: CampaignConfig, patience: float, workers: int, driver: ADS | None
+) -> Executor:
+    """Start the executor of an evaluator of failures. Each may take `patience` times the time limit of an execution."""
+    target = replace(config.target, time_limit=patience * config.time_limit)
+    recipe = recipe_for(kind, target, specs=config.specs)
+    if driver is not None:
+        return start_in_process(target, driver, recipe)
+    return start_executor(target, workers, recipe=recipe)
 
 
 class Examiner(FailureEvaluator):

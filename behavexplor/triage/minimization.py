@@ -1,9 +1,10 @@
 """Minimization of failures: the simplest scenario in which the same failure still happens."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,11 +19,11 @@ from behavexplor.data.scenario import Scenario
 from behavexplor.data.trace import Trace
 from behavexplor.data.validation import checked
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import LOCK_STEP, recipe_for
-from behavexplor.execution.executor import AHEAD, ADSError, in_order
+from behavexplor.execution.evaluator import LOCK_STEP
+from behavexplor.execution.executor import AHEAD, ADSError, Executor, in_order
 from behavexplor.execution.rollout import LockStep, run_episodes
 from behavexplor.execution.simulation import Simulation
-from behavexplor.execution.start import logical_of_target, start_executor, start_in_process
+from behavexplor.execution.start import logical_of_target
 from behavexplor.judge.classes import violation_class
 from behavexplor.judge.events import REQUIREMENTS
 from behavexplor.judge.fault import contact_fault
@@ -30,9 +31,9 @@ from behavexplor.judge.robustness import load_specs
 from behavexplor.judge.specs import Spec, judge
 from behavexplor.triage.blame import blame
 from behavexplor.triage.counterfactual import find_cause
-from behavexplor.triage.examination import STREAM, FailureEvaluator
-from behavexplor.triage.findings import Finding
-from behavexplor.triage.minimized import MINIMIZED, Minimized
+from behavexplor.triage.examination import STREAM, FailureEvaluator, start_evaluator
+from behavexplor.triage.findings import Finding, known_findings
+from behavexplor.triage.minimized import MINIMIZED, Minimized, known_minimized
 from behavexplor.triage.shrinking import shrink, size_of
 
 LIMIT: Final = 500  # executions of candidates for one failure
@@ -265,56 +266,91 @@ def chosen_failures(store: Store, numbers: Sequence[int] = (), *, every: bool = 
     return sorted(first.values())
 
 
-def minimize_failures(
-    store: Store,
-    config: CampaignConfig,
-    failures: Sequence[int],
-    known: Mapping[int, Finding],
-    workers: int,
-    driver: ADS | None = None,
-) -> Iterator[Minimized]:
-    """Minimize failures of a run in parallel, write the results into its folder, and yield them in order.
+class RunMinimization:
+    """Minimization of failures of one run. The results are kept in its folder.
 
     A failure in which the driver ends or blocks its process, or does so in a simpler scenario, is left as it was found.
 
     Args:
-        store: the executions of the run.
-        config: configuration of the run.
-        failures: numbers of failed executions.
-        known: findings of triage by the numbers of the executions.
+        run: the run folder.
+        config: its configuration, see `behavexplor.campaign.provenance.accepted`.
         workers: number of worker processes; 0 uses this process.
+        numbers: numbers of failed executions; if there are none, the first failure of each class is chosen.
+        every: whether all failures are chosen instead.
+        afresh: whether to minimize known failures again.
         driver: object of this process that drives in place of the driving system that the configuration names; None
             for none.
 
+    Attributes:
+        waiting: numbers of the failures that have to be minimized.
+
     Raises:
-        InputError: if the driver cannot be loaded, or the run folder cannot be written.
-        RuntimeError: if a failure could not be minimized.
+        InputError: if the folder is not a run folder, or is damaged, or an execution has no failure.
     """
-    if not failures:
-        return
-    target = replace(config.target, time_limit=TIME_LIMIT * config.time_limit)
-    recipe = recipe_for(Minimizer, target, specs=config.specs)
-    if driver is None:
-        executor = start_executor(target, min(workers, len(failures)), recipe=recipe)
-    else:
-        executor = start_in_process(target, driver, recipe)
-    try:
-        folder_in(store.folder, MINIMIZED)
-        ended = {number for number in failures if _ends_process(store.execution(number).record)}
-        tried = (number for number in failures if number not in ended)
-        calls = (_call(store.execution(number), config.seed, known.get(number)) for number in tried)
-        futures = in_order(executor, calls, AHEAD * workers)
-        for number in failures:
-            answer = None if number in ended else _answer(next(futures))
-            if answer is None:
-                execution = store.execution(number)
-                logical, specs = logical_of_target(executor, config.env), load_specs(config.specs)
-                record, trace = execution.record, execution.load_trace()
-                answer = left_as_found(logical, specs, record, trace, known.get(number)), execution.trace
-            answer[0].write(store.folder, answer[1])
-            yield answer[0]
-    finally:
-        executor.shutdown(wait=False)
+
+    def __init__(
+        self,
+        run: Path,
+        config: CampaignConfig,
+        workers: int,
+        numbers: Sequence[int] = (),
+        *,
+        every: bool = False,
+        afresh: bool = False,
+        driver: ADS | None = None,
+    ) -> None:
+        self._config, self._workers, self._driver = config, workers, driver
+        self._store = Store.read(run)
+        self._chosen = chosen_failures(self._store, numbers, every=every)
+        self._findings = known_findings(run)
+        known = {} if afresh else known_minimized(run, self._findings)
+        self._found = {number: known[number] for number in self._chosen if number in known}
+        self.waiting = [number for number in self._chosen if number not in self._found]
+
+    def minimize(self, observe: Callable[[int], None]) -> list[Minimized]:
+        """Minimize the waiting failures in parallel, and return all chosen ones in order.
+
+        Args:
+            observe: function that gets the number of failures that were minimized.
+
+        Raises:
+            InputError: if the driver cannot be loaded, or the run folder cannot be written.
+            RuntimeError: if a failure could not be minimized.
+        """
+        try:
+            for done, minimal in enumerate(self._minimized(), 1):
+                self._found[minimal.id] = minimal
+                observe(done)
+        except OSError as error:
+            raise InputError(f"The run folder {self._store.folder} cannot be written: {error.strerror}") from None
+        finally:
+            self._store.close()
+        return [self._found[number] for number in self._chosen]
+
+    def _minimized(self) -> Iterator[Minimized]:
+        """Minimize the waiting failures, write the results into the run folder, and yield them in order."""
+        if not self.waiting:
+            return
+        store, workers = self._store, min(self._workers, len(self.waiting))
+        executor = start_evaluator(Minimizer, self._config, TIME_LIMIT, workers, self._driver)
+        try:
+            folder_in(store.folder, MINIMIZED)
+            ended = {number for number in self.waiting if _ends_process(store.execution(number).record)}
+            tried = (number for number in self.waiting if number not in ended)
+            calls = (_call(store.execution(number), self._config.seed, self._findings.get(number)) for number in tried)
+            futures = in_order(executor, calls, AHEAD * self._workers)
+            for number in self.waiting:
+                answer = None if number in ended else _answer(next(futures))
+                minimal, trace = answer or self._as_found(executor, store.execution(number))
+                minimal.write(store.folder, trace)
+                yield minimal
+        finally:
+            executor.shutdown(wait=False)
+
+    def _as_found(self, executor: Executor, execution: Execution) -> tuple[Minimized, bytes]:
+        logical, specs = logical_of_target(executor, self._config.env), load_specs(self._config.specs)
+        known, trace = self._findings.get(execution.id), execution.load_trace()
+        return left_as_found(logical, specs, execution.record, trace, known), execution.trace
 
 
 def _ends_process(record: Record) -> bool:

@@ -16,10 +16,9 @@ from behavexplor.campaign.store import Execution, Store
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.data.trace import WEAKNESS_NAMES, Trace, weakness_names
 from behavexplor.errors import InputError
-from behavexplor.execution.evaluator import EXECUTE, recipe_for
-from behavexplor.execution.executor import AHEAD, ADSError, Executor, in_order
-from behavexplor.execution.start import start_executor, start_in_process
-from behavexplor.triage.examination import EXAMINE, Examiner, examination
+from behavexplor.execution.evaluator import EXECUTE
+from behavexplor.execution.executor import AHEAD, ADSError, in_order
+from behavexplor.triage.examination import EXAMINE, Examiner, examination, start_evaluator
 from behavexplor.triage.findings import (
     WITNESSES,
     Finding,
@@ -100,20 +99,14 @@ class RunTriage:
         """Examine the waiting failures in order, write their witnesses, and yield the findings."""
         if not self.waiting:
             return
-        executor = self._executor()
+        workers = min(self._workers, len(self.waiting))
+        executor = start_evaluator(Examiner, self._config, TIME_LIMIT, workers, self._driver)
         calls = (_call(self._store.execution(number), self._config.seed) for number in self.waiting)
         try:
             for number, future in zip(self.waiting, in_order(executor, calls, AHEAD * self._workers), strict=True):
                 yield _finding(self._run, self._store.execution(number), future)
         finally:
             executor.shutdown(wait=False)
-
-    def _executor(self) -> Executor:
-        target = replace(self._config.target, time_limit=TIME_LIMIT * self._config.time_limit)
-        recipe = recipe_for(Examiner, target, specs=self._config.specs)
-        if self._driver is not None:
-            return start_in_process(target, self._driver, recipe)
-        return start_executor(target, min(self._workers, len(self.waiting)), recipe=recipe)
 
 
 def _call(execution: Execution, seed: int) -> tuple[str, bytes]:

@@ -39,7 +39,7 @@ def test_classes_need_no_summary_of_the_same_moment(run, monkeypatch):
 
 
 def test_no_failures_are_minimized_if_none_are_given(run, monkeypatch):
-    monkeypatch.setattr("behavexplor.api.run.minimize_failures", None)
+    monkeypatch.setattr("behavexplor.api.run.RunMinimization", None)
     assert run.minimize([]) == []
 
 

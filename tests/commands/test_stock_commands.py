@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from gymnasium.spaces import Box, Discrete
 from behavexplor.campaign.store import Store
 from behavexplor.commands import main
 from behavexplor.data.trace import Trace
-from behavexplor.report.reading import stored
 from tests.ads.sb3.models import make_model
 
 ENV = ["--env", "merge-v0"]
 QUICK = ["--workers", "0", "--quiet"]
+
+
+def stored(folder):
+    with closing(Store.read(folder)) as store:
+        return list(store.executions())
 
 
 @pytest.fixture(scope="module")

@@ -138,7 +138,7 @@ def test_a_driver_that_ends_or_blocks_its_process_keeps_no_other_failure_from_be
     tmp_path, monkeypatch, capsys
 ):
     dying = Dying()
-    monkeypatch.setattr("behavexplor.triage.minimization.start_executor", lambda *_, **__: dying)
+    monkeypatch.setattr("behavexplor.triage.examination.start_executor", lambda *_, **__: dying)
     store = Store.create(tmp_path / "run", CampaignConfig(ads="idm").to_yaml())
     for number, kind in enumerate(["hang", "raised", "crash"]):
         scenario = LOGICAL.sample(np.random.default_rng(number))

@@ -12,8 +12,6 @@ from behavexplor.data.npc_motion import (
     BEGIN,
     N_PHASE_COLUMNS,
     PHASE_ACCELERATION,
-    PHASE_SPEED,
-    STATION,
     Routes,
     fill_frames,
     fill_phases,
@@ -200,14 +198,7 @@ def move_npcs(routes: Routes, vehicles: Records, scripts: Records, phases: Float
         while n + 1 < script.n_phases and phases[i, n + 1, BEGIN] <= time:
             n += 1
         script.phase = n
-        npc.x, npc.y, npc.heading, npc.speed = npc_at(
-            routes,
-            script.route,
-            time - phases[i, n, BEGIN],
-            phases[i, n, STATION],
-            phases[i, n, PHASE_SPEED],
-            phases[i, n, PHASE_ACCELERATION],
-        )
+        npc.x, npc.y, npc.heading, npc.speed = npc_at(routes, script.route, phases[i, n], time)
         npc.acceleration = phases[i, n, PHASE_ACCELERATION]
 
 
