@@ -92,12 +92,11 @@ def opened(
     if not resume:
         check_free(folder)  # before the driver is loaded, which takes a while
     own, identity = own_run(config, folder), identity_of(config)  # before the code that it names is run
-    recipe = evaluator_recipe(config.target, config.batch)
+    recipe, specs = evaluator_recipe(config.target, config.batch), load_specs(config.specs)
     if workers and not cluster and driver is None:
         share_imports(recipe.preload)
     logical = fixed_logical_scenario(config.env)
     search = None if logical is None else search_method(config, logical)
-    specs = load_specs(config.specs)
     with ExitStack() as stack:
         with patience or nullcontext():
             executor = (
