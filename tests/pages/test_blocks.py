@@ -5,7 +5,9 @@ import shutil
 import sys
 import tomllib
 import warnings
+from contextlib import redirect_stdout
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from types import ModuleType
 
@@ -19,7 +21,7 @@ import behavexplor.ads.learned
 from behavexplor import open_run
 from behavexplor.ads.sb3.description import describe
 from behavexplor.bench.experiment import read_experiment
-from behavexplor.commands import CHECK_FAILED, OK, main
+from behavexplor.commands import CHECK_FAILED, OK, UNDECIDED, main
 from behavexplor.data.validation import checked
 from behavexplor.envs.making import ENTRY_POINTS, environment_id
 from behavexplor.repair.cases import Case
@@ -33,6 +35,7 @@ NOT_RUN = {  # shell lines that do not run, or their beginnings up to a space, a
     "./run bench paper": "it takes hours",
     "./run bench paper --tables-only": "it needs the campaigns of the line before",
     "pip install ": "it would change the environment of the tests",
+    "docker ": "another program",
     "esmini ": "another program, which is not installed here",
     "behavexplor fuzz --env lane-follow --ads rule:hardened --cluster ": "tests/execution starts clusters",
     "ray ": "for other machines",
@@ -45,9 +48,12 @@ SLOW = {
     "docs/highway-env.md",
     "docs/policies.md",
     "docs/python.md",
+    "docs/rates.md",
     "docs/repair.md",
     "docs/highway-policies.md",
 }
+JUDGED = {OK, CHECK_FAILED, UNDECIDED}
+CODES = {"check": JUDGED, "evaluate": JUDGED, "compare": JUDGED}  # with as few scenarios as here
 A_COMMAND = re.compile(r"\s*(\./run|behavexplor|python|pip|import|from) ")
 
 FILES = {  # what is in the folder besides the files that the pages show
@@ -83,8 +89,21 @@ def declared_environments(text):
     return tomllib.loads(text)["project"]["entry-points"][ENTRY_POINTS]
 
 
+def workflow(text):
+    """The steps of a workflow, whose commands exist and take these flags."""
+    steps = [step["run"] for job in yaml.safe_load(text)["jobs"].values() for step in job["steps"] if "run" in step]
+    commands = [step for step in steps if step.startswith("behavexplor ")]
+    for command in commands:
+        asked = {word for word in command.split() if word.startswith("--")}
+        with redirect_stdout(StringIO()) as shown, pytest.raises(SystemExit):
+            main([command.split()[1], "--help"])
+        assert not [flag for flag in asked if flag not in shown.getvalue()], command
+    return commands
+
+
 POLICIES = Path(behavexplor.ads.learned.__file__).parent / "policies"
 YAML = {  # how the YAML of each page is read
+    "docs/ci.md": workflow,
     "docs/experiments.md": experiment,
     "docs/policies.md": described,
     "docs/python.md": callback,
@@ -153,16 +172,16 @@ def run_line(line):
         return
     arguments = arguments_of(line)
     assert arguments is not None, f"{line!r} is neither a command of behavexplor nor in NOT_RUN"
-    if "model.zip" in arguments:
+    for model in {"model.zip", "old.zip", "new.zip", "policy.zip", "released.zip"} & {*arguments}:
         env = arguments[arguments.index("--env") + 1] if "--env" in arguments else "lane-change"
-        model_of(env).save("model.zip")
+        model_of(env).save(model)
     if "weights.pth" in arguments:
         torch.save(
             torch.nn.Sequential(torch.nn.Linear(25, 8), torch.nn.ReLU(), torch.nn.Linear(8, 5)).state_dict(),
             "weights.pth",
         )
     code = main(given(arguments))
-    assert code in ({OK, CHECK_FAILED} if arguments[0] == "check" else {OK}), line
+    assert code in CODES.get(arguments[0], {OK}), line
 
 
 def run_python(block, page):
@@ -191,8 +210,8 @@ def run_block(block, page):
 def run_page(name, monkeypatch):
     page = ModuleType("page")  # requirements are found again by the name of their module
     monkeypatch.setitem(sys.modules, "page", page)
-    if name == "README.md":
-        page.model = model_of("highway-fast-v0")
+    if name in ("README.md", "docs/rates.md"):
+        page.model, page.behavexplor = model_of("highway-fast-v0"), behavexplor
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a policy that has not been trained may be constant
         for block in BLOCKS[name]:
