@@ -2,8 +2,9 @@
 
     run = behavexplor.find_failures(model, "highway-fast-v0", budget=300)
 
-Importing this package only registers environments with gymnasium: `behavexplor/<functional scenario>-v0`, and
-highway-env's own, which have a compiled vector form, as `behavexplor/highway-v0` and so on. The simulator is imported
+Importing this package only registers environments with gymnasium: `behavexplor/<functional scenario>-v0`; highway-env's
+own, which have a compiled vector form, as `behavexplor/highway-v0` and so on; and `behavexplor/drawn-v0`, which plays
+recorded scenarios in any of highway-env's environments. The simulator is imported
 when an environment is made, and the Python interface when one of its names is used.
 """
 
@@ -11,7 +12,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
-from gymnasium.envs.registration import WrapperSpec
 
 if TYPE_CHECKING:
     from behavexplor.api.campaigns import find_failures
@@ -63,13 +63,14 @@ HIGHWAY_ENV = {  # highway-env's own environments that have a compiled vector fo
 }
 _MAX_EPISODE_STEPS = {"two-way-v0": 15}  # as highway-env registers it
 
-_PLAYS_SCENARIOS = WrapperSpec("PlaysScenarios", "behavexplor.envs.highway.drawn_env:PlaysScenarios", {})
-
 for _name, _entry_point in FUNCTIONAL_SCENARIOS.items():
     _id = f"{NAMESPACE}/{_name}-v0"
     if _id not in gymnasium.registry:
         _vector_entry_point = _entry_point.removesuffix("Env") + "VectorEnv"
         gymnasium.register(_id, entry_point=_entry_point, vector_entry_point=_vector_entry_point)
+
+if f"{NAMESPACE}/drawn-v0" not in gymnasium.registry:
+    gymnasium.register(f"{NAMESPACE}/drawn-v0", entry_point="behavexplor.envs.making:drawn")
 
 for _name, _entry_point in HIGHWAY_ENV.items():
     _id = f"{NAMESPACE}/{_name}"
@@ -80,7 +81,6 @@ for _name, _entry_point in HIGHWAY_ENV.items():
             entry_point=_entry_point,
             vector_entry_point=_vector_entry_point,
             max_episode_steps=_MAX_EPISODE_STEPS.get(_name),
-            additional_wrappers=(_PLAYS_SCENARIOS,),
         )
 
 

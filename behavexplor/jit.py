@@ -27,6 +27,11 @@ import numpy as np
 from numba.core import event
 from platformdirs import user_cache_path
 
+from behavexplor.errors import InputError
+
+if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    raise InputError("NUMBA_DISABLE_JIT is set, and nothing here runs without compiled code: unset it")
+
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parent

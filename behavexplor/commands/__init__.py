@@ -101,6 +101,7 @@ def _run(given: Sequence[str]) -> int:
     try:
         code = _begun(given)
     except KeyboardInterrupt:
+        say(f"{program()}: Interrupted; what was finished is kept", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader of the output, such as `head`, has exited
         _drop_output()
@@ -152,6 +153,9 @@ def _failed(error: Exception) -> int:
     if isinstance(error, OSError) and not has_temporary_folder():
         say(f"{program()}: {NO_TEMPORARY_FOLDER}", file=sys.stderr)
         return BAD_INPUT
+    if isinstance(error, FileNotFoundError) and not _has_working_directory():
+        say(f"{program()}: The working directory was deleted: change to another one", file=sys.stderr)
+        return BAD_INPUT
     say("".join(traceback.format_exception(error)), end="", file=sys.stderr)
     place = _own_place(error)
     if place is not None:
@@ -163,6 +167,14 @@ def _failed(error: Exception) -> int:
         file=sys.stderr,
     )
     return INTERNAL_ERROR
+
+
+def _has_working_directory() -> bool:
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def _own_place(error: Exception) -> str | None:

@@ -22,7 +22,8 @@ from behavexplor.campaign.opening import stopped_by_signals
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, Trust
-from behavexplor.commands.wording import clock, counted, say, text
+from behavexplor.commands.grids import text
+from behavexplor.commands.wording import clock, counted, say
 from behavexplor.data.durable import folder_in, write_durably
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import available_cores

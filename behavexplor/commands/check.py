@@ -9,8 +9,9 @@ import tyro
 
 from behavexplor.commands import CHECK_FAILED, EXECUTION_FAILED, OK, program
 from behavexplor.commands.flags import HowToRun, Switch, patience
+from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.outputs import JsonFile, JUnitFile, Tested, check_outputs, write_json, write_junit
-from behavexplor.commands.wording import grid, plain_text, say
+from behavexplor.commands.wording import say
 from behavexplor.errors import sentence
 from behavexplor.repair.cases import Suite
 from behavexplor.repair.checking import CheckedCase, opened_driver

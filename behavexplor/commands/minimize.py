@@ -11,7 +11,8 @@ import tyro
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, Switch
-from behavexplor.commands.wording import counted, grid, plain_text, say
+from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.wording import counted, say
 from behavexplor.errors import InputError, sentence
 from behavexplor.triage.minimization import RunMinimization
 from behavexplor.triage.minimized import Minimized

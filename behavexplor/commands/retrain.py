@@ -15,8 +15,9 @@ from behavexplor.campaign.provenance import Consent, agreed, own_digests, rememb
 from behavexplor.commands import EXECUTION_FAILED, INTERRUPTED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import Switch, Trust, check_unchanged, flag, settings
+from behavexplor.commands.grids import grid, plain_text
 from behavexplor.commands.train import begin_training, progress_line, resumed_config
-from behavexplor.commands.wording import grid, plain_text, say
+from behavexplor.commands.wording import say
 from behavexplor.errors import InputError, missing_library, sentence
 from behavexplor.repair.retraining_rounds import CONFIG, DivergedError, RetrainingConfig, Round, best
 

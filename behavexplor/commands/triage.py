@@ -12,7 +12,8 @@ from rich.table import Table
 from behavexplor.commands import EXECUTION_FAILED, OK, program
 from behavexplor.commands.display import Meter
 from behavexplor.commands.flags import HowToRun, Switch
-from behavexplor.commands.wording import class_count, grid, hanging, plain_text, say
+from behavexplor.commands.grids import grid, plain_text
+from behavexplor.commands.wording import class_count, hanging, say
 from behavexplor.data.trace import UNKNOWN
 from behavexplor.errors import sentence
 from behavexplor.judge.classes import words_of

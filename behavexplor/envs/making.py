@@ -148,6 +148,26 @@ def make_env(
     return DrawnEnv(name, made, traffic)
 
 
+def drawn(
+    env: str = "highway-fast-v0",
+    config: Mapping[str, Any] | None = None,
+    traffic: Traffic = DEFAULT,
+    render_mode: str | None = None,
+) -> gymnasium.Env[Any, Any]:
+    """Make `behavexplor/drawn-v0`: an environment of highway-env that takes `reset(options={"scenario": ...})`.
+
+    Args:
+        env: id of the environment.
+        config: its configuration, as far as it differs from its own.
+        traffic: kind of traffic, see `behavexplor.data.drawn_scenario.Setup`.
+        render_mode: what `render` returns or shows, as in gymnasium.
+
+    Raises:
+        InputError: see `make_env`.
+    """
+    return make_env(env, config or {}, traffic, render_mode)
+
+
 def make_recorded(setup: Setup) -> Any:
     """Make the highway-env environment of a recorded scenario, as `make_env` does.
 

@@ -43,6 +43,7 @@ class DrivingVectorEnv(LockStepVectorEnv):
         config: configuration of the environment; see `behavexplor.envs.driving.DrivingEnv`.
         autoreset_mode: gymnasium's autoreset mode, applied after the end of an episode.
         render_mode: must be None, since the vector environment does not render.
+        max_episode_steps: must be None, since episodes end by the config's `duration`.
 
     Attributes:
         gives_rewards: whether rewards are computed, True at first. If it is set to False, they are 0, and infos hold
@@ -62,9 +63,15 @@ class DrivingVectorEnv(LockStepVectorEnv):
         config: Mapping[str, Any] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
     ) -> None:
         if render_mode is not None:
             raise InputError("The vector environment cannot render: replay a trace, or use gymnasium.make")
+        if max_episode_steps is not None:
+            raise InputError(
+                "The vector environment takes no max_episode_steps: set `duration` [s] in its config, or use "
+                "gymnasium.make_vec with vectorization_mode='sync'"
+            )
         single = self.env_class(config)
         _check_supported(single)
         guard = guard_of(classes_of(single, map(type, single.road.vehicles)))

@@ -1,10 +1,15 @@
 """Results in words, and flags that two commands share."""
 
 import json
+import os
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from contextlib import nullcontext
+from pathlib import Path
 from types import SimpleNamespace
 
+import gymnasium
 import pytest
 
 from behavexplor.campaign.config import campaign_config, stored_config
@@ -12,6 +17,7 @@ from behavexplor.commands import BAD_INPUT, CHECK_FAILED, OK, main
 from behavexplor.commands.check import result
 from behavexplor.commands.overview import COMMANDS
 from behavexplor.envs.making import environment_id
+from behavexplor.errors import InputError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.repair.cases import Case, Suite
 from behavexplor.repair.checking import CheckedCase
@@ -100,3 +106,32 @@ def test_the_papers_names_denote_its_scenarios(capsys):
     assert environment_id("S1") == "behavexplor/intersection-straight-v0"
     assert main(["train", "--env", "highway-fast-v0"]) == BAD_INPUT
     assert "HighwayVecEnv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("prepare", "environment", "said"),
+    [
+        ("", {"NUMBA_DISABLE_JIT": "1"}, "NUMBA_DISABLE_JIT is set"),
+        ("import os; os.rmdir(os.getcwd()); ", {}, "The working directory was deleted"),
+    ],
+)
+def test_a_place_in_which_nothing_runs_is_one_sentence(tmp_path, prepare, environment, said):
+    code = f"{prepare}from behavexplor.commands import main; raise SystemExit(main(['status', 'RUN']))"
+    environment = {**os.environ, "PYTHONPATH": str(Path.cwd()), **environment}
+    told = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path, env=environment
+    )
+    assert told.returncode == BAD_INPUT
+    assert said in told.stderr
+    assert "Traceback" not in told.stderr
+
+
+def test_the_overview_needs_nothing_that_is_slow_to_import():
+    code = "import sys; from behavexplor.commands import main; main(['--help']); print('numba' in sys.modules)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.endswith("False\n")
+
+
+def test_vector_environments_of_scripted_vehicles_refuse_a_limit_of_steps():
+    with pytest.raises(InputError, match="set `duration`"):
+        gymnasium.make_vec("behavexplor/lane-change-v0", num_envs=2, max_episode_steps=5)

@@ -19,7 +19,6 @@ from behavexplor.envs.highway.course import road_plan, road_shape
 from behavexplor.envs.highway.episode_record import EpisodeRecord, Watch, has_arrived
 from behavexplor.envs.highway.generator import DrawnGenerator
 from behavexplor.envs.highway.wide_traffic import widen
-from behavexplor.errors import InputError, brief
 
 MOST_DECISIONS: Final = 10_000  # of an episode that its environment would never end
 _PROBES: Final = 3  # resets from which the environment's draws are read
@@ -39,7 +38,6 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
         traffic: kind of traffic, see `behavexplor.data.drawn_scenario.Setup`.
 
     Attributes:
-        name: its name.
         logical: all scenarios of the environment in this configuration.
         record: the record of the present episode; None before the first one.
         generator: the generator of the present episode.
@@ -48,7 +46,6 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
 
     def __init__(self, name: str, env: gymnasium.Env[Any, Any], traffic: Traffic = DEFAULT) -> None:
         self._env = env
-        self.name = name
         inner: Any = env.unwrapped
         self._inner: AbstractEnv = inner
         if traffic == WIDE:
@@ -101,9 +98,9 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
             options: a `scenario` to play.
 
         Raises:
-            InputError: if the scenario is not one of this environment.
+            InputError: if the scenario is not one of this environment in this configuration, or an option is unknown.
         """
-        scenario = (options or {}).get("scenario")
+        scenario = chosen_options(options, ("scenario",)).get("scenario")
         if scenario is None:
             super().reset(seed=seed)
             generator = DrawnGenerator({}, self.np_random, __file__)
@@ -212,53 +209,6 @@ class DrawnEnv(gymnasium.Env[Any, Any]):
     def close(self) -> None:
         """Release the environment's resources."""
         self._env.close()
-
-
-class PlaysScenarios(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An environment of highway-env whose `reset` also takes a recorded scenario: `options={"scenario": scenario}`.
-
-    Everything else is as without this wrapper, but that an unknown option is an error. At the end of a played episode,
-    `info["trace"]` is its trace.
-
-    Args:
-        env: the environment, as gymnasium makes it.
-    """
-
-    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        super().__init__(env)
-        self._player: DrawnEnv | None = None
-        self._is_playing = False
-        self._own_random = self.unwrapped.np_random
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode.
-
-        Args:
-            seed: seed of the environment's draws, if no scenario is given.
-            options: a `scenario` to play (`behavexplor.data.drawn_scenario.DrawnScenario`), or highway-env's own
-                option, `config`.
-
-        Raises:
-            InputError: if an option is unknown, or the scenario is not one of this environment in this configuration.
-        """
-        given = dict(chosen_options(options, ("scenario", "config")))
-        scenario = given.pop("scenario", None)
-        if self._is_playing:  # its draws were the scenario's
-            self.unwrapped.np_random = self._own_random
-        self._is_playing, self._own_random = scenario is not None, self.unwrapped.np_random
-        if scenario is None:
-            return self.env.reset(seed=seed, options=given or None)
-        if not isinstance(scenario, DrawnScenario):
-            raise InputError(f"options['scenario'] must be a scenario of this environment, got {brief(scenario)}")
-        if scenario.setup.traffic != DEFAULT:
-            raise InputError("A scenario in wide traffic is played by behavexplor.open_run(FOLDER).env(NUMBER)")
-        if self._player is None or self._player.name != scenario.setup.env:
-            self._player = DrawnEnv(scenario.setup.env, self.env)
-        return self._player.reset(options={"scenario": scenario})
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Take an action; see the environment."""
-        return self._player.step(action) if self._is_playing and self._player else self.env.step(action)
 
 
 class Layout:
