@@ -22,11 +22,13 @@ from behavexplor.commands.wording import grid, plain_text, say
 from behavexplor.data.drawn_scenario import DEFAULT
 from behavexplor.data.logical import LogicalScenario
 from behavexplor.data.target import Target
+from behavexplor.data.trace import ARRIVED
 from behavexplor.errors import InputError, sentence
 from behavexplor.evaluation import Evaluation, estimate_rates, start_judge
 from behavexplor.execution.evaluator import DRAWS
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.start import check_ads, logical_of_target
+from behavexplor.judge.specs import SPECS
 
 MOST_SCENARIOS = 1_000_000
 _ENV: Final = CampaignConfig.env
@@ -180,6 +182,15 @@ def _say(line: str, *, quiet: bool) -> None:
         say(line, file=sys.stderr)
 
 
+def _is_said(outcome: str, evaluations: Mapping[str, Evaluation]) -> bool:
+    """Return whether another row says the same of all drivers: missed destinations, or collisions of unknown fault."""
+    collision, _, destination = (spec.name for spec in SPECS)
+    rows = [(found.n, found.counts.get(outcome, 0), found.counts) for found in evaluations.values()]
+    if outcome == destination:
+        return all(count + counts.get(ARRIVED, 0) == n for n, count, counts in rows)
+    return outcome == f"{collision}: other" and all(count == counts.get(collision, 0) for _, count, counts in rows)
+
+
 def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
     """Return a table of rates in percent with their 95 % intervals.
 
@@ -188,7 +199,9 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
         evaluations: the evaluations, each of as many scenarios, by the headings of their columns.
     """
     rates = grid("", *evaluations, numbers=evaluations)
-    outcomes = dict.fromkeys(outcome for found in evaluations.values() for outcome in found.counts)
+    outcomes = dict.fromkeys(
+        outcome for found in evaluations.values() for outcome in found.counts if not _is_said(outcome, evaluations)
+    )
     kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
     for outcome in sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome)):
         cells = []

@@ -14,6 +14,7 @@ import numpy as np
 from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, R3, ViolationEvent, violation_event
+from behavexplor.judge.lanes import had_crashed
 from behavexplor.judge.situation import (
     HALF_LANE,
     bearing_of,
@@ -38,10 +39,20 @@ _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it
     "oncoming": ("oncoming {}", "oncoming {} that had turned"),
     "crossing-from-right": ("{} crossing from the right", "{} that had turned in from the right"),
     "crossing-from-left": ("{} crossing from the left", "{} that had turned in from the left"),
+    "behind": ("{} behind", ""),  # from here on, a vehicle a second before a crash in highway-env
+    "ahead-on-the-right": ("{} ahead in a lane to the right", ""),
+    "ahead-on-the-left": ("{} ahead in a lane to the left", ""),
+    "behind-on-the-right": ("{} behind in a lane to the right", ""),
+    "behind-on-the-left": ("{} behind in a lane to the left", ""),
+    "merging-from-right": ("{} merging from the right", ""),
+    "merging-from-left": ("{} merging from the left", ""),
+    "crashed-before": ("{} that had crashed before", ""),
 }
 _PHRASES: Final = {  # where the words of a class are not its id's
     "changing-right": "changing lanes right",
     "changing-left": "changing lanes left",
+    "having-changed-right": "going on after changing lanes right",
+    "having-changed-left": "going on after changing lanes left",
     "slow": "at low speed",
     "fast": "at speed",
     "ended-by-standstill": "stood still",
@@ -133,7 +144,9 @@ def _phrase(part: str) -> str:
 
 
 def _vehicle(conflict: str, size: str) -> str:
-    """Describe the other vehicle of a collision, with its article."""
+    """Describe the other vehicle of a collision, or the obstacle, with its article."""
+    if conflict == "obstacle":
+        return "an obstacle"
     straight, turned = _VEHICLES[conflict.removesuffix("-turning")]
     words = (turned if conflict.endswith("-turning") else straight).format(f"{size} vehicle")
     return f"an {words}" if words.startswith("oncoming") else f"a {words}"
@@ -170,11 +183,13 @@ def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> 
 
 def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame, npc = event.frame, event.partner
-    size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
+    bearing, size = bearing_of(trace, frame, npc), "large" if trace.size[npc, 0] > LARGE else "car-sized"
     motion = motion_of(trace, frame, npc)
+    if bearing == "obstacle":
+        size = motion = ""
     ego = ", ".join(filter(None, (behavior_of(trace, frame), f"with contact at its {touched_side(trace, frame, npc)}")))
     detail = ego + (f"; the other vehicle was {motion}" if motion else "")
-    return ViolationClass(R1, maneuver_of(trace, frame), bearing_of(trace, frame, npc), size, detail)
+    return ViolationClass(R1, maneuver_of(trace, frame), bearing, size, detail)
 
 
 def _line(trace: Trace, event: ViolationEvent) -> ViolationClass:
@@ -202,8 +217,12 @@ def _destination(trace: Trace, event: ViolationEvent, end: str) -> ViolationClas
         side = "right" if offset_to_right(offset, trace.heading[frame, 0]) > 0 else "left"
         return ViolationClass(R3, maneuver, f"passed-it-on-the-{side}", _way_there(trace))
     leader = leader_of(trace, frame)
-    behind = "nobody-ahead" if leader is None else f"behind-a-{motion_of(trace, frame, leader) or 'moving'}-vehicle"
+    behind = "nobody-ahead" if leader is None else f"behind-a-{_motion_of_leader(trace, frame, leader)}-vehicle"
     return ViolationClass(R3, maneuver, f"ended-by-{end}", behind, behavior_of(trace, frame))
+
+
+def _motion_of_leader(trace: Trace, frame: int, leader: int) -> str:
+    return "crashed" if had_crashed(trace, frame, leader) else motion_of(trace, frame, leader) or "moving"
 
 
 def _other(trace: Trace, event: ViolationEvent, end: str) -> ViolationClass:
