@@ -85,16 +85,25 @@ def relation(trace: Trace, frame: int, npc: int) -> str:
     seen = _since(trace, frame, BEFORE)
     begin = int(seen[trace.present[seen, npc].argmax()] if trace.present.size else seen[0])
     if where[begin] == ON_ITS_WAY:
-        ahead, _ = _seen_from(trace, begin, npc)
+        along = wrapped(trace.heading[begin, npc] - trace.heading[begin, 0]) / 2  # in a bend, the direction of the chord
+        ahead, _ = _seen_from(trace, begin, npc, along)
         is_beside = abs(ahead) < (trace.size[0, 0] + trace.size[npc, 0]) / 2
         return _on_its_way(ahead, int(trace.signals[PARTNER_LANES][begin]), is_beside=bool(is_beside))
     return _on_another_road(trace, begin, npc)
 
 
-def _seen_from(trace: Trace, frame: int, npc: int) -> tuple[float, float]:
-    """Return how far a vehicle's center is ahead of the ego's, and how far to the right [m]."""
+def _seen_from(trace: Trace, frame: int, npc: int, turned: float = 0.0) -> tuple[float, float]:
+    """Return how far a vehicle's center is ahead of the ego's, and how far to the right [m].
+
+    Args:
+        trace: the trace.
+        frame: the frame.
+        npc: the vehicle.
+        turned: angle of the direction that is ahead, from the ego's heading [rad].
+    """
     x, y = trace.position[frame, npc] - trace.position[frame, 0]
-    cos, sin = math.cos(trace.heading[frame, 0]), math.sin(trace.heading[frame, 0])
+    heading = trace.heading[frame, 0] + turned
+    cos, sin = math.cos(heading), math.sin(heading)
     return float(x * cos + y * sin), float(y * cos - x * sin)
 
 

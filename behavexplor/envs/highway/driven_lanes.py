@@ -90,7 +90,7 @@ def _beside(lanes: list[AbstractLane], ends: list[tuple[str, str]], number: Ints
     for i, j in np.ndindex(count, count):
         if ends[i] == ends[j]:
             beside[i, j] = number[j] - number[i]
-        elif ends[i][1] == ends[j][0] and abs(_bend(lanes[i], lanes[j])) < ALONG:
+        elif ends[i][1] == ends[j][0] and abs(_bend(lanes[i], lanes[j])) < math.pi / 2:
             beside[i, j], follows[i, j] = _lanes_across(lanes[i], lanes[j]), True
     for i, j in np.argwhere(follows & (beside == 0)).tolist():
         onward = follows[j] & np.isnan(beside[i])
