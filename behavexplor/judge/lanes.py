@@ -85,8 +85,8 @@ def relation(trace: Trace, frame: int, npc: int) -> str:
     seen = _since(trace, frame, BEFORE)
     begin = int(seen[trace.present[seen, npc].argmax()] if trace.present.size else seen[0])
     if where[begin] == ON_ITS_WAY:
-        along = wrapped(trace.heading[begin, npc] - trace.heading[begin, 0]) / 2  # in a bend, the direction of the chord
-        ahead, _ = _seen_from(trace, begin, npc, along)
+        turned = wrapped(trace.heading[begin, npc] - trace.heading[begin, 0])
+        ahead, _ = _seen_from(trace, begin, npc, turned / 2)  # in a bend, along the chord between them
         is_beside = abs(ahead) < (trace.size[0, 0] + trace.size[npc, 0]) / 2
         return _on_its_way(ahead, int(trace.signals[PARTNER_LANES][begin]), is_beside=bool(is_beside))
     return _on_another_road(trace, begin, npc)
