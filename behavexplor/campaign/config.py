@@ -17,7 +17,7 @@ from behavexplor.data.validation import checked
 from behavexplor.errors import InputError, brief, unknown_name
 
 CONFIG = "config.yaml"  # file in a run folder
-REVISION: Final = 3  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
+REVISION: Final = 2  # see `CampaignConfig.revision`; raise it with every change after which campaigns differ
 MAX_FILE_SIZE = 100_000  # [bytes]; a configuration has a few hundred
 RUNS: Final = Path("runs")  # their parent folder
 

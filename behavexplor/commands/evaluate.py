@@ -156,7 +156,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
     return (
         f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
         f"{', '.join(differing)}.\n"
-        "So this driver is not the one that was trained. To test that one, use --stochastic."
+        "The policy was trained with drawn actions: to test it as it drove then, use --stochastic."
     )
 
 

@@ -31,6 +31,8 @@ from behavexplor.judge.situation import (
 LARGE: Final = 7.0  # vehicles longer than this are large [m]
 SLOW: Final = 6.0  # an ego that touches a line at less than this speed was slow [m/s]
 
+_OFF: Final = "off-"  # begins the side on which an ego left the road of a highway-env environment
+
 _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it drove straight and if it had turned
     "leading": ("{} ahead", "{} ahead that had turned"),
     "from-behind": ("{} from behind", "{} from behind that had turned"),
@@ -114,7 +116,9 @@ class ViolationClass:
     def words(self) -> str:
         """Class and detail as a sentence, such as "Collision with an oncoming car-sized vehicle; the ego was ..."."""
         if self.spec == R2:
-            return f"Touched a line on its {self.conflict} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
+            side = self.conflict.removeprefix(_OFF)
+            what = "Touched a line" if side == self.conflict else "Left the road"
+            return f"{what} on its {side} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
         if self.spec == R1:
             sentence = f"Collision with {_vehicle(self.conflict, self.mark)}"
         elif self.spec == R3:
@@ -195,7 +199,7 @@ def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
 def _line(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame = event.frame
     if event.partner < 0:
-        side = "right" if route_offsets(trace)[frame] > 0 else "left"
+        side = f"{_OFF}{'right' if route_offsets(trace)[frame] > 0 else 'left'}"
     else:
         side = _side_of_line(trace, frame, trace.illegal_lines[event.partner])
     speed = "slow" if speed_of(trace, frame, 0) < SLOW else "fast"

@@ -36,6 +36,11 @@ def is_told_by_lanes(trace: Trace) -> bool:
     return WAY in trace.signals
 
 
+def has_other_names(trace: Trace) -> bool:
+    """Return whether a trace of a highway-env environment is so old that it does not say what its lanes were."""
+    return bool(trace.signals) and not is_told_by_lanes(trace)
+
+
 def lane_change(trace: Trace, frame: int, seconds: float) -> str:
     """Return the side to which the ego last changed lanes in the last `seconds` [s]: "left", "right", or empty."""
     recent = trace.signals[CHANGING][_since(trace, frame, seconds)]

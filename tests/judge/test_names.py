@@ -149,3 +149,9 @@ def test_an_obstacle_and_a_wreck_are_called_so():
 def test_only_an_ego_that_changed_lanes_and_drives_has_cut_in(changed_at, speed, fault):
     behind = (-5.0 - (14.0 - speed), 0.0, 0.0, 14.0)
     assert contact_fault(crash(changing=1, changed_at=changed_at, npc=behind, speed=speed)) == fault
+
+
+def test_an_ego_off_the_road_has_left_it():
+    trace = crash()
+    off = replace(trace, partner=-1, signals={**trace.signals, "off_road": np.arange(FRAMES) == FRAMES - 1})
+    assert violation_class(off, ("lines",)).words == "Left the road on its left at speed while going straight"
