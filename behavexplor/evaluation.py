@@ -205,6 +205,7 @@ def outcomes_of(trace: Trace) -> Outcomes:
     """Judge a trace."""
     verdict = judge(trace, SPECS)
     arrived = trace.signals[ARRIVED].any() if ARRIVED in trace.signals else trace.end == ARRIVED
+    arrived = arrived and trace.end != "collision"  # in a roundabout, an ego may get beyond the entry and crash there
     found = [*([ARRIVED] if arrived else []), *verdict.violated]
     fault = contact_fault(trace)
     if fault:

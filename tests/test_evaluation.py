@@ -11,6 +11,7 @@ import pytest
 
 from behavexplor import evaluation
 from behavexplor.commands import BAD_INPUT, CHECK_FAILED, EXECUTION_FAILED, OK, UNDECIDED, main
+from behavexplor.commands.evaluate import table
 from behavexplor.data.target import Target
 from behavexplor.errors import InputError
 from behavexplor.evaluation import STREAM, Evaluation, decide_rate, estimate_rates, start_judge, uniform_outcomes
@@ -246,6 +247,28 @@ def test_the_command_prints_rates_and_writes_them(tmp_path, capsys):
     assert counts["n"] == 20
     assert f"{counts['arrived'] / 20:.1%} (" in out
     assert out.startswith("20 scenarios of intersection-straight, with 95 % intervals:")
+
+
+def test_an_ego_that_crashes_has_not_arrived():
+    simulation = Simulation("roundabout-v0", "constant:FASTER")
+    generator = np.random.default_rng(0)
+    traces = [trace for _, trace in simulation.run_all([simulation.logical.sample(generator) for _ in range(40)])]
+    beyond = sum(bool(trace.signals["arrived"].any()) for trace in traces)
+    found = Evaluation.of(traces).counts
+    assert found["arrived"] == sum(trace.end != "collision" for trace in traces) < beyond
+    assert found["arrived"] + found["collision"] == 40
+    assert found["destination"] == 40 - beyond
+
+
+def test_a_row_that_repeats_another_one_is_left_out():
+    one = Evaluation(9, {"arrived": 5, "collision": 3, "collision: other": 3, "lines": 0, "destination": 4})
+    rows = [line.split()[0] for line in table("x", {"a": one}).splitlines()[2:]]
+    assert rows == ["arrived", "collision", "lines"]
+    two = Evaluation(
+        9, {"arrived": 4, "collision": 4, "collision: other": 3, "collision: npc_wreck": 1, "destination": 1}
+    )
+    rows = [line.split()[0] for line in table("x", {"a": one, "b": two}).splitlines()[2:]]
+    assert rows == ["arrived", "collision", "npc", "other", "lines", "destination"]
 
 
 @pytest.mark.parametrize(("flag", "value"), [("--scenarios", "0"), ("--seed", "-1"), ("--env", "nowhere")])

@@ -232,7 +232,7 @@ class Meter:
     def __init__(self, stream: TextIO, total: int, things: str, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)
         self._total, self._things = total, things
-        self._last_line = time.monotonic()
+        self._begin = self._last_line = time.monotonic()
         texts = [TextColumn(f"{{task.{name}}}", markup=False) for name in ("fields[things]", "description")]
         columns = (BarColumn(), MofNCompleteColumn(), texts[0], TimeRemainingColumn(), texts[1])
         shows_bar = self._console.is_terminal and not quiet
@@ -258,4 +258,6 @@ class Meter:
             self._bar.update(self._task, completed=done, description=printable(text))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
-            self._console.print(f"{done} of {self._total} {self._things}  {text}".rstrip(), soft_wrap=True)
+            left = clock((self._total / done - 1) * (self._last_line - self._begin)) if done else "unknown time"
+            line = f"{done} of {self._total} {self._things}, about {left} left  {text}"
+            self._console.print(line.rstrip(), soft_wrap=True)

@@ -207,7 +207,7 @@ def _gap(chosen: Evaluation, drawn: Evaluation) -> str:
     return (
         f"With drawn actions, as in training, these rates differ significantly (Fisher's exact test, 1 %): "
         f"{', '.join(differing)}.\n"
-        "To test the policy as it drove in training, use --stochastic."
+        "The policy was trained with drawn actions: to test it as it drove then, use --stochastic."
     )
 
 
@@ -233,6 +233,15 @@ def _say(line: str, *, quiet: bool) -> None:
         say(line, file=sys.stderr)
 
 
+def _is_said(outcome: str, evaluations: Mapping[str, Evaluation]) -> bool:
+    """Return whether another row says the same of all drivers: missed destinations, or collisions of unknown fault."""
+    collision, _, destination = (spec.name for spec in SPECS)
+    rows = [(found.n, found.counts.get(outcome, 0), found.counts) for found in evaluations.values()]
+    if outcome == destination:
+        return all(count + counts.get(ARRIVED, 0) == n for n, count, counts in rows)
+    return outcome == f"{collision}: other" and all(count == counts.get(collision, 0) for _, count, counts in rows)
+
+
 def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
     """Return a table of rates in percent with their 95 % intervals.
 
@@ -242,7 +251,9 @@ def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
     """
     first = next(iter(evaluations.values()))
     rates = grid("", *evaluations, numbers=evaluations)
-    outcomes = dict.fromkeys(outcome for found in evaluations.values() for outcome in found.counts)
+    outcomes = dict.fromkeys(
+        outcome for found in evaluations.values() for outcome in found.counts if not _is_said(outcome, evaluations)
+    )
     kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
     for outcome in sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome)):
         cells = []

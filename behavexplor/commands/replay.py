@@ -21,12 +21,12 @@ from behavexplor.commands.wording import say
 from behavexplor.data.drawn_scenario import DrawnScenario
 from behavexplor.data.durable import folder_in, new_file
 from behavexplor.data.road_shape import RoadShape
-from behavexplor.data.trace import CRASHED, Trace
+from behavexplor.data.trace import Trace
 from behavexplor.errors import InputError, sentence
 from behavexplor.execution.executor import ADSError
 from behavexplor.execution.simulation import Simulation
 from behavexplor.execution.start import start_executor
-from behavexplor.judge.specs import SPECS
+from behavexplor.judge.specs import SPECS, judge
 from behavexplor.report.drawing import Footage, decisive_frame, draw, footage_of, save_animation
 from behavexplor.report.road_shapes import known_road
 from behavexplor.triage.closed_loop import drive_again
@@ -158,11 +158,11 @@ def _why_not_avoided(execution: Execution, run: Path) -> str:
 def _driven(
     execution: Execution, config: CampaignConfig, witness: Witness | OtherDriver, recorded: Trace
 ) -> tuple[Trace, bool]:
-    """Drive a witness, and return its trace and whether it avoids the collision."""
+    """Drive a witness, and return its trace and whether it avoids the collision and fails in no other way."""
     scenario = execution.scenario
     if isinstance(scenario, DrawnScenario) and isinstance(witness, OtherDriver):
         trace = drive_again(scenario, witness)
-        return trace, not trace.signals[CRASHED].any()
+        return trace, not judge(trace).failed
     if isinstance(scenario, DrawnScenario) or isinstance(witness, OtherDriver):
         raise InputError(f"The avoidance stored for execution {execution.id} belongs to an environment of another kind")
     simulation = Simulation(config.env, "constant")  # any ADS will do, because the witness drives

@@ -64,6 +64,7 @@ def report(found: Triage) -> str:
         plain_text(_class_table(found)),
         "",
         *(hanging("  ", f"{class_id}: {words_of(class_id)}") for class_id in found.classes),
+        *_witnesses(found.findings),
         "",
         "A class groups failures that look alike. It begins with the violated requirement:",
         "R1 collision, R2 illegal line touched, R3 destination missed.",
@@ -81,6 +82,12 @@ def report(found: Triage) -> str:
             *_agreements(found.findings),
         ]
     return "\n".join(lines)
+
+
+def _witnesses(findings: Sequence[Finding]) -> list[str]:
+    """Return who or what avoided the preventable collisions."""
+    names = counted(finding.avoidance for finding in findings)
+    return ["", hanging("", f"Preventable collisions were avoided by: {names}")] if names else []
 
 
 def _class_table(found: Triage) -> Table:

@@ -27,6 +27,17 @@ _COUNTED = ("frames", "vehicles times frames", "seconds", "points of the route",
 ENDS = ("collision", "arrived", "passed", "standstill", "timeout", "error", "off-road", "ended")
 ABSENT = 1e5  # both coordinates of a vehicle while it is absent, far from every road [m]
 CRASHED, OFF_ROAD, ARRIVED = "crashed", "off_road", "arrived"  # names of signals
+CHANGING, WAY, WRECKS = "changing_lanes", "way", "wrecks"
+PARTNER, PARTNER_LANES = "partner", "partner_lanes"
+WAYS: Final = (  # what an ego does on the road on which it is, by the value of the signal `WAY`
+    "going-straight",
+    "turning-left",
+    "turning-right",
+    "entering-the-ring",
+    "driving-in-the-ring",
+    "leaving-the-ring",
+)
+ELSEWHERE, ON_ITS_WAY, OBSTACLE = range(3)  # values of the signal `PARTNER`
 _MOTION = ("position", "heading", "velocity")
 _PACKED = (*_MOTION, "present")  # arrays of which each value takes a byte in a file
 _NO_ARRAYS: Mapping[str, Floats] = MappingProxyType({})
@@ -63,9 +74,13 @@ class Trace:
         end: kind of end: "collision", "arrived", "passed" (the destination), "standstill", "timeout", "off-road",
             "ended" (by another rule of the environment), or "error" if the ADS failed instead of returning an action.
         decisions: the ADS's own log, as arrays by name, each of shape (D, ...).
-        signals: what a highway-env environment itself says of the ego in each frame, as arrays by name, each of shape
-            (T,): 1 or 0 for "crashed", "off_road" and "arrived". A signal is missing if it means nothing in the
-            environment. Without signals, the specs judge by the vehicles' boxes.
+        signals: what a highway-env environment itself says in each frame, as arrays by name, each of shape (T,): 1 or 0
+            for whether the ego "crashed", is "off_road" or "arrived"; -1, 1 or 0 for whether it is "changing_lanes" to
+            the left, the right or not; its "way", a place in `WAYS`; and of the `partner`, whether it is `ELSEWHERE`,
+            `ON_ITS_WAY` (on the ego's road or one that follows or precedes it) or an `OBSTACLE`, and how many
+            "partner_lanes" it is to the right of the ego's lane if it is on its way. "wrecks", of shape (T, N), is 1
+            for vehicles that have crashed. A signal is missing if it means nothing in the environment. Without
+            signals, the specs judge by the vehicles' boxes.
         present: whether each vehicle is present, shape (T, N); empty if all vehicles are present in all frames. An
             absent vehicle stands at `ABSENT`.
         partner: the vehicle that the ego crashed into, as far as the environment tells, an index of `size`; -1 if there
@@ -125,7 +140,7 @@ class Trace:
             _check_shape(name, getattr(self, name), expected)
         self._validate_decisions()
         for name, values in self.signals.items():
-            _check_shape(f"signals[{name!r}]", values, (frames,))
+            _check_shape(f"signals[{name!r}]", values, (frames, vehicles) if name == WRECKS else (frames,))
         if frames == 0 or vehicles == 0:
             raise InputError("time: a trace needs at least one frame, and an ego in size")
         self._check_extent()

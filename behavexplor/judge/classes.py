@@ -14,6 +14,7 @@ import numpy as np
 from behavexplor.data.array_types import Floats
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import R1, R2, R3, ViolationEvent, violation_event
+from behavexplor.judge.lanes import had_crashed
 from behavexplor.judge.situation import (
     HALF_LANE,
     bearing_of,
@@ -30,6 +31,8 @@ from behavexplor.judge.situation import (
 LARGE: Final = 7.0  # vehicles longer than this are large [m]
 SLOW: Final = 6.0  # an ego that touches a line at less than this speed was slow [m/s]
 
+_OFF: Final = "off-"  # begins the side on which an ego left the road of a highway-env environment
+
 _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it drove straight and if it had turned
     "leading": ("{} ahead", "{} ahead that had turned"),
     "from-behind": ("{} from behind", "{} from behind that had turned"),
@@ -38,10 +41,20 @@ _VEHICLES: Final = {  # the other vehicle of a collision, by the conflict, if it
     "oncoming": ("oncoming {}", "oncoming {} that had turned"),
     "crossing-from-right": ("{} crossing from the right", "{} that had turned in from the right"),
     "crossing-from-left": ("{} crossing from the left", "{} that had turned in from the left"),
+    "behind": ("{} behind", ""),  # from here on, a vehicle a second before a crash in highway-env
+    "ahead-on-the-right": ("{} ahead in a lane to the right", ""),
+    "ahead-on-the-left": ("{} ahead in a lane to the left", ""),
+    "behind-on-the-right": ("{} behind in a lane to the right", ""),
+    "behind-on-the-left": ("{} behind in a lane to the left", ""),
+    "merging-from-right": ("{} merging from the right", ""),
+    "merging-from-left": ("{} merging from the left", ""),
+    "crashed-before": ("{} that had crashed before", ""),
 }
 _PHRASES: Final = {  # where the words of a class are not its id's
     "changing-right": "changing lanes right",
     "changing-left": "changing lanes left",
+    "having-changed-right": "going on after changing lanes right",
+    "having-changed-left": "going on after changing lanes left",
     "slow": "at low speed",
     "fast": "at speed",
     "ended-by-standstill": "stood still",
@@ -103,7 +116,9 @@ class ViolationClass:
     def words(self) -> str:
         """Class and detail as a sentence, such as "Collision with an oncoming car-sized vehicle; the ego was ..."."""
         if self.spec == R2:
-            return f"Touched a line on its {self.conflict} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
+            side = self.conflict.removeprefix(_OFF)
+            what = "Touched a line" if side == self.conflict else "Left the road"
+            return f"{what} on its {side} {_phrase(self.mark)} while {_phrase(self.maneuver)}"
         if self.spec == R1:
             sentence = f"Collision with {_vehicle(self.conflict, self.mark)}"
         elif self.spec == R3:
@@ -133,7 +148,9 @@ def _phrase(part: str) -> str:
 
 
 def _vehicle(conflict: str, size: str) -> str:
-    """Describe the other vehicle of a collision, with its article."""
+    """Describe the other vehicle of a collision, or the obstacle, with its article."""
+    if conflict == "obstacle":
+        return "an obstacle"
     straight, turned = _VEHICLES[conflict.removesuffix("-turning")]
     words = (turned if conflict.endswith("-turning") else straight).format(f"{size} vehicle")
     return f"an {words}" if words.startswith("oncoming") else f"a {words}"
@@ -170,17 +187,19 @@ def event_class(trace: Trace, event: ViolationEvent, end: str | None = None) -> 
 
 def _collision(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame, npc = event.frame, event.partner
-    size = "large" if trace.size[npc, 0] > LARGE else "car-sized"
+    bearing, size = bearing_of(trace, frame, npc), "large" if trace.size[npc, 0] > LARGE else "car-sized"
     motion = motion_of(trace, frame, npc)
+    if bearing == "obstacle":
+        size = motion = ""
     ego = ", ".join(filter(None, (behavior_of(trace, frame), f"with contact at its {touched_side(trace, frame, npc)}")))
     detail = ego + (f"; the other vehicle was {motion}" if motion else "")
-    return ViolationClass(R1, maneuver_of(trace, frame), bearing_of(trace, frame, npc), size, detail)
+    return ViolationClass(R1, maneuver_of(trace, frame), bearing, size, detail)
 
 
 def _line(trace: Trace, event: ViolationEvent) -> ViolationClass:
     frame = event.frame
     if event.partner < 0:
-        side = "right" if route_offsets(trace)[frame] > 0 else "left"
+        side = f"{_OFF}{'right' if route_offsets(trace)[frame] > 0 else 'left'}"
     else:
         side = _side_of_line(trace, frame, trace.illegal_lines[event.partner])
     speed = "slow" if speed_of(trace, frame, 0) < SLOW else "fast"
@@ -202,8 +221,12 @@ def _destination(trace: Trace, event: ViolationEvent, end: str) -> ViolationClas
         side = "right" if offset_to_right(offset, trace.heading[frame, 0]) > 0 else "left"
         return ViolationClass(R3, maneuver, f"passed-it-on-the-{side}", _way_there(trace))
     leader = leader_of(trace, frame)
-    behind = "nobody-ahead" if leader is None else f"behind-a-{motion_of(trace, frame, leader) or 'moving'}-vehicle"
+    behind = "nobody-ahead" if leader is None else f"behind-a-{_motion_of_leader(trace, frame, leader)}-vehicle"
     return ViolationClass(R3, maneuver, f"ended-by-{end}", behind, behavior_of(trace, frame))
+
+
+def _motion_of_leader(trace: Trace, frame: int, leader: int) -> str:
+    return "crashed" if had_crashed(trace, frame, leader) else motion_of(trace, frame, leader) or "moving"
 
 
 def _other(trace: Trace, event: ViolationEvent, end: str) -> ViolationClass:

@@ -14,9 +14,10 @@ import numpy as np
 from behavexplor.data.conventions import STANDING_SPEED, is_rear_end, wrapped
 from behavexplor.data.geometry import box_corners, box_distance, project_on_polyline
 from behavexplor.data.trace import Trace
+from behavexplor.judge.lanes import had_crashed, is_told_by_lanes, lane_change
 from behavexplor.judge.specs import Collision, Destination
 
-Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "other"]
+Fault = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "npc_wreck", "other"]
 NPC_CAUSED: Final = frozenset({"npc_rear_end", "struck_stationary"})
 # Verdicts of this module and of `behavexplor.triage.blame`, which searches for a way to avoid the collision.
 AT_FAULT: Final = frozenset({"ego_cut_in", "preventable"})
@@ -77,7 +78,10 @@ def contact_fault(trace: Trace) -> Fault | None:
       after it. This is the ego's fault.
     - `npc_rear_end`: a faster vehicle with about the same heading hit the ego from behind.
     - `struck_stationary`: the ego was standing.
-    - `other`: the trace alone cannot tell. `behavexplor.triage.blame` drives the scenario again to find out.
+    - `npc_wreck`: the vehicle had crashed before.
+    - `other`: the trace alone cannot tell.
+
+    `behavexplor.triage.blame` drives the scenario again to find out about the last two.
 
     Args:
         trace: the trace of an episode.
@@ -92,7 +96,7 @@ def contact_fault(trace: Trace) -> Fault | None:
         return "ego_cut_in" if _changed_lanes(trace) else "npc_rear_end"
     if math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED:
         return "struck_stationary"
-    return "other"
+    return "npc_wreck" if had_crashed(trace, len(trace.time) - 1, npc) else "other"
 
 
 def touched_npc(trace: Trace) -> int | None:
@@ -111,16 +115,26 @@ def touched_npc(trace: Trace) -> int | None:
 
 
 def _struck_from_behind(trace: Trace, npc: int) -> bool:
-    """Return whether a faster vehicle with about the same heading touches the ego from behind."""
-    heading = trace.heading[-1, 0]
-    ahead = (trace.position[-1, npc] - trace.position[-1, 0]) @ (math.cos(heading), math.sin(heading))
-    turned = wrapped(trace.heading[-1, npc] - heading)
-    ego_speed, npc_speed = np.hypot(*trace.velocity[-1, [0, npc]].T)
+    """Return whether a faster vehicle with about the same heading touches the ego from behind.
+
+    In a highway-env environment, the frame before tells it, because the crash has already moved the vehicles.
+    """
+    frame = max(len(trace.time) - 2, 0) if is_told_by_lanes(trace) else -1
+    heading = trace.heading[frame, 0]
+    ahead = (trace.position[frame, npc] - trace.position[frame, 0]) @ (math.cos(heading), math.sin(heading))
+    turned = wrapped(trace.heading[frame, npc] - heading)
+    ego_speed, npc_speed = np.hypot(*trace.velocity[frame, [0, npc]].T)
     return bool(is_rear_end(ahead, turned, trace.size[0, 0], ego_speed, npc_speed))
 
 
 def _changed_lanes(trace: Trace) -> bool:
-    """Return whether the ego moved across its route in the last `CUT_IN_TIME`."""
+    """Return whether the ego moved across its route in the last `CUT_IN_TIME`.
+
+    In a highway-env environment, it must have changed lanes, and must not stand.
+    """
+    if is_told_by_lanes(trace):
+        is_standing = math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
+        return bool(lane_change(trace, len(trace.time) - 1, CUT_IN_TIME)) and not is_standing
     recent = trace.time >= trace.time[-1] - CUT_IN_TIME
     _, along = project_on_polyline(trace.position[recent, 0], trace.route)
     velocity = trace.velocity[recent, 0]

@@ -11,6 +11,7 @@ from behavexplor.data.geometry import box_corners, project_on_polyline
 from behavexplor.data.trace import Trace
 from behavexplor.judge.events import recent
 from behavexplor.judge.fault import CUT_IN_TIME
+from behavexplor.judge.lanes import is_told_by_lanes, maneuver, relation
 
 CREEPING: Final = 2.0  # vehicles slower than this creep [m/s]
 BRAKING: Final = 2.0  # least mean deceleration of a braking ego over the last `BRAKING_TIME` [m/s2]
@@ -26,7 +27,12 @@ HALF_LANE: Final = 1.75  # half the width of a lane; what is farther to the side
 
 
 def maneuver_of(trace: Trace, frame: int) -> str:
-    """Return the ego's maneuver at a frame: a turn of its route, a lane change, or going straight."""
+    """Return the ego's maneuver at a frame: a turn of its route, a lane change, or going straight.
+
+    In a highway-env environment, the lanes tell it; see `behavexplor.judge.lanes.maneuver`.
+    """
+    if is_told_by_lanes(trace):
+        return maneuver(trace, frame, CUT_IN_TIME)
     frames = recent(trace, frame, CUT_IN_TIME)
     station, along = project_on_polyline(trace.position[frames, 0], trace.route)
     turn = _turn(trace.route, float(station[-1]))
@@ -56,7 +62,12 @@ def _turn(route: Floats, station: float) -> str:
 
 
 def bearing_of(trace: Trace, frame: int, npc: int) -> str:
-    """Return the position or origin of the other vehicle relative to the ego, with a suffix if it had turned."""
+    """Return the position or origin of the other vehicle relative to the ego, with a suffix if it had turned.
+
+    In a highway-env environment, the lanes tell it; see `behavexplor.judge.lanes.relation`.
+    """
+    if is_told_by_lanes(trace):
+        return relation(trace, frame, npc)
     now = wrapped(trace.heading[frame, npc] - trace.heading[frame, 0])
     before = heading_before(trace, frame, npc)
     turning = "-turning" if abs(wrapped(trace.heading[frame, npc] - before)) > TURNED else ""

@@ -16,7 +16,7 @@ from behavexplor.triage.closed_loop import find_driver
 from behavexplor.triage.findings import OtherDriver, Witness
 from behavexplor.triage.witness import find_witness
 
-Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "preventable", "unpreventable", "other"]
+Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "npc_wreck", "preventable", "unpreventable", "other"]
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Blame:
 
     Attributes:
         kind: `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
-            otherwise `preventable` if there is a witness, `unpreventable` if none was found, or `other` if the search
-            was impossible because the environment cannot run in lock-step.
+            otherwise `preventable` if there is a witness, `unpreventable` if none was found, or what that function
+            says, `npc_wreck` or `other`, if the search was impossible because the environment cannot run in lock-step.
         in_junction: whether the ego was inside a junction; False in a highway-env environment, where this is not known.
-        witness: evasion that avoids the collision, or in a highway-env environment another driver that does not crash;
-            None unless the collision is `preventable`.
+        witness: evasion that avoids the collision, or in a highway-env environment another driver that keeps all its
+            requirements; None unless the collision is `preventable`.
         tried: number of evasions, or of other drivers, that were driven.
     """
 
@@ -72,12 +72,12 @@ def blame(simulation: Simulation, scenario: Scenario, trace: Trace, rng: np.rand
 
 def _blame_in_reactive_traffic(quick: Kind, scenario: Any, rng: np.random.Generator) -> Blame:
     """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
-    if quick != "other":
+    if quick not in ("other", "npc_wreck"):
         return Blame(quick, in_junction=False)
     driver, tried = find_driver(scenario, rng)
     if driver is not None:
         return Blame("preventable", in_junction=False, witness=driver, tried=tried)
-    return Blame("unpreventable" if tried else "other", in_junction=False, tried=tried)
+    return Blame("unpreventable" if tried else quick, in_junction=False, tried=tried)
 
 
 def in_junction(roadmap: RoadMap, trace: Trace) -> bool:

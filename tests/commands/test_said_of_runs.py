@@ -144,3 +144,12 @@ def test_no_text_commands_the_terminal_of_a_live_screen(monkeypatch):
 
 def test_no_heading_of_a_table_is_markup():
     assert SHOWN in table(HOSTILE, {HOSTILE: Evaluation(3, {HOSTILE: 1})})
+
+
+def test_a_meter_says_how_long_the_rest_will_take(monkeypatch):
+    times = iter([0.0, 60.0, 60.0])
+    monkeypatch.setattr("behavexplor.commands.display.time.monotonic", lambda: next(times))
+    stream = io.StringIO()
+    with Meter(stream, 9, "failures", quiet=False) as meter:
+        meter.show(3)
+    assert stream.getvalue() == "3 of 9 failures, about 2:00 left\n"

@@ -8,6 +8,8 @@ import pytest
 
 from behavexplor.envs.making import make_env
 from behavexplor.execution.simulation import Simulation
+from behavexplor.judge.specs import judge
+from behavexplor.triage import closed_loop
 from behavexplor.triage.blame import blame
 from behavexplor.triage.closed_loop import BY_CHANCE, CONSTANT, ScriptedDriver, drive_again, find_driver
 from behavexplor.triage.findings import witness_from, witness_values
@@ -34,6 +36,35 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     again = drive_again(scenario, witness_from(json.loads(json.dumps(witness_values(driver)))))
     assert not again.signals["crashed"].any()
     assert again.actions[:, 0].tolist() == list(driver.actions)
+
+
+def driven_by_others(monkeypatch, traces):
+    """The witness of a scenario of the roundabout in which other drivers do what their traces say."""
+    simulation = Simulation("roundabout-v0", "constant:SLOWER")
+    scenario = simulation.logical.sample(np.random.default_rng(0))
+    careful = Simulation("roundabout-v0", "careful")
+    waits, goes = simulation.run(scenario), careful.run(replace(scenario, setup=careful.logical.setup))
+    assert not waits.signals["arrived"].any()
+    assert not judge(goes).failed
+    monkeypatch.setattr(
+        closed_loop, "_driven", lambda *_: [*traces(waits, goes), *[waits] * (len(CONSTANT) + BY_CHANCE - 1)]
+    )
+    return find_driver(scenario, np.random.default_rng(0))[0]
+
+
+def test_a_witness_keeps_every_requirement(monkeypatch):
+    assert driven_by_others(monkeypatch, lambda waits, goes: [waits, goes]).name == "always SLOWER"
+    assert driven_by_others(monkeypatch, lambda waits, _: [waits, waits]) is None
+
+
+def test_a_witness_that_only_stands_still_is_called_that(monkeypatch):
+    def nowhere(trace):
+        return replace(trace, signals={name: one for name, one in trace.signals.items() if name != "arrived"})
+
+    only = driven_by_others(monkeypatch, lambda waits, _: [waits, nowhere(waits)])
+    assert only.name == "standing still (always SLOWER)"
+    both = driven_by_others(monkeypatch, lambda waits, goes: [nowhere(waits), nowhere(goes)])
+    assert both.name == "always SLOWER"
 
 
 @pytest.mark.parametrize("actions", [[], [5], [-1], ["left"], None])

@@ -6,7 +6,7 @@ import numpy as np
 
 from behavexplor.envs.engine.lane_geometry import is_on_road
 from behavexplor.envs.engine.lane_network import Network
-from behavexplor.envs.engine.state import Records, Scene, record_type
+from behavexplor.envs.engine.state import NO_LANE, Records, Scene, record_type
 from behavexplor.jit import kernel_inner
 
 Frame: TypeAlias = np.record
@@ -14,7 +14,6 @@ Frame: TypeAlias = np.record
 FRAME: Final = record_type(
     n_things=np.int64,  # vehicles and obstacles; 0 if the slot took no action
     ego=np.int64,  # the ego's place among them
-    lane=np.int64,  # the ego's, in the order of `RoadNetwork.lanes_dict`
     is_on_road=np.bool_,  # highway-env's `on_road` of the ego
 )
 
@@ -24,6 +23,8 @@ THING: Final = record_type(
     y=np.float64,
     heading=np.float64,  # [rad]
     speed=np.float64,  # [m/s]
+    lane=np.int64,  # the closest one, in the order of `RoadNetwork.lanes_dict`; NO_LANE for an obstacle
+    target_lane=np.int64,  # NO_LANE for what aims at none
     crashed=np.bool_,
 )
 
@@ -58,8 +59,11 @@ def log_frame(network: Network, scene: Scene, frame: Frame, things: Records) -> 
     """
     episode, ego = scene.episode, scene.vehicles[scene.episode.ego]
     frame.n_things = episode.n_vehicles + episode.n_obstacles
-    frame.ego, frame.lane, frame.is_on_road = episode.ego, ego.lane, is_on_road(network, ego)
+    frame.ego, frame.is_on_road = episode.ego, is_on_road(network, ego)
     for i in range(episode.n_vehicles + episode.n_obstacles):
         thing, vehicle = things[i], scene.vehicles[i]
         thing.number, thing.crashed = vehicle.number, vehicle.crashed
         thing.x, thing.y, thing.heading, thing.speed = vehicle.x, vehicle.y, vehicle.heading, vehicle.speed
+        thing.lane = thing.target_lane = NO_LANE
+        if i < episode.n_vehicles:
+            thing.lane, thing.target_lane = vehicle.lane, vehicle.target_lane

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from behavexplor.data.array_types import Bools, Floats
 from behavexplor.data.drawn_logical import NORMAL, UNIFORM, DrawnLogicalScenario
 from behavexplor.data.drawn_scenario import DrawnScenario
-from behavexplor.envs.engine.lane_network import lane_indexes
 from behavexplor.envs.highway.config_check import STARTS
 from behavexplor.envs.highway.conversion import are_alike
-from behavexplor.envs.highway.course import LaneIndex
 from behavexplor.envs.highway.drawn_env import DrawnEnv
 from behavexplor.envs.highway.episode_record import EpisodeRecord, Frame
 from behavexplor.envs.highway.generator import DrawnGenerator
@@ -75,7 +73,6 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         self._later = decision_order(env)
         self._order = self._start_order()
         self._networks = [env.inner.road.network] * num_envs  # that of the engine, now that it has copied an episode
-        self._lanes: list[LaneIndex] = lane_indexes(env.inner.road.network)
 
     def _start_order(self) -> tuple[DrawPlace, ...] | None:
         """Return the order of the draws by which the engine begins episodes; None if only highway-env can."""
@@ -155,8 +152,8 @@ class DrawnVectorEnv(VectorEnv[NDArray[Any], NDArray[Any], NDArray[Any]]):
         """Record the first frames of the latest decision of sub-environment b."""
         log, record = self._engine.frame_log, self._records[b]
         rows = zip(log.frames[b, :count].tolist(), log.things[b, :count].copy(), strict=True)
-        for (n_things, ego, lane, is_on_road), things in rows:
-            record.frames.append(Frame(things[:n_things], ego, self._lanes[lane], is_on_road))
+        for (n_things, ego, is_on_road), things in rows:
+            record.frames.append(Frame(things[:n_things], ego, is_on_road))
         for number in log.things[b, count - 1]["number"][:n_things].tolist():
             record.sizes.setdefault(number, _SIZE)
 

@@ -29,13 +29,27 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import RoadObject
 from numpy.typing import NDArray
 
-from behavexplor.data.array_types import Floats
+from behavexplor.data.array_types import Floats, Ints
 from behavexplor.data.geometry import box_corners, box_distance
-from behavexplor.data.trace import ABSENT, ARRIVED, CRASHED, OFF_ROAD, Trace
+from behavexplor.data.trace import (
+    ABSENT,
+    ARRIVED,
+    CHANGING,
+    CRASHED,
+    OFF_ROAD,
+    PARTNER,
+    PARTNER_LANES,
+    WAY,
+    WRECKS,
+    Trace,
+)
 from behavexplor.envs.engine.frame_log import THING
-from behavexplor.envs.engine.state import Records
+from behavexplor.envs.engine.lane_network import lane_indexes
+from behavexplor.envs.engine.state import NO_LANE, Records
 from behavexplor.envs.highway.course import LaneIndex, ego_route
+from behavexplor.envs.highway.driven_lanes import lane_changes, lane_table, partner_places, places
 
+_NAMES: Final = ("x", "y", "heading", "speed", "lane", "target_lane")  # fields of `THING`
 _WITH_BORDERS: Final = (HighwayEnv, MergeEnv, MergeGenericEnv, ExitEnv, RacetrackEnv)
 
 
@@ -45,13 +59,11 @@ class Frame(NamedTuple):
     Attributes:
         things: the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`.
         ego: the ego's place among them.
-        lane: the ego's lane.
         is_on_road: highway-env's `on_road` of the ego.
     """
 
     things: Records
     ego: int
-    lane: LaneIndex
     is_on_road: bool
 
 
@@ -105,14 +117,18 @@ class EpisodeRecord:
         at = (frame, column[every["number"]])
         motion = np.zeros((4, len(things), len(numbers)))
         motion[:2] = ABSENT
+        lanes = np.zeros((2, len(things), len(numbers)), dtype=np.int64)
         present, crashed = np.zeros((2, len(things), len(numbers)), dtype=bool)
-        for values, name in zip(motion, ("x", "y", "heading", "speed"), strict=True):
+        for values, name in zip((*motion, *lanes), _NAMES, strict=True):
             values[at] = every[name]
         present[at], crashed[at] = True, every["crashed"]
         position, heading, speed = np.moveaxis(motion[:2], 0, -1), motion[2], motion[3]
         size = np.array([self.sizes[number] for number in numbers.tolist()])
         count = int(crashed[:, 0].argmax()) + 1 if crashed[:, 0].any() else len(things)
-        route = ego_route(network, self._route, [seen.lane for seen in self.frames], position[:, 0])
+        indexes = lane_indexes(network)
+        driven = [indexes[lane] for lane in lanes[0, :, 0].tolist()]
+        route = ego_route(network, self._route, driven, position[:, 0])
+        partner = _partner(position, heading, size, crashed)
         trace = Trace(
             time=np.arange(len(things), dtype=np.float64) * self._period,
             position=position,
@@ -125,17 +141,22 @@ class EpisodeRecord:
             destination=route[-1],
             illegal_lines=np.zeros((0, 2, 2)),
             end=self._end(terminated=terminated),
-            signals=self._signals(crashed[:, 0], count),
+            signals={
+                **self._signals(crashed[:, 0], driven, count),
+                **_lane_signals(network, lanes, heading, partner),
+                **({WRECKS: crashed.astype(np.float64)} if crashed[:, 1:].any() else {}),
+            },
             present=present,
-            partner=_partner(position, heading, size, crashed),
+            partner=partner,
         )
         return trace.until(count, "collision") if crashed[:, 0].any() else trace
 
-    def _signals(self, crashed: NDArray[np.bool_], count: int) -> dict[str, Floats]:
-        """Return the signals of a trace. An arrival counts if it is the last thing that is said of it.
+    def _signals(self, crashed: NDArray[np.bool_], driven: Sequence[LaneIndex], count: int) -> dict[str, Floats]:
+        """Return the signals of the requirements. An arrival counts if it is the last thing that is said of it.
 
         Args:
             crashed: whether the ego has crashed, in every frame.
+            driven: the ego's lane in every frame.
             count: number of frames that the trace keeps.
         """
         signals = {CRASHED: crashed.astype(np.float64)}
@@ -146,8 +167,8 @@ class EpisodeRecord:
             for frame, arrived in [said for said in self._arrivals if said[0] < count][-1:]:
                 signals[ARRIVED][frame] = arrived
         elif self._must_move_on:
-            entry = {self.frames[0].lane[:2], *(lane[:2] for lane in self._route[:2])}
-            signals[ARRIVED] = np.array([frame.lane[:2] not in entry for frame in self.frames], dtype=np.float64)
+            entry = {driven[0][:2], *(lane[:2] for lane in self._route[:2])}
+            signals[ARRIVED] = np.array([lane[:2] not in entry for lane in driven], dtype=np.float64)
         return signals
 
     def _end(self, *, terminated: bool) -> str:
@@ -183,17 +204,39 @@ class Watch:
         road.step = watched
 
     def _look(self, env: AbstractEnv) -> None:
-        seen = [*env.road.vehicles, *(thing for thing in env.road.objects if thing.solid and thing.collidable)]
-        rows = [self._row(thing) for thing in seen]
-        things = np.array(rows, dtype=THING)
-        ego = env.vehicle
-        self.record.frames.append(Frame(things, seen.index(ego), ego.lane_index, bool(ego.on_road)))
+        vehicles, ego = env.road.vehicles, env.vehicle
+        obstacles = [thing for thing in env.road.objects if thing.solid and thing.collidable]
+        lanes = {index: lane for lane, index in enumerate(lane_indexes(env.road.network))}
+        rows = [*(self._row(thing, lanes) for thing in vehicles), *(self._row(thing, {}) for thing in obstacles)]
+        self.record.frames.append(Frame(np.array(rows, dtype=THING), vehicles.index(ego), bool(ego.on_road)))
 
-    def _row(self, thing: RoadObject) -> tuple[int, float, float, float, float, bool]:
+    def _row(
+        self, thing: RoadObject, lanes: dict[LaneIndex, int]
+    ) -> tuple[int, float, float, float, float, int, int, bool]:
         number, _ = self._things.setdefault(id(thing), (len(self._things), thing))
         self.record.sizes.setdefault(number, (float(thing.LENGTH), float(thing.WIDTH)))
-        x, y = thing.position.tolist()
-        return number, x, y, float(thing.heading), float(getattr(thing, "speed", 0.0)), bool(thing.crashed)
+        pose = (*thing.position.tolist(), float(thing.heading), float(getattr(thing, "speed", 0.0)))
+        lane, target = (tuple(getattr(thing, name, None) or ()) for name in ("lane_index", "target_lane_index"))
+        return number, *pose, lanes.get(lane, NO_LANE), lanes.get(target, NO_LANE), bool(thing.crashed)
+
+
+def _lane_signals(network: RoadNetwork, lanes: Ints, heading: Floats, partner: int) -> dict[str, NDArray[Any]]:
+    """Return the signals that the lanes tell; see `behavexplor.envs.highway.driven_lanes`.
+
+    Args:
+        network: the road network.
+        lanes: the closest lane of each vehicle, and the one at which it aims, shape (2, T, N).
+        heading: headings, shape (T, N) [rad].
+        partner: the vehicle into which the ego crashes; -1 for none.
+    """
+    table = lane_table(network)
+    place = places(table, *lanes[:, :, 0])
+    signals: dict[str, NDArray[Any]] = {CHANGING: lane_changes(table, *lanes[:, :, 0]), WAY: table.way[place]}
+    if partner > 0:
+        turned = heading[:, partner] - heading[:, 0]
+        where, beside = partner_places(table, place, places(table, *lanes[:, :, partner]), turned)
+        signals |= {PARTNER: where, PARTNER_LANES: beside}
+    return signals
 
 
 def _partner(position: Floats, heading: Floats, size: Floats, crashed: NDArray[np.bool_]) -> int:

@@ -16,7 +16,7 @@ from behavexplor.envs.highway.highway_vector_env import HighwayVectorEnv
 from tests.envs.highway.comparison import make, results_of_child
 from tests.envs.highway.side_by_side import deviation
 
-VALUES = ("x", "y", "heading", "speed")
+VALUES = ("x", "y", "heading", "speed", "lane", "target_lane")
 
 
 @dataclass
@@ -97,18 +97,28 @@ def drive(env, compiled, decisions, result, draws):
 
 
 def recorded(env):
-    """Return a list to which every step of the road will append its things and the ego's lane."""
+    """Return a list to which every step of the road will append its things and their lanes."""
     seen, step = [], env.road.step
 
     def recording_step(dt):
         step(dt)
         things = [*env.road.vehicles, *env.road.objects]
-        values = [(thing, *thing.position, thing.heading, thing.speed, thing.crashed) for thing in things]
-        lane = lane_indexes(env.road.network).index(env.vehicle.lane_index)
-        seen.append((values, things.index(env.vehicle), lane, bool(env.vehicle.on_road)))
+        lanes = {index: lane for lane, index in enumerate(lane_indexes(env.road.network))}
+        values = [
+            (thing, *thing.position, thing.heading, thing.speed, *lanes_of(thing, lanes), thing.crashed)
+            for thing in things
+        ]
+        seen.append((values, things.index(env.vehicle), bool(env.vehicle.on_road)))
 
     env.road.step = recording_step
     return seen
+
+
+def lanes_of(thing, lanes):
+    """The numbers of the closest lane of a vehicle and of the one at which it aims; -1 where there is none."""
+    if type(thing).__name__ == "Obstacle":
+        return -1, -1
+    return lanes[thing.lane_index], lanes.get(getattr(thing, "target_lane_index", None), -1)
 
 
 def note_differences(log, seen, numbers, result):

@@ -53,10 +53,11 @@ def test_a_reset_logs_the_start_and_not_what_happened_before_it():
     env.reset(seed=0)
     frames, things = env.frame_log
     assert (frames["n_things"][0, 1:] == 0).all()
-    count, ego, lane, is_on_road = frames[0, 0].tolist()
+    count, ego, is_on_road = frames[0, 0].tolist()
     start = env.state(0)
     assert (count, ego, is_on_road) == (len(start.vehicles), start.episode["ego"], True)
-    assert lane == start.vehicles["lane"][ego]
+    assert (things["lane"][0, 0, :count] == start.vehicles["lane"]).all()
+    assert (things["target_lane"][0, 0, :count] == start.vehicles["target_lane"]).all()
     assert (things["x"][0, 0, :count] == start.vehicles["x"]).all()
 
 
