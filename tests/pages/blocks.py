@@ -21,7 +21,7 @@ MOST = 16  # executions, scenarios or training steps that a Python block asks fo
 SMALL = {
     "bench": "--jobs 1",
     "check": "--workers 0",
-    "compare": "--scenarios 4 --budget 8 --workers 0",
+    "compare": "--scenarios 4 --budget 8 --workers 0 --unconfined",
     "evaluate": "--scenarios 2 --workers 0 --unconfined",
     "fuzz": f"--budget {MOST} --workers 0 --unconfined",
     "minimize": "--workers 0",
