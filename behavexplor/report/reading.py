@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -144,7 +144,7 @@ def read_run(folder: Path) -> ReportedRun:
     Raises:
         InputError: if the folder is not a run folder, has no executions yet, or is damaged.
     """
-    config = stored_config(folder).says
+    config = _without_path(stored_config(folder).says)
     triage = Triage.read(folder) if (folder / TRIAGE).is_file() else None
     known = {finding.id: finding for finding in triage.findings} if triage else {}
     entries, findings, digest = [], [], hashlib.sha256()
@@ -168,6 +168,12 @@ def read_run(folder: Path) -> ReportedRun:
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
     return ReportedRun(folder, config, *found, digests, stages, own)
+
+
+def _without_path(config: CampaignConfig) -> CampaignConfig:
+    """Return a configuration that names a policy's file without its folder, which is private."""
+    is_path = "/" in config.ads and ":" not in config.ads
+    return replace(config, ads=Path(config.ads).name) if is_path else config
 
 
 def _finding(execution: Execution) -> Finding:

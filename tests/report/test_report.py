@@ -12,7 +12,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from behavexplor.campaign.config import CampaignConfig
+from behavexplor.campaign.config import CONFIG, CampaignConfig
 from behavexplor.campaign.database import Row, insert
 from behavexplor.campaign.database_file import connect
 from behavexplor.campaign.store import DATABASE, Execution, Store
@@ -117,6 +117,15 @@ def test_the_page_asks_for_nothing(text):
 def test_the_page_holds_no_path_of_this_machine(run, text):
     assert str(run.parent) not in text
     assert str(Path.home()) not in text
+
+
+def test_the_page_names_a_policy_without_its_folder(run, tmp_path):
+    copy = shutil.copytree(run, tmp_path / "copy")
+    config = (copy / CONFIG).read_text()
+    (copy / CONFIG).write_text(re.sub(r"^ads: .*$", "ads: /home/somebody/secret/model.zip", config, flags=re.MULTILINE))
+    text = page([read_run(copy)], 0)
+    assert "model.zip" in text
+    assert "secret" not in text
 
 
 def test_names_are_text_wherever_they_come_from(run, evil_run):
