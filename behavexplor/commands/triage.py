@@ -1,5 +1,6 @@
 """`behavexplor triage`: classes, fault and causes of the failures of a run."""
 
+import re
 import shlex
 import sys
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from behavexplor.judge.classes import words_of
 from behavexplor.triage.findings import Finding, Sighting, Triage, counted
 from behavexplor.triage.run_triage import RunTriage, agreement
 
+_NUMBER = re.compile(r" \d+$")  # of a driver that acts by chance
 _NUMBERS = ("count", "first", "look at")  # columns of numbers
 
 
@@ -86,7 +88,7 @@ def report(found: Triage) -> str:
 
 def _witnesses(findings: Sequence[Finding]) -> list[str]:
     """Return who or what avoided the preventable collisions."""
-    names = counted(finding.avoidance for finding in findings)
+    names = counted(_NUMBER.sub("", finding.avoidance) for finding in findings if finding.avoidance)
     return ["", hanging("", f"Preventable collisions were avoided by: {names}")] if names else []
 
 

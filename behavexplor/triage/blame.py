@@ -16,7 +16,16 @@ from behavexplor.triage.closed_loop import find_driver
 from behavexplor.triage.findings import OtherDriver, Witness
 from behavexplor.triage.witness import find_witness
 
-Kind = Literal["ego_cut_in", "npc_rear_end", "struck_stationary", "npc_wreck", "preventable", "unpreventable", "other"]
+Kind = Literal[
+    "ego_cut_in",
+    "npc_rear_end",
+    "struck_stationary",
+    "npc_wreck",
+    "preventable",
+    "standing_still_avoids_it",
+    "unpreventable",
+    "other",
+]
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,8 @@ class Blame:
         kind: `ego_cut_in`, `npc_rear_end` or `struck_stationary` as in `behavexplor.judge.fault.contact_fault`;
             otherwise `preventable` if there is a witness, `unpreventable` if none was found, or what that function
             says, `npc_wreck` or `other`, if the search was impossible because the environment cannot run in lock-step.
+            In a highway-env environment, `standing_still_avoids_it` if all that avoid the crash fail otherwise, and one
+            of them stands in the end; if none stands, what that function says.
         in_junction: whether the ego was inside a junction; False in a highway-env environment, where this is not known.
         witness: evasion that avoids the collision, or in a highway-env environment another driver that keeps all its
             requirements; None unless the collision is `preventable`.
@@ -74,10 +85,8 @@ def _blame_in_reactive_traffic(quick: Kind, scenario: Any, rng: np.random.Genera
     """Return the verdict on a crash in a highway-env environment, see `behavexplor.triage.closed_loop`."""
     if quick not in ("other", "npc_wreck"):
         return Blame(quick, in_junction=False)
-    driver, tried = find_driver(scenario, rng)
-    if driver is not None:
-        return Blame("preventable", in_junction=False, witness=driver, tried=tried)
-    return Blame("unpreventable" if tried else quick, in_junction=False, tried=tried)
+    driver, tried, found = find_driver(scenario, rng)
+    return Blame(found or quick, in_junction=False, witness=driver, tried=tried)
 
 
 def in_junction(roadmap: RoadMap, trace: Trace) -> bool:

@@ -9,7 +9,7 @@ import json
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from behavexplor.ads.careful import CarefulDriver
 from behavexplor.data.conventions import MANEUVERS, STANDING_SPEED
 from behavexplor.data.drawn_scenario import DrawnScenario, Setup, config_text
-from behavexplor.data.trace import ARRIVED, Trace
+from behavexplor.data.trace import ARRIVED, CRASHED, Trace
 from behavexplor.envs.making import make_recorded, make_vector_env
 from behavexplor.errors import InputError
 from behavexplor.execution.executor import ADSError
@@ -32,6 +32,7 @@ MOST_DECISIONS: Final = 500
 STANDING_STILL: Final = "standing still"  # what a witness is called that avoids the crash by no more than that
 
 Actions = NDArray[np.int64]
+Found = Literal["preventable", "standing_still_avoids_it", "unpreventable"] | None
 
 
 class ScriptedDriver:
@@ -59,54 +60,39 @@ class ScriptedDriver:
         return rows[:, min(decision, rows.shape[1] - 1)], decision + 1
 
 
-class MixedDriver:
-    """The careful driver in the first row of a batch, and scripted drivers in all others.
-
-    Args:
-        actions: see `ScriptedDriver`, for all rows but the first.
-    """
-
-    vectorized: bool = True
-
-    def __init__(self, actions: Actions) -> None:
-        self._careful, self._scripted = CarefulDriver(), ScriptedDriver(actions)
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,  # noqa: ARG002 - all episodes start together
-        deterministic: bool = True,  # noqa: ARG002 - it always is
-    ) -> tuple[Actions, Any]:
-        """Return the next action of each ego, shape (B,); see `behavexplor.ads.interface.ADS`."""
-        scripted, state = self._scripted.predict(observation[1:], state)
-        return np.append(self._careful.predict(observation[:1])[0], scripted), state
-
-
-def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int]:
+def find_driver(scenario: DrawnScenario, rng: np.random.Generator) -> tuple[OtherDriver | None, int, Found]:
     """Find a driver that keeps all requirements of the environment in a scenario.
 
     Returns:
-        The first driver that keeps them, and rather one that does not stand still in the end; None if there is none;
-        and the number of drivers that were tried, which is 0 if these drivers cannot drive in the environment.
+        The first driver that keeps them, and rather one that does not stand still in the end; None if there is none.
+        The number of drivers that were tried, which is 0 if these drivers cannot drive in the environment. And what
+        that says of the crash; None if it says nothing, because others only failed in another way.
     """
     constant, by_chance = [f"always {name}" for name in CONSTANT], [f"by chance {i}" for i in range(1, BY_CHANCE + 1)]
     names = ["careful", *constant, *by_chance]
     try:
         traces = _driven(scenario, _actions(rng))
     except (InputError, ADSError):  # the latter where the environment has a wrapper of its own around what they see
-        return None, 0
+        return None, 0, None
     good = [pair for pair in zip(names, traces, strict=True) if not judge(pair[1]).failed]
-    name, trace = min(good, key=lambda pair: _stands(pair[1]), default=("", None))
-    if trace is None:
-        return None, len(traces)
-    shown = f"{STANDING_STILL} ({name})" if _stands(trace) else name
-    return OtherDriver(shown, tuple(trace.actions[:, 0].astype(int).tolist())), len(traces)
+    if good:
+        name, trace = min(good, key=lambda pair: _only_stands(pair[1]))
+        shown = f"{STANDING_STILL} ({name})" if _only_stands(trace) else name
+        return OtherDriver(shown, tuple(trace.actions[:, 0].astype(int).tolist())), len(traces), "preventable"
+    safe = [trace for trace in traces if not trace.signals[CRASHED].any()]
+    if any(map(_stands, safe)):
+        return None, len(traces), "standing_still_avoids_it"
+    return None, len(traces), None if safe else "unpreventable"
 
 
 def _stands(trace: Trace) -> bool:
+    """Return whether the ego stands in the end."""
+    return math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
+
+
+def _only_stands(trace: Trace) -> bool:
     """Return whether the ego stands in the end, in an environment in which it need not arrive."""
-    return ARRIVED not in trace.signals and math.hypot(*trace.velocity[-1, 0]) < STANDING_SPEED
+    return ARRIVED not in trace.signals and _stands(trace)
 
 
 def drive_again(scenario: DrawnScenario, driver: OtherDriver) -> Trace:
@@ -128,13 +114,25 @@ def _driven(scenario: DrawnScenario, actions: Actions) -> list[Trace]:
     Raises:
         InputError: if the environment cannot be configured so.
     """
-    env, envs = _environment(scenario.setup), _lock_step(scenario.setup, 1 + len(actions))
+    env, careful = _environment(scenario.setup), CarefulDriver()
     same = replace(scenario, setup=env.logical.setup)
-    if envs is None:
-        drivers = CarefulDriver(), *(ScriptedDriver(row[None]) for row in actions)
-        return [rollout(env, driver, same) for driver in drivers]
-    ended = dict(rollout_all(envs, MixedDriver(actions), [same] * envs.num_envs))
-    return [ended[row] for row in range(envs.num_envs)]
+    try:
+        return [
+            *_compiled(careful, scenario, same, 1),
+            *_compiled(ScriptedDriver(actions), scenario, same, len(actions)),
+        ]
+    except InputError:
+        return [rollout(env, driver, same) for driver in (careful, *(ScriptedDriver(row[None]) for row in actions))]
+
+
+def _compiled(driver: Any, scenario: DrawnScenario, same: DrawnScenario, count: int) -> list[Trace]:
+    """Return the traces of so many egos with a driver, each alone in the scenario.
+
+    Raises:
+        InputError: if the compiled engine does not support the environment.
+    """
+    ended = dict(rollout_all(_lock_step(scenario.setup, count), driver, [same] * count))
+    return [ended[row] for row in range(count)]
 
 
 @lru_cache(maxsize=1)  # making an environment takes longer than driving in it, and all failures of a run have the same
@@ -147,10 +145,6 @@ def _environment(setup: Setup) -> Any:
     return make_recorded(replace(setup, config=config_text(CarefulDriver().fitted(json.loads(setup.config)))))
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _lock_step(setup: Setup, count: int) -> Any:
-    """Return so many of these environments in lock-step; None if the compiled engine does not support them."""
-    try:
-        return make_vector_env(_environment(setup), count, {})
-    except InputError:
-        return None
+    return make_vector_env(_environment(setup), count, {})

@@ -25,7 +25,8 @@ def test_a_driver_that_does_not_crash_is_named(merging):
     scenario = merging.logical.sample(np.random.default_rng(1))
     trace = merging.run(scenario)
     assert trace.end == "collision"
-    driver, tried = find_driver(scenario, np.random.default_rng(0))
+    driver, tried, found = find_driver(scenario, np.random.default_rng(0))
+    assert found == "preventable"
     assert driver.name == "careful"
     assert tried == 1 + len(CONSTANT) + BY_CHANCE
     careful = Simulation("merge-v0", "careful")
@@ -49,12 +50,13 @@ def driven_by_others(monkeypatch, traces):
     monkeypatch.setattr(
         closed_loop, "_driven", lambda *_: [*traces(waits, goes), *[waits] * (len(CONSTANT) + BY_CHANCE - 1)]
     )
-    return find_driver(scenario, np.random.default_rng(0))[0]
+    driver, _, found = find_driver(scenario, np.random.default_rng(0))
+    return found if driver is None else driver.name
 
 
 def test_a_witness_keeps_every_requirement(monkeypatch):
-    assert driven_by_others(monkeypatch, lambda waits, goes: [waits, goes]).name == "always SLOWER"
-    assert driven_by_others(monkeypatch, lambda waits, _: [waits, waits]) is None
+    assert driven_by_others(monkeypatch, lambda waits, goes: [waits, goes]) == "always SLOWER"
+    assert driven_by_others(monkeypatch, lambda waits, _: [waits, waits]) == "standing_still_avoids_it"
 
 
 def test_a_witness_that_only_stands_still_is_called_that(monkeypatch):
@@ -62,9 +64,9 @@ def test_a_witness_that_only_stands_still_is_called_that(monkeypatch):
         return replace(trace, signals={name: one for name, one in trace.signals.items() if name != "arrived"})
 
     only = driven_by_others(monkeypatch, lambda waits, _: [waits, nowhere(waits)])
-    assert only.name == "standing still (always SLOWER)"
+    assert only == "standing still (always SLOWER)"
     both = driven_by_others(monkeypatch, lambda waits, goes: [nowhere(waits), nowhere(goes)])
-    assert both.name == "always SLOWER"
+    assert both == "always SLOWER"
 
 
 @pytest.mark.parametrize("actions", [[], [5], [-1], ["left"], None])
@@ -81,13 +83,13 @@ def test_the_same_generator_gives_the_same_verdict(merging):
 def test_an_environment_without_meta_actions_has_no_witness():
     simulation = Simulation("racetrack-v0", f"{__name__}:Straight", env_config={"duration": 2})
     scenario = simulation.logical.sample(np.random.default_rng(0))
-    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0)
+    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0, None)
 
 
 def test_an_environment_that_shows_something_else_has_no_witness():
     env = make_env(strange.registered(strange.flattened), {})
     scenario = env.logical.sample(np.random.default_rng(0))
-    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0)
+    assert find_driver(scenario, np.random.default_rng(0)) == (None, 0, None)
 
 
 class Straight:
