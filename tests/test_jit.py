@@ -19,11 +19,13 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from behavexplor import errors
 from behavexplor import jit as compiled
 from behavexplor.ads.rule.control import LateralProfile
 from behavexplor.ads.rule.station_time import StationTime
 from behavexplor.behavior.features import fill_statistics
 
+ERRORS = Path(errors.__file__).read_text()
 SOURCES = {
     "__init__.py": "",
     "constants.py": "LIMIT = 1.0\n",
@@ -72,7 +74,7 @@ PART_ADDS_1 = ("parts/inner.py", SOURCES["parts/inner.py"].replace("min(x", "1.0
 
 def installed(folder, *changes):
     """An installation with three modules of kernels, and with changes of its sources, which have the same times."""
-    sources = {**SOURCES, "jit.py": Path(compiled.__file__).read_text(), **dict(changes)}
+    sources = {**SOURCES, "jit.py": Path(compiled.__file__).read_text(), "errors.py": ERRORS, **dict(changes)}
     for name, text in sources.items():
         file = folder / "behavexplor" / name
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -43,6 +43,9 @@ from behavexplor.triage.minimization import RunMinimization
 from behavexplor.triage.minimized import Minimized
 from behavexplor.triage.run_triage import RunTriage
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _SUFFIXES: Final = (".gif", ".png")
 
 
@@ -105,10 +108,6 @@ class Replay:
         return (
             f'<figure><img alt="{title}" src="data:image/gif;base64,{data}"><figcaption>{title}</figcaption></figure>'
         )
-
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 class Run:

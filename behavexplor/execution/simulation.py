@@ -237,7 +237,7 @@ def _where_it_fits(ads: Any) -> str:
         made = make_env(other, {})
         fitting += [other] if _fits(ads, made) else []
         made.close()
-    return f"It fits {', '.join(fitting)} as they are: was another environment meant? Otherwise: " if fitting else ""
+    return f"It fits {', '.join(fitting)} without a configuration: is --env another one? Otherwise: " if fitting else ""
 
 
 def seen_in(env: str, ads: Any, config: Mapping[str, Any]) -> tuple[Any, bool]:

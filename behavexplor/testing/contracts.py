@@ -204,7 +204,8 @@ def _traces(env: str, count: int) -> Iterator[Trace]:
 def _alone(trace: Trace) -> Trace:
     """Return a trace as if the ego had driven alone."""
     motion = {name: getattr(trace, name)[:, :1] for name in ("position", "heading", "velocity")}
-    return replace(trace, **motion, size=trace.size[:1], present=trace.present[:, :1], partner=-1)
+    signals = {name: values if values.ndim == 1 else values[:, :1] for name, values in trace.signals.items()}
+    return replace(trace, **motion, size=trace.size[:1], present=trace.present[:, :1], partner=-1, signals=signals)
 
 
 def _check(spec: Any, trace: Trace, what: str) -> None:

@@ -199,6 +199,14 @@ def minimized(
 ) -> tuple[Minimized, Trace]:
     """Minimize a failure. Its class stays the same, and its fault and cause as far as they are known.
 
+    Args:
+        driven: what drives many scenarios at a time.
+        specs: requirements that judge each execution.
+        record: record of the failure.
+        trace: its trace.
+        known: what triage has found about it; None if it has not been examined.
+        seed: seed of the campaign.
+
     Returns:
         The minimized failure and the trace of its scenario.
     """

@@ -26,7 +26,9 @@ from tests.campaign.test_store import execution, filled, store  # noqa: F401 - a
 def ended(store, reason=None, **campaign):  # noqa: F811 - the fixture
     """What fuzzing says at the end of a campaign: its exit code and its notes."""
     stream = io.StringIO()
-    campaign = SimpleNamespace(**{"run": lambda _: reason, "stopping": False, **campaign})
+    campaign = SimpleNamespace(
+        **{"run": lambda _: reason, "drive_uniformly": lambda: None, "stopping": False, **campaign}
+    )
     return fuzz._run(
         campaign, store, Display(stream, Budget(executions=9), quiet=False), "nsga2", sys.stdout
     ), stream.getvalue()
