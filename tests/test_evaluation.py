@@ -267,8 +267,11 @@ def test_a_row_that_repeats_another_one_is_left_out():
     two = Evaluation(
         9, {"arrived": 4, "collision": 4, "collision: other": 3, "collision: npc_wreck": 1, "destination": 1}
     )
-    rows = [line.split()[0] for line in table("x", {"a": one, "b": two}).splitlines()[2:]]
-    assert rows == ["arrived", "collision", "npc", "other", "lines", "destination"]
+    rows = [line.split()[0] for line in table("x", {"b": two}).splitlines()[2:]]
+    assert rows == ["arrived", "collision", "npc", "other", "destination"]
+    lines = table("x", {"a": one, "b": two, "c": two}).splitlines()
+    assert lines[-4:-2] == ["Beside it, in 9 scenarios:", "   arrived  collision  destination"]
+    assert lines[-1].split() == ["c", "44.4%", "44.4%", "11.1%"]
 
 
 @pytest.mark.parametrize(("flag", "value"), [("--scenarios", "0"), ("--seed", "-1"), ("--env", "nowhere")])

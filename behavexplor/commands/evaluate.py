@@ -243,28 +243,34 @@ def _is_said(outcome: str, evaluations: Mapping[str, Evaluation]) -> bool:
 
 
 def table(env: str, evaluations: Mapping[str, Evaluation]) -> str:
-    """Return a table of rates in percent with their 95 % intervals.
+    """Return the rates of a driver in percent with their 95 % intervals, and those of what it is compared with.
 
     Args:
         env: the environment.
-        evaluations: the evaluations, each of as many scenarios, by the headings of their columns.
+        evaluations: the evaluations by name, that of the driver first.
     """
-    first = next(iter(evaluations.values()))
-    rates = grid("", *evaluations, numbers=evaluations)
+    (name, first), *others = evaluations.items()
+    rates = grid("", name, numbers=[name])
+    for outcome in _rows({name: first}):
+        low, high = first.interval(outcome)
+        interval = "" if first.decision else f" ({low:.1%} to {high:.1%})"
+        kind, _, fault = outcome.partition(": ")
+        rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, f"{first.rate(outcome):.1%}{interval}")
+    intervals = "the one interval that holds is below" if first.decision else "with 95 % intervals"
+    lines = [f"{first.n} scenarios of {env}, {intervals}:", plain_text(rates)]
+    if others:
+        shown = [outcome for outcome in _rows(dict(others)) if ": " not in outcome]
+        beside = grid("", *shown, numbers=shown)
+        for heading, found in others:
+            beside.add_row(heading, *(f"{found.rate(outcome):.1%}" for outcome in shown))
+        lines += [f"Beside it, in {others[0][1].n} scenarios:", plain_text(beside)]
+    return "\n".join(lines)
+
+
+def _rows(evaluations: Mapping[str, Evaluation]) -> list[str]:
+    """Return the outcomes that are shown of some evaluations, each kind of outcome together."""
     outcomes = dict.fromkeys(
         outcome for found in evaluations.values() for outcome in found.counts if not _is_said(outcome, evaluations)
     )
     kinds = list(dict.fromkeys(outcome.partition(": ")[0] for outcome in outcomes))
-    for outcome in sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome)):
-        cells = []
-        for found in evaluations.values():
-            low, high = found.interval(outcome)
-            interval = "" if first.decision else f" ({low:.1%} to {high:.1%})"
-            cells.append(f"{found.rate(outcome):.1%}{interval}")
-        kind, _, fault = outcome.partition(": ")
-        rates.add_row(f"  {fault.replace('_', ' ')}" if fault else kind, *cells)
-    heading = f"{first.n} scenarios of {env}, with 95 % intervals:"
-    if first.decision:  # whose number depended on what happened in them
-        others = "".join(f", {one.n} beside" for one in [*evaluations.values()][1:2])
-        heading = f"{first.n} scenarios of {env}{others}; the one interval that holds is below:"
-    return f"{heading}\n{plain_text(rates)}"
+    return sorted(outcomes, key=lambda outcome: (kinds.index(outcome.partition(": ")[0]), outcome))

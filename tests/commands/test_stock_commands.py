@@ -105,7 +105,10 @@ def test_rates_stand_beside_those_of_constant_drivers(capsys):
     table = capsys.readouterr().out
     heading, columns, *_ = table.splitlines()
     assert heading == "6 scenarios of merge-v0, with 95 % intervals:"
-    assert all(name in columns for name in ("constant:SLOWER", "always SLOWER", "always IDLE", "always FASTER"))
+    assert columns.strip() == "constant:SLOWER"
+    beside = table.partition("Beside it, in 6 scenarios:\n")[2].splitlines()[1:]
+    assert [line[:13].strip() for line in beside] == ["careful", "always SLOWER", "always IDLE", "always FASTER"]
+    assert max(map(len, table.splitlines())) <= 60
     assert "destination" not in table
 
 
