@@ -131,7 +131,10 @@ def has_ended(process):
 class Terminal:
     """A terminal, and a command that it belongs to."""
 
-    BEGIN = "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); import runpy; sys.argv.pop(0); "
+    BEGIN = (
+        "import faulthandler, fcntl, signal, sys, termios; faulthandler.register(signal.SIGUSR1); "
+        "fcntl.ioctl(0, termios.TIOCSCTTY, 0); import runpy; sys.argv.pop(0); "
+    )
     RUN = BEGIN + "runpy.run_module('behavexplor', run_name='__main__', alter_sys=True)"
 
     def __init__(self, folder, *arguments):
@@ -157,7 +160,13 @@ class Terminal:
 
     def end(self):
         """The exit code, and all that the terminal shows."""
-        code = self.process.wait(60)
+        try:
+            code = self.process.wait(60)
+        except subprocess.TimeoutExpired:
+            self.process.send_signal(signal.SIGUSR1)  # shows where it is
+            time.sleep(1)
+            self.process.kill()
+            raise AssertionError(self.shown.decode()) from None
         os.write(self.line, b"THE END")
         self._reader.join()
         return code, self.shown.decode()
