@@ -144,7 +144,7 @@ def decide_rate(
     seed: int,
     observe: Callable[[int], None] | None = None,
 ) -> Evaluation:
-    """Evaluate an ADS in uniformly drawn scenarios until enough is known of a rate, whatever the workers.
+    """Evaluate an ADS in uniformly drawn scenarios until a goal is reached. Workers do not change the result.
 
     Args:
         judge: see `estimate_rates`.

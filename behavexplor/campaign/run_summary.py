@@ -89,7 +89,9 @@ def summarize(run: Path) -> RunSummary:
             found = found.after(record, resumed=True)
         begun = begun_with(store) or Identity()
         summary = _summary(config, found, ended=store.ended is not None)
-        uniform = own_rate(config.method, found.executions, found.failed, UniformRate.stored(store))
+        uniform = own_rate(
+            config.method, found.executions, found.failed, Budget.parse(config.budget), UniformRate.stored(store)
+        )
         return replace(summary, digests=begun.digests, libraries=begun.libraries, uniform=uniform)
 
 

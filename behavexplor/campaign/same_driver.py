@@ -1,4 +1,4 @@
-"""Whether a campaign tests what it tested when it began, by the digests of the driver's files."""
+"""Comparison of a campaign's driver with the one that it had when it began."""
 
 import hashlib
 import warnings
@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from behavexplor.ads.sb3.description import files_of_model
 from behavexplor.campaign.config import CampaignConfig, stored_config
@@ -16,6 +17,8 @@ from behavexplor.data.named_code import Code
 from behavexplor.errors import InputError
 from behavexplor.execution.checked_imports import digests_of
 from behavexplor.execution.fingerprint import library_versions
+
+MODULE: Final = "module "  # begins the names of digests of modules
 
 
 def identity_of(config: CampaignConfig) -> Identity:
@@ -45,7 +48,7 @@ def driver_digests(ads: str, code: Iterable[Code]) -> dict[str, str]:
     except OSError as error:
         raise InputError(f"{error.filename} cannot be read: {error.strerror}") from None
     modules = digests_of(one.module for one in code)
-    return found | {f"module {name}": digest for name, digest in modules.items()}
+    return found | {f"{MODULE}{name}": digest for name, digest in modules.items()}
 
 
 def check_identity(store: Store, now: Identity) -> None:
@@ -110,7 +113,7 @@ def _found(config: CampaignConfig, begun: Identity) -> str:
     Raises:
         InputError: if it is a policy whose file has gone.
     """
-    if not begun.digests or ":" in config.ads or Path(config.ads).exists():
+    if all(name.startswith(MODULE) for name in begun.digests) or Path(config.ads).exists():  # it is no file
         return config.ads
     there = Path(begun.folder) / config.ads
     if there.exists():

@@ -9,11 +9,11 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Self
 
-import scipy
-
+from behavexplor.campaign.config import Budget
 from behavexplor.campaign.store import Store
 from behavexplor.data.untrusted import parse_json
 from behavexplor.judge.discovery import INDEPENDENT
+from behavexplor.judge.rates import clopper_pearson
 
 MOST: Final = 200  # scenarios
 SHARE: Final = 4  # at most this part of as many as the campaign has executed: a fourth
@@ -39,9 +39,8 @@ class UniformRate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval of the driver's failure rate (Clopper and Pearson, Biometrika 26, 1934)."""
-        found = scipy.stats.binomtest(self.failed, self.n).proportion_ci(0.95, "exact")
-        return float(found.low), float(found.high)
+        """The exact 95 % interval of the driver's failure rate."""
+        return clopper_pearson(self.failed, self.n)
 
     @property
     def words(self) -> str:
@@ -69,17 +68,22 @@ class UniformRate:
         return {**asdict(self), "rate": self.rate, "low": low, "high": high}
 
 
-def own_rate(method: str, executions: int, failed: int, beside: UniformRate | None = None) -> UniformRate | None:
+def own_rate(
+    method: str, executions: int, failed: int, budget: Budget, beside: UniformRate | None = None
+) -> UniformRate | None:
     """Return the driver's own failure rate as far as a run tells it; None if it does not.
+
+    Uniform draws tell it if their number was chosen before. A run that ended at a failure has too many of these.
 
     Args:
         method: search method of the run.
         executions: number of its executions.
         failed: number of its failures.
+        budget: its budget.
         beside: rate of uniformly drawn scenarios beside it, see `UniformRate.stored`.
     """
     if method in INDEPENDENT:
-        return UniformRate(executions, failed) if executions else None
+        return UniformRate(executions, failed) if executions and executions >= (budget.executions or 0) else None
     return beside
 
 
@@ -90,6 +94,8 @@ def explained(method: str, rate: UniformRate | None) -> str:
         method: search method of the run.
         rate: see `own_rate`.
     """
+    if rate is None and method in INDEPENDENT:
+        return "The run ended before its budget was used up, so its share of failures is not the driver's failure rate."
     if rate is None:
         return "The search chose these scenarios, so their share of failures is not the driver's failure rate."
     if method in INDEPENDENT:

@@ -123,7 +123,7 @@ def _check(margin: float | None, first: str, second: str) -> None:
 
 
 class MarginDecision(NamedTuple):
-    """Whether the second driver is worse than the first one by more than a margin.
+    """The verdict on the second driver: non-inferior to the first one by a margin, inferior, or undecided.
 
     Attributes:
         margin: the margin.
@@ -144,14 +144,12 @@ class MarginDecision(NamedTuple):
     @property
     def words(self) -> str:
         """The verdict as a sentence."""
-        points = f"{100 * self.margin:g} points"
+        margin = f"{100 * self.margin:g} % of the scenarios"
         if not self.found:
-            return f"Not decided in {self.after} scenarios whether B is worse than A by {points}: give more --scenarios"
-        is_worse = "Non-inferior: B is not worse" if self.found == NON_INFERIOR else "Inferior: B is worse"
-        return (
-            f"{is_worse} than A by {points} (failures at fault; decided after {self.after} scenarios; 95 %, valid at "
-            f"any time)"
-        )
+            return f"Not decided in {self.after} scenarios whether B is worse than A in {margin}: give more --scenarios"
+        heads = {NON_INFERIOR: f"Non-inferior: B is worse than A in less than {margin}"}
+        head = heads.get(self.found, f"Inferior: B is worse than A in more than {margin}")
+        return f"{head} (failures at fault; decided after {self.after} scenarios; 95 %, valid at any time)"
 
 
 def _drive(config: CampaignConfig, folder: Path, workers: int, *, quiet: bool) -> None:

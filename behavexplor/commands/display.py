@@ -46,7 +46,7 @@ class Display:
 
     def __init__(self, stream: TextIO, budget: Budget, *, quiet: bool) -> None:
         self._console = PlainConsole(file=stream, quiet=quiet)
-        self._budget = budget
+        self.budget = budget
         self._live = (
             Live(console=self._console, auto_refresh=False) if self._console.is_terminal and not quiet else None
         )
@@ -104,17 +104,17 @@ class Display:
         return Panel(table, title="behavexplor", title_align="left", expand=False)
 
     def _done(self, progress: Progress) -> str:
-        if self._budget.executions is None:
+        if self.budget.executions is None:
             return f"{progress.executions} executions"
-        return f"{progress.executions} of {self._budget.executions} executions"
+        return f"{progress.executions} of {self.budget.executions} executions"
 
     def _left(self, progress: Progress) -> str:
-        if self._budget.seconds is not None:
-            return clock(max(self._budget.seconds - progress.elapsed, 0.0))
+        if self.budget.seconds is not None:
+            return clock(max(self.budget.seconds - progress.elapsed, 0.0))
         fresh = progress.executions - progress.resumed
-        if self._budget.executions is None or not fresh or not rate(progress):
+        if self.budget.executions is None or not fresh or not rate(progress):
             return "?"
-        return clock((self._budget.executions - progress.executions) / rate(progress))
+        return clock((self.budget.executions - progress.executions) / rate(progress))
 
 
 def _side_by_side(columns: Sequence[Sequence[tuple[str, str]]]) -> Table:
@@ -127,13 +127,13 @@ def _side_by_side(columns: Sequence[Sequence[tuple[str, str]]]) -> Table:
     return table
 
 
-def summary(progress: Progress, store: Store, program: str, method: str) -> str:
+def summary(progress: Progress, store: Store, program: str, method: str, budget: Budget) -> str:
     """Return the summary of a campaign: its findings, its run folder, and commands to continue with."""
     lines = [
         f"{progress.executions} executions in {clock(progress.elapsed)} ({rate(progress):.1f} per second), "
         f"{share(progress.novel, progress)} of them with new behavior"
     ]
-    own = explained(method, own_rate(method, progress.executions, progress.failed, UniformRate.stored(store)))
+    own = explained(method, own_rate(method, progress.executions, progress.failed, budget, UniformRate.stored(store)))
     if not progress.failed:
         command = f"{program} fuzz --resume {shlex.quote(str(store.folder))} --budget N"
         lines += [

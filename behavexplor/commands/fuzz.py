@@ -172,7 +172,7 @@ def _run(campaign: Campaign, store: Store, display: Display, method: str, text: 
             failure = ended
     progress = campaign.progress
     if 0 < progress.executions >= len(store):  # an interruption may come before all stored executions are counted
-        say(campaign_summary(progress, store, program(), method), file=text)
+        say(campaign_summary(progress, store, program(), method, display.budget), file=text)
     if failure:
         say(f"{program()}: {sentence(failure)}", file=sys.stderr)
     if campaign.stopping:

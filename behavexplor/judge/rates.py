@@ -1,7 +1,7 @@
 """What may be said of a failure rate: exact intervals, and sequences that stay valid however often one looks.
 
-An ordinary interval holds for a number of scenarios that was chosen before. Whoever looks at it again and again, and
-stops when it pleases, is misled in far more than 5 % of cases. A confidence sequence holds at all times together.
+An ordinary interval is valid for a number of scenarios that was fixed in advance. If scenarios are added until the
+interval looks good, it misses the rate in far more than 5 % of cases. A confidence sequence is valid at all times.
 
 Sources: C. Clopper and E. Pearson, Biometrika 26, 1934; H. Robbins, "Statistical methods related to the law of the
 iterated logarithm", Annals of Mathematical Statistics 41, 1970; J. Ville, "Etude critique de la notion de collectif",
@@ -166,7 +166,7 @@ class Decision:
 
 
 class PairedSequence:
-    """Whether a new driver is no worse than an old one by a margin, at any time, from the same scenarios for both.
+    """A sequential test of non-inferiority: a new driver against an old one, in the same scenarios, with a margin.
 
     Each pair is a bet on how much more often the new driver fails. Under the hypothesis that it is worse by at least
     the margin, the capital is a supermartingale, as is its mean over several bets. If the capital ever reaches

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
-from behavexplor.campaign.config import CONFIG, CampaignConfig, stored_config
+from behavexplor.campaign.config import CONFIG, Budget, CampaignConfig, stored_config
 from behavexplor.campaign.identity import Identity, begun_with
 from behavexplor.campaign.store import Execution, Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
@@ -164,7 +164,9 @@ def read_run(folder: Path) -> ReportedRun:
         digests[TRIAGE] = _digest(folder / TRIAGE)
     examined = frozenset(known) & {finding.id for finding in findings}
     weaknesses = triage.weaknesses if triage else {}
-    own = explained(config.method, own_rate(config.method, len(entries), len(findings), uniform))
+    own = explained(
+        config.method, own_rate(config.method, len(entries), len(findings), Budget.parse(config.budget), uniform)
+    )
     minimized = read_minimized(folder)
     found = (tuple(entries), tuple(findings), examined, weaknesses, minimized)
     return ReportedRun(folder, config, *found, digests, stages, own)

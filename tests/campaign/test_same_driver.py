@@ -90,3 +90,12 @@ def test_changes_name_what_has_gone_come_or_changed():
         "a (SHA-256 111111111111..., now no such file) and b (SHA-256 222222222222..., now SHA-256 333333333333...) "
         "and c (no such file, now SHA-256 444444444444...)"
     )
+
+
+def test_modules_are_no_policies_that_could_have_gone(tmp_path, monkeypatch):
+    (tmp_path / "judges.py").write_text("def calm(trace):\n    return 1.0\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    run = ["--ads", "idm", "--spec", "judges:calm", "--budget", "2", "--out", "run", "--quiet", "--workers", "0"]
+    assert main(["fuzz", "--env", "S3", *run]) == OK
+    assert main(["replay", "run", "0"]) == OK

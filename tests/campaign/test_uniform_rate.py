@@ -5,6 +5,7 @@ import json
 import pytest
 
 import behavexplor
+from behavexplor.campaign.config import Budget
 from behavexplor.campaign.store import Store
 from behavexplor.campaign.uniform_rate import UniformRate, explained, own_rate
 from behavexplor.commands import OK, main
@@ -57,9 +58,16 @@ def test_no_failure_is_not_certainty():
     rate = UniformRate(200, 0)
     assert rate.interval[0] == 0.0
     assert rate.interval[1] == pytest.approx(1 - 0.025 ** (1 / 200))
-    assert own_rate("nsga2", 10, 3) is None
+    assert own_rate("nsga2", 10, 3, Budget(executions=10)) is None
     assert "not the driver's failure rate" in explained("nsga2", None)
-    assert own_rate("uniform", 0, 0) is None
+    assert own_rate("uniform", 0, 0, Budget(seconds=1.0)) is None
+
+
+def test_a_run_that_ended_at_a_failure_tells_no_rate(tmp_path, capsys):
+    flags = ["--method", "uniform", "--budget", "12", "--stop-after", "1", "--quiet"]
+    assert main([*FUZZ, *flags, "--out", str(tmp_path / "run")]) == OK
+    assert "before its budget was used up, so its share of failures is not" in " ".join(capsys.readouterr().out.split())
+    assert behavexplor.open_run(tmp_path / "run").summary.uniform is None
 
 
 def test_a_damaged_note_is_no_rate(tmp_path):

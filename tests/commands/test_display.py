@@ -96,7 +96,7 @@ def summarized(store, *executions, method="nsga2"):  # noqa: F811 - the fixture
     progress = Progress(elapsed=20.0, violations={"collision": 0, "lines": 0, "destination": 0})
     for record in store.records():
         progress = progress.after(record, resumed=False)
-    return summary(replace(progress, executions=50), store, "behavexplor", method)
+    return summary(replace(progress, executions=50), store, "behavexplor", method, Budget(executions=50))
 
 
 def test_the_summary_lists_the_first_failures_of_each_kind(store):  # noqa: F811 - the fixture
@@ -139,7 +139,7 @@ def test_what_is_not_confirmed_is_no_failure_of_the_driver(store):  # noqa: F811
 
 
 def test_the_summary_of_a_campaign_without_failures(store):  # noqa: F811 - the fixture
-    text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor", "uniform")
+    text = summary(Progress(executions=3, elapsed=1.0), filled(store), "behavexplor", "uniform", Budget(executions=3))
     assert "None failed." in text
     assert "replay" not in text
 
