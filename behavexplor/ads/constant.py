@@ -19,11 +19,6 @@ DEFAULT: Final = "2,0"
 class ConstantDriver:
     """A driver that always gives the same command.
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`; its content is ignored.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 10 Hz.
-
     Args:
         acceleration: constant acceleration [m/s2].
         steering: constant steering angle [rad], positive to the right.
@@ -32,9 +27,10 @@ class ConstantDriver:
         InputError: if a value is out of range.
     """
 
+    # `{"type": "Scene"}`, see `behavexplor.data.scene`; its content is ignored
     observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = 10
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = 10  # decisions per second, 10 Hz
     vectorized: bool = True
 
     def __init__(self, acceleration: float, steering: float) -> None:

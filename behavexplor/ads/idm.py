@@ -31,18 +31,13 @@ PERIOD: Final = 0.1  # time between decisions [s]
 class IDMDriver:
     """A driver that follows the center line of its route at the speed given by the Intelligent Driver Model.
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 10 Hz.
-
     Args:
         roadmap: road map with the ego's route.
     """
 
-    observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = round(1 / PERIOD)
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = round(1 / PERIOD)  # decisions per second, 10 Hz
     vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap) -> None:

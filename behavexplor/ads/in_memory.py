@@ -17,20 +17,14 @@ _HARMLESS: Final = ("VecMonitor", "VecCheckNan")  # wrappers of Stable-Baselines
 
 @dataclass(frozen=True)
 class GivenDriver:
-    """A driving system as a user of the Python interface gives it.
+    """A driving system as a user of the Python interface gives it."""
 
-    Attributes:
-        name: name of the driver in a run's configuration. Any process can load the driver by it, unless the name
-            begins with `behavexplor.ads.loading.IN_MEMORY`.
-        driver: the driver itself; None if it is given by name.
-        env: environment in which a model in memory was trained; None if unknown.
-        is_named: whether the user gave its name.
-    """
-
+    # name of the driver in a run's configuration. Any process can load the driver by it, unless the name begins with
+    # `behavexplor.ads.loading.IN_MEMORY`.
     name: str
-    driver: ADS | None = None
-    env: str | None = None
-    is_named: bool = False
+    driver: ADS | None = None  # the driver itself; None if it is given by name
+    env: str | None = None  # environment in which a model in memory was trained; None if unknown
+    is_named: bool = False  # whether the user gave its name
 
     def trained_in(self, env: Any) -> Any:
         """Return the environment that was chosen, or else that in which the driver was trained; None if unknown.

@@ -29,17 +29,11 @@ _PRELOAD: Final = ("behavexplor.bench.campaign_service", "behavexplor.envs.drivi
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a campaign.
+    """Outcome of a campaign."""
 
-    Attributes:
-        finished: whether the campaign is complete.
-        failure: sentence on why the campaign failed; None if it did not.
-        warnings: warnings about the ADS, each of them a sentence.
-    """
-
-    finished: bool
-    failure: str | None = None
-    warnings: tuple[str, ...] = ()
+    finished: bool  # whether the campaign is complete
+    failure: str | None = None  # sentence on why the campaign failed; None if it did not
+    warnings: tuple[str, ...] = ()  # warnings about the ADS, each of them a sentence
 
 
 class CampaignService(Service):

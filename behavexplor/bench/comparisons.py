@@ -154,15 +154,10 @@ def _compared(name: str, title: str, experiment: Experiment, found: Sequence[Sam
 
 @dataclass(frozen=True)
 class EqualTime:
-    """The campaigns of an experiment, cut off at the same time.
+    """The campaigns of an experiment, cut off at the same time."""
 
-    Attributes:
-        summaries: summaries of what the campaigns found until then.
-        notes: sentences that say which time it is.
-    """
-
-    summaries: tuple[Summary, ...]
-    notes: tuple[str, ...]
+    summaries: tuple[Summary, ...]  # summaries of what the campaigns found until then
+    notes: tuple[str, ...]  # sentences that say which time it is
 
 
 def in_equal_time(experiment: Experiment, summaries: Sequence[Summary]) -> EqualTime | None:

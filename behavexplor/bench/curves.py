@@ -20,23 +20,14 @@ _COLUMNS: Final = ("figure", "env", "ads", "method", "executions", "n", "mean", 
 
 @dataclass(frozen=True)
 class Curve:
-    """The mean over campaigns of a count of findings, by number of executions.
+    """The mean over campaigns of a count of findings, by number of executions."""
 
-    Attributes:
-        figure: counted findings, such as "failures at fault"; see `behavexplor.bench.comparisons.compared_figures`.
-        env: environment.
-        ads: driving system under test.
-        method: name of the search method in the experiment.
-        executions: numbers of executions, increasing up to the budget.
-        found: estimates of the count, one for each number of executions.
-    """
-
-    figure: str
-    env: str
-    ads: str
-    method: str
-    executions: tuple[int, ...]
-    found: tuple[Estimate, ...]
+    figure: str  # counted findings, such as "failures at fault"; see `behavexplor.bench.comparisons.compared_figures`
+    env: str  # environment
+    ads: str  # driving system under test
+    method: str  # name of the search method in the experiment
+    executions: tuple[int, ...]  # numbers of executions, increasing up to the budget
+    found: tuple[Estimate, ...]  # estimates of the count, one for each number of executions
 
 
 def curves(experiment: Experiment, summaries: Sequence[Summary]) -> list[Curve]:

@@ -32,13 +32,9 @@ class MethodChoice:
 
 @dataclass(frozen=True)
 class _MethodEntry(MethodChoice):
-    """A search method in an experiment's file, which may name a campaign's configuration file or preset instead.
+    """A search method in an experiment's file, which may name a campaign's configuration file or preset instead."""
 
-    Attributes:
-        config: configuration file or preset; None if the entry itself gives the method and its options.
-    """
-
-    config: str | None = None
+    config: str | None = None  # configuration file or preset; None if the entry itself gives the method and its options
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,21 +153,13 @@ class Experiment(Conditions):
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One campaign of an experiment.
+    """One campaign of an experiment."""
 
-    Attributes:
-        env: environment.
-        ads: driving system under test.
-        method: name of the method in the experiment.
-        seed: seed of the campaign.
-        config: configuration of the campaign.
-    """
-
-    env: str
-    ads: str
-    method: str
-    seed: int
-    config: CampaignConfig = field(hash=False)
+    env: str  # environment
+    ads: str  # driving system under test
+    method: str  # name of the method in the experiment
+    seed: int  # seed of the campaign
+    config: CampaignConfig = field(hash=False)  # configuration of the campaign
 
     @property
     def folder(self) -> Path:

@@ -191,17 +191,11 @@ def _correlated(found: Sequence[Summary]) -> tuple[Value, ...]:
 
 
 class Forecast(NamedTuple):
-    """A forecast and what came of it.
+    """A forecast and what came of it."""
 
-    Attributes:
-        early: estimates when the forecast was made.
-        new: new classes in the following executions, as a share of these executions.
-        total: number of classes that were found in the end.
-    """
-
-    early: Discovery
-    new: float
-    total: int
+    early: Discovery  # estimates when the forecast was made
+    new: float  # new classes in the following executions, as a share of these executions
+    total: int  # number of classes that were found in the end
 
     @property
     def holds(self) -> bool:

@@ -35,38 +35,23 @@ _LOOK_SECONDS: Final = 0.5  # interval at which the run folders are checked [s]
 
 @dataclass(frozen=True)
 class RunState:
-    """State of a run.
+    """State of a run."""
 
-    Attributes:
-        executions: number of stored executions.
-        finished: whether the run is complete.
-    """
-
-    executions: int
-    finished: bool
+    executions: int  # number of stored executions
+    finished: bool  # whether the run is complete
 
 
 @dataclass(frozen=True)
 class ExperimentProgress:
-    """Progress of an experiment.
+    """Progress of an experiment."""
 
-    Attributes:
-        runs: number of runs.
-        finished: number of finished runs.
-        failed: failed runs, each with its reason.
-        executions: number of stored executions of all runs.
-        total: expected number of executions of all runs at the end.
-        left: estimated remaining time [s]; None if unknown.
-        warnings: warnings about the driving systems, one sentence each.
-    """
-
-    runs: int
-    finished: int = 0
-    failed: Mapping[PlannedRun, str] = field(default_factory=dict)
-    executions: int = 0
-    total: int = 0
-    left: float | None = None
-    warnings: tuple[str, ...] = ()
+    runs: int  # number of runs
+    finished: int = 0  # number of finished runs
+    failed: Mapping[PlannedRun, str] = field(default_factory=dict)  # failed runs, each with its reason
+    executions: int = 0  # number of stored executions of all runs
+    total: int = 0  # expected number of executions of all runs at the end
+    left: float | None = None  # estimated remaining time [s]; None if unknown
+    warnings: tuple[str, ...] = ()  # warnings about the driving systems, one sentence each
 
 
 def run_state(run: PlannedRun, root: Path) -> RunState:

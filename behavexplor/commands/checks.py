@@ -18,18 +18,13 @@ from behavexplor.errors import InputError
 class Checks:
     """What makes a campaign fail as a check.
 
-    Attributes:
-        on_violation: whether any failure makes it fail.
-        above: share of failed executions above which it fails; None for no limit.
-        known: classes of failures that do not count.
-
     Raises:
         InputError: if the share is out of range.
     """
 
-    on_violation: bool = False
-    above: float | None = None
-    known: frozenset[str] = frozenset()
+    on_violation: bool = False  # whether any failure makes it fail
+    above: float | None = None  # share of failed executions above which it fails; None for no limit
+    known: frozenset[str] = frozenset()  # classes of failures that do not count
 
     def __post_init__(self) -> None:
         if self.above is not None and not 0.0 <= self.above < 1.0:

@@ -146,15 +146,10 @@ def _spaces(ads: Any) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Contents:
-    """What the file of a policy holds.
+    """What the file of a policy holds."""
 
-    Attributes:
-        path: path of the file.
-        facts: what is known, in words, by what it is about.
-    """
-
-    path: Path
-    facts: Mapping[str, str]
+    path: Path  # path of the file
+    facts: Mapping[str, str]  # what is known, in words, by what it is about
 
 
 def contents_of(policy: str) -> Contents:

@@ -58,19 +58,12 @@ def write_json(path: Path | None, values: Any) -> None:
 
 
 class Tested(NamedTuple):
-    """A test case of JUnit.
+    """A test case of JUnit."""
 
-    Attributes:
-        name: its name.
-        failure: why it failed; empty if it passed.
-        kind: kind of the failure.
-        seconds: how long it took [s].
-    """
-
-    name: str
-    failure: str = ""
-    kind: str = ""
-    seconds: float = 0.0
+    name: str  # its name
+    failure: str = ""  # why it failed; empty if it passed
+    kind: str = ""  # kind of the failure
+    seconds: float = 0.0  # how long it took [s]
 
 
 def write_junit(path: Path | None, suite: str, tested: Iterable[Tested], properties: Mapping[str, str]) -> None:

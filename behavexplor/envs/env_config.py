@@ -293,17 +293,11 @@ def _mapping(what: str, value: object) -> Mapping[str, Any]:
 
 
 class _Known(NamedTuple):
-    """What an environment knows of its observations, or of its actions.
+    """What an environment knows of its observations, or of its actions."""
 
-    Attributes:
-        types: highway-env's classes by the names that `type` may have.
-        keys: keys that any of these types takes, or that the environment's own configuration has.
-        features: features of a vehicle.
-    """
-
-    types: Mapping[str, Any]
-    keys: frozenset[str]
-    features: frozenset[str]
+    types: Mapping[str, Any]  # highway-env's classes by the names that `type` may have
+    keys: frozenset[str]  # keys that any of these types takes, or that the environment's own configuration has
+    features: frozenset[str]  # features of a vehicle
 
 
 def check_space_keys(env: AbstractEnv, config: Mapping[str, Any]) -> None:

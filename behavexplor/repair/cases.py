@@ -64,27 +64,17 @@ def test_scenario(case, drive):
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A scenario in which a driver failed once.
+    """A scenario in which a driver failed once."""
 
-    Attributes:
-        words: what happened, as a sentence.
-        class_id: class of the failure.
-        run: name of the run in which it was found.
-        execution: number of the execution in which it was found.
-        fault: fault for a collision; None for another failure.
-        cause: weakness of the rule planner that caused the failure, if triage has found it.
-        holds: names of the specs that must hold. A collision that another vehicle caused violates none of them.
-        scenario: the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it.
-    """
-
-    words: str
-    class_id: str
-    run: str
-    execution: int
-    fault: str | None = None
-    cause: str | None = None
+    words: str  # what happened, as a sentence
+    class_id: str  # class of the failure
+    run: str  # name of the run in which it was found
+    execution: int  # number of the execution in which it was found
+    fault: str | None = None  # fault for a collision; None for another failure
+    cause: str | None = None  # weakness of the rule planner that caused the failure, if triage has found it
+    # names of the specs that must hold. A collision that another vehicle caused violates none of them.
     holds: tuple[str, ...]
-    scenario: dict[str, Any]
+    scenario: dict[str, Any]  # the scenario as `behavexplor.data.scenario.Scenario.to_dict` gives it
 
     @property
     def name(self) -> str:
@@ -102,27 +92,18 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Scenarios in which a driver failed once, and where they are driven.
+    """Scenarios in which a driver failed once, and where they are driven."""
 
-    Attributes:
-        env: name of the environment.
-        driver: name of the driver that failed. In the file, the path of a policy is meant from the suite's folder.
-        specs: names of the user's specs.
-        env_config: configuration of the environment, as far as it differs from what a driver declares.
-        traffic: kind of traffic in a highway-env environment.
-        stochastic: whether the driver that failed drew its actions. It does so in checks, too.
-        digests: SHA-256 of the files of this driver, see `behavexplor.campaign.identity.driver_digests`.
-        cases: the cases in the order of their names.
-    """
-
-    env: str
-    driver: str
-    specs: tuple[str, ...] = ()
+    env: str  # name of the environment
+    driver: str  # name of the driver that failed. In the file, the path of a policy is meant from the suite's folder.
+    specs: tuple[str, ...] = ()  # names of the user's specs
+    # configuration of the environment, as far as it differs from what a driver declares
     env_config: Mapping[str, Any] = field(default_factory=dict)
-    traffic: Traffic = DEFAULT
-    stochastic: bool = False
+    traffic: Traffic = DEFAULT  # kind of traffic in a highway-env environment
+    stochastic: bool = False  # whether the driver that failed drew its actions. It does so in checks, too.
+    # SHA-256 of the files of this driver, see `behavexplor.campaign.identity.driver_digests`
     digests: Mapping[str, str] = field(default_factory=dict)
-    cases: tuple[Case, ...] = ()
+    cases: tuple[Case, ...] = ()  # the cases in the order of their names
 
     def target(self, ads: str, **settings: Any) -> CheckedTarget:
         """Return the target that drives the cases with a driver.

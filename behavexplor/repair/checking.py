@@ -25,17 +25,11 @@ from behavexplor.repair.cases import Case, Suite
 
 @dataclass(frozen=True)
 class CheckedCase:
-    """What a driver did in the scenario of a case.
+    """What a driver did in the scenario of a case."""
 
-    Attributes:
-        case: the case.
-        violated: names of the specs that had to hold and did not.
-        words: what happened, as a sentence.
-    """
-
-    case: Case
-    violated: tuple[str, ...]
-    words: str
+    case: Case  # the case
+    violated: tuple[str, ...]  # names of the specs that had to hold and did not
+    words: str  # what happened, as a sentence
 
     @property
     def passed(self) -> bool:

@@ -47,17 +47,11 @@ class Driven(NamedTuple):
 
 @dataclass(frozen=True)
 class Difference:
-    """A scenario in which one driver fails and the other does not.
+    """A scenario in which one driver fails and the other does not."""
 
-    Attributes:
-        number: number of the candidate.
-        fails: `ONLY_FIRST` or `ONLY_SECOND`.
-        scenario: the scenario, as one of the first driver.
-    """
-
-    number: int
-    fails: str
-    scenario: Scenario
+    number: int  # number of the candidate
+    fails: str  # `ONLY_FIRST` or `ONLY_SECOND`
+    scenario: Scenario  # the scenario, as one of the first driver
 
 
 def search_differences(

@@ -36,27 +36,16 @@ _RATE: Final = 2.5e-4  # learning rate where none is known
 
 @dataclass(frozen=True)
 class Trainee:
-    """A policy that goes on learning.
+    """A policy that goes on learning."""
 
-    Attributes:
-        model: the model. A replay buffer is filled anew at the beginning of each round.
-        venv: its environment.
-        suffix: suffix of its file.
-        rate: learning rate of the training so far, or a usual one.
-        entropy: weight of the entropy bonus in that training.
-        new_critic: whether its critic is untrained, because the file has none.
-        write: function that writes the present policy to a file.
-        scenarios: the environment that draws the scenarios.
-    """
-
-    model: BaseAlgorithm
-    venv: VecEnv
-    suffix: str
-    rate: float
-    entropy: float
-    new_critic: bool
-    write: Callable[[Path], None]
-    scenarios: ScenarioVecEnv
+    model: BaseAlgorithm  # the model. A replay buffer is filled anew at the beginning of each round.
+    venv: VecEnv  # its environment
+    suffix: str  # suffix of its file
+    rate: float  # learning rate of the training so far, or a usual one
+    entropy: float  # weight of the entropy bonus in that training
+    new_critic: bool  # whether its critic is untrained, because the file has none
+    write: Callable[[Path], None]  # function that writes the present policy to a file
+    scenarios: ScenarioVecEnv  # the environment that draws the scenarios
 
     def learn(self, seed: int, number: int, steps: int, rate: float, watch: BaseCallback) -> None:
         """Train for one round.

@@ -20,23 +20,14 @@ _SHOWN: Final = ("speed", "speed-change", "yaw-rate")  # attributes whose means 
 
 @dataclass(frozen=True)
 class State:
-    """One abstract state.
+    """One abstract state."""
 
-    Attributes:
-        letter: name of the state.
-        share: share of all windows.
-        speed: mean speed of the ego [m/s].
-        deviation: standard deviation of the speed [m/s].
-        acceleration: mean acceleration [m/s2].
-        yaw_rate: mean yaw rate [rad/s].
-    """
-
-    letter: str
-    share: float
-    speed: float
-    deviation: float
-    acceleration: float
-    yaw_rate: float
+    letter: str  # name of the state
+    share: float  # share of all windows
+    speed: float  # mean speed of the ego [m/s]
+    deviation: float  # standard deviation of the speed [m/s]
+    acceleration: float  # mean acceleration [m/s2]
+    yaw_rate: float  # mean yaw rate [rad/s]
 
 
 @dataclass(frozen=True)

@@ -36,21 +36,13 @@ _SHARPNESS = 2  # factor by which pictures are drawn larger before they are redu
 
 @dataclass(frozen=True)
 class Footage:
-    """An episode as it is drawn.
+    """An episode as it is drawn."""
 
-    Attributes:
-        trace: its trace.
-        shape: the road on which it was driven.
-        caption: line of text below the time and the speed.
-        types: types of the other vehicles, as far as they are known.
-        violated: names of the violated specs.
-    """
-
-    trace: Trace
-    shape: RoadShape
-    caption: str
-    types: Sequence[str] = ()
-    violated: Sequence[str] = ()
+    trace: Trace  # its trace
+    shape: RoadShape  # the road on which it was driven
+    caption: str  # line of text below the time and the speed
+    types: Sequence[str] = ()  # types of the other vehicles, as far as they are known
+    violated: Sequence[str] = ()  # names of the violated specs
 
     @cached_property
     def event(self) -> ViolationEvent | None:

@@ -22,29 +22,17 @@ _NEAREST: Final = 3  # number of these executions on their card, those nearest t
 
 @dataclass(frozen=True)
 class Card:
-    """The card of a class.
+    """The card of a class."""
 
-    Attributes:
-        class_id: identifier of the class, or `PASSED`.
-        spec: violated spec, or `PASSED`.
-        words: the class as a sentence.
-        count: number of executions.
-        first: first of these executions.
-        look_at: first execution that triage reproduced exactly; if there is none, the first execution.
-        facts: names and values of further facts.
-        replays: executions with their replays in the page, or what `minimal_name` returns.
-        is_minimal: whether this card shows a minimized failure.
-    """
-
-    class_id: str
-    spec: str
-    words: str
-    count: int
-    first: int
-    look_at: int
-    facts: tuple[tuple[str, str], ...] = ()
-    replays: tuple[int | str, ...] = ()
-    is_minimal: bool = False
+    class_id: str  # identifier of the class, or `PASSED`
+    spec: str  # violated spec, or `PASSED`
+    words: str  # the class as a sentence
+    count: int  # number of executions
+    first: int  # first of these executions
+    look_at: int  # first execution that triage reproduced exactly; if there is none, the first execution
+    facts: tuple[tuple[str, str], ...] = ()  # names and values of further facts
+    replays: tuple[int | str, ...] = ()  # executions with their replays in the page, or what `minimal_name` returns
+    is_minimal: bool = False  # whether this card shows a minimized failure
 
 
 def minimal_name(number: int) -> str:

@@ -28,24 +28,15 @@ class Packed:
 
     The data are a matrix of int16. Its rows are the time, the ego's speed, then x, y and heading of each vehicle. Each
     row holds the first value, then the differences, modulo 2^16. All low bytes come before all high bytes.
-
-    Attributes:
-        frames: number of frames.
-        kept: indices of these frames in the trace, shape (frames,).
-        vehicles: number of vehicles, the ego first.
-        middle: middle of all positions [m], the origin of x and y.
-        unit: unit of x and y [m].
-        data: base64 of the deflated matrix.
-        spans: first and last frame in which each vehicle is present.
     """
 
-    frames: int
-    kept: NDArray[np.int64]
-    vehicles: int
-    middle: tuple[float, float]
-    unit: float
-    data: str
-    spans: list[tuple[int, int]]
+    frames: int  # number of frames
+    kept: NDArray[np.int64]  # indices of these frames in the trace, shape (frames,)
+    vehicles: int  # number of vehicles, the ego first
+    middle: tuple[float, float]  # middle of all positions [m], the origin of x and y
+    unit: float  # unit of x and y [m]
+    data: str  # base64 of the deflated matrix
+    spans: list[tuple[int, int]]  # first and last frame in which each vehicle is present
 
     def values(self) -> dict[str, Any]:
         """Return the fields for the page's script, as JSON values."""

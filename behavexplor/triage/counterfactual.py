@@ -32,15 +32,10 @@ UPSTREAM: Final = ("prediction", "decision", "path", "speed", "control")  # the 
 
 @dataclass(frozen=True)
 class Fork:
-    """An alternative continuation of a recorded execution.
+    """An alternative continuation of a recorded execution."""
 
-    Attributes:
-        parameters: parameters of the planner after the fork.
-        decision: index of the first decision with these parameters; 0 for the whole execution.
-    """
-
-    parameters: Parameters
-    decision: int = 0
+    parameters: Parameters  # parameters of the planner after the fork
+    decision: int = 0  # index of the first decision with these parameters; 0 for the whole execution
 
 
 class ForkedPlanner:

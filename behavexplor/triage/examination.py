@@ -29,17 +29,11 @@ EXAMINE: Final = "examine"  # function of the service
 
 @dataclass(frozen=True)
 class Rerun:
-    """Comparison of a second execution of a scenario with the first.
+    """Comparison of a second execution of a scenario with the first."""
 
-    Attributes:
-        same_verdict: whether both violated the same specs.
-        same_trace: whether both have the same trace, to the resolution of traces.
-        deviation: greatest distance between the ego's positions at the same time, over the shorter execution [m].
-    """
-
-    same_verdict: bool
-    same_trace: bool
-    deviation: float
+    same_verdict: bool  # whether both violated the same specs
+    same_trace: bool  # whether both have the same trace, to the resolution of traces
+    deviation: float  # greatest distance between the ego's positions at the same time, over the shorter execution [m]
 
 
 def repeat(simulation: Simulation, scenario: Scenario, trace: Trace, specs: Sequence[Spec] = SPECS) -> Rerun:

@@ -133,21 +133,14 @@ def _finding(run: Path, execution: Execution, future: Future[bytes]) -> Finding:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of given labels with true labels.
+    """Agreement of given labels with true labels."""
 
-    Attributes:
-        n: number of compared labels.
-        equal: share of equal labels; meaningful only if both sequences use the same names.
-        precision: mean over the given names of the share of items with that label for which it is true.
-        recall: mean over the true names of the share of items with that true label that were given it.
-        adjusted_rand: adjusted Rand index, which compares the groups and ignores their names: 1 for equal groups,
-            about 0 for groups made by chance.
-    """
-
-    n: int
-    equal: float
-    precision: float
-    recall: float
+    n: int  # number of compared labels
+    equal: float  # share of equal labels; meaningful only if both sequences use the same names
+    precision: float  # mean over the given names of the share of items with that label for which it is true
+    recall: float  # mean over the true names of the share of items with that true label that were given it
+    # adjusted Rand index, which compares the groups and ignores their names: 1 for equal groups, about 0 for groups
+    # made by chance
     adjusted_rand: float
 
 

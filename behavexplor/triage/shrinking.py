@@ -33,17 +33,11 @@ class Property(Protocol):
 
 
 class Shrunk(NamedTuple):
-    """A minimized scenario.
+    """A minimized scenario."""
 
-    Attributes:
-        parts: its parts.
-        executions: number of candidates that were executed.
-        is_minimal: whether no pass could change it any more; False if the limit of executions was reached before.
-    """
-
-    parts: Parts
-    executions: int
-    is_minimal: bool
+    parts: Parts  # its parts
+    executions: int  # number of candidates that were executed
+    is_minimal: bool  # whether no pass could change it any more; False if the limit of executions was reached before
 
 
 def shrink(parts: Parts, held: Property, *, removable: bool, limit: int) -> Shrunk:

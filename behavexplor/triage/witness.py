@@ -119,27 +119,16 @@ class Playback:
 
 @dataclass(frozen=True)
 class Evasion:
-    """Driving that deviates from a recorded execution.
+    """Driving that deviates from a recorded execution."""
 
-    Attributes:
-        name: kind of evasion, for people.
-        begin: time up to which the ego drives as recorded [s].
-        acceleration: desired acceleration at first [m/s2].
-        lasting: duration of the first acceleration [s].
-        then: desired acceleration afterwards [m/s2].
-        jerk: limit of the change of the acceleration [m/s3].
-        offset: lateral move to the right of the path [m].
-        swing: duration of the lateral move [s].
-    """
-
-    name: str
-    begin: float
-    acceleration: float
-    lasting: float = math.inf
-    then: float = 0.0
-    jerk: float = math.inf
-    offset: float = 0.0
-    swing: float = 2.0
+    name: str  # kind of evasion, for people
+    begin: float  # time up to which the ego drives as recorded [s]
+    acceleration: float  # desired acceleration at first [m/s2]
+    lasting: float = math.inf  # duration of the first acceleration [s]
+    then: float = 0.0  # desired acceleration afterwards [m/s2]
+    jerk: float = math.inf  # limit of the change of the acceleration [m/s3]
+    offset: float = 0.0  # lateral move to the right of the path [m]
+    swing: float = 2.0  # duration of the lateral move [s]
 
     @property
     def effort(self) -> float:

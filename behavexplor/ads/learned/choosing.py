@@ -92,15 +92,10 @@ def _accelerate(course: Course, scene: Floats, station: float, wanted: float) ->
 
 
 class Decisions(NamedTuple):
-    """Decisions of a batch of egos.
+    """Decisions of a batch of egos."""
 
-    Attributes:
-        accelerations: wanted accelerations [m/s2], shape (B,).
-        lanes: lane choices of `behavexplor.ads.learned.choosing`, shape (B,).
-    """
-
-    accelerations: Floats
-    lanes: Ints
+    accelerations: Floats  # wanted accelerations [m/s2], shape (B,)
+    lanes: Ints  # lane choices of `behavexplor.ads.learned.choosing`, shape (B,)
 
 
 def as_decisions(actions: Ints) -> Decisions:

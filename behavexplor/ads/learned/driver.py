@@ -24,18 +24,13 @@ POLICY_FREQUENCY: Final = round(1 / choosing.PERIOD)
 
 
 class DenseNetwork(NamedTuple):
-    """The numbers of all layers in flat arrays, for any number of layers.
+    """The numbers of all layers in flat arrays, for any number of layers."""
 
-    Attributes:
-        weights: weights of all layers, shape (weights,). In a layer, the weights from the first input to each output
-            come first, then those from the second input.
-        biases: biases of all layers, shape (outputs of all layers,).
-        widths: number of inputs, and number of outputs of each layer, shape (layers + 1,).
-    """
-
+    # weights of all layers, shape (weights,). In a layer, the weights from the first input to each output come first,
+    # then those from the second input.
     weights: Floats
-    biases: Floats
-    widths: Ints
+    biases: Floats  # biases of all layers, shape (outputs of all layers,)
+    widths: Ints  # number of inputs, and number of outputs of each layer, shape (layers + 1,)
 
 
 def as_network(layers: Sequence[tuple[Floats, Floats]]) -> DenseNetwork:
@@ -121,13 +116,6 @@ def _add_eight(block: Floats, x: Floats, into: Floats) -> None:
 class LearnedDriver:
     """A driver whose network sees conflicts and gaps and chooses an acceleration and a lane, which a tracker follows.
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 5 Hz.
-        vectorized: True, because each row is decided independently.
-        noise: see `behavexplor.ads.interface.StochasticADS`.
-
     Args:
         roadmap: road map with the ego's route.
         network: network whose outputs are the preferences of the actions. Between two layers tanh is applied.
@@ -136,11 +124,11 @@ class LearnedDriver:
         InputError: if the layers do not fit each other, or the numbers of features and actions.
     """
 
-    observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = POLICY_FREQUENCY
-    vectorized: bool = True
-    noise: int = 1
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = POLICY_FREQUENCY  # decisions per second, 5 Hz
+    vectorized: bool = True  # True, because each row is decided independently
+    noise: int = 1  # see `behavexplor.ads.interface.StochasticADS`
 
     def __init__(self, roadmap: RoadMap, network: TrainedNetwork) -> None:
         self._course = make_course(roadmap)

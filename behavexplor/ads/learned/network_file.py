@@ -19,15 +19,10 @@ _RULE: Final = "decision"  # name of the rule in a file
 
 
 class TrainedNetwork(NamedTuple):
-    """A network and how its policy decides.
+    """A network and how its policy decides."""
 
-    Attributes:
-        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer.
-        rule: how the policy decides when it does not draw, see `behavexplor.ads.learned.choosing.decide`.
-    """
-
-    layers: Layers
-    rule: Rule = "mean"
+    layers: Layers  # weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer
+    rule: Rule = "mean"  # how the policy decides when it does not draw, see `behavexplor.ads.learned.choosing.decide`
 
 
 def read_network(path: Path) -> TrainedNetwork:

@@ -19,34 +19,21 @@ APPROACH_BRAKING: Final = 2.0  # deceleration before curves [m/s2]
 
 
 class Path(NamedTuple):
-    """The ego's route as plain arrays.
+    """The ego's route as plain arrays."""
 
-    Attributes:
-        lanes: lanes of the route, with successive lanes of equal curvature joined, shape (lanes, 7), see
-            `behavexplor.ads.road.lane_arrays`.
-        bounds: stations where the lanes begin, and the station where the last one ends [m], shape (lanes + 1,).
-        limits: greatest allowed speed every `SPACING` meters [m/s], shape (stations,).
-        left: number of lanes in the ego's direction to the left of the route, shape (stations,).
-        right: number of lanes in the ego's direction to the right of the route, shape (stations,).
-        oncoming: 1 where a lane of the opposite direction lies left of all these lanes, else 0, shape (stations,).
-        junction_start: station of the stop line [m]; infinity without a junction.
-        junction_end: station at which the junction ends [m]; minus infinity without a junction.
-        destination: station of the destination [m].
-        lane_width: width of a lane [m].
-        speed_limit: speed limit of the map [m/s].
-    """
-
+    # lanes of the route, with successive lanes of equal curvature joined, shape (lanes, 7), see
+    # `behavexplor.ads.road.lane_arrays`
     lanes: Floats
-    bounds: Floats
-    limits: Floats
-    left: Floats
-    right: Floats
-    oncoming: Floats
-    junction_start: float
-    junction_end: float
-    destination: float
-    lane_width: float
-    speed_limit: float
+    bounds: Floats  # stations where the lanes begin, and the station where the last one ends [m], shape (lanes + 1,)
+    limits: Floats  # greatest allowed speed every `SPACING` meters [m/s], shape (stations,)
+    left: Floats  # number of lanes in the ego's direction to the left of the route, shape (stations,)
+    right: Floats  # number of lanes in the ego's direction to the right of the route, shape (stations,)
+    oncoming: Floats  # 1 where a lane of the opposite direction lies left of all these lanes, else 0, shape (stations,)
+    junction_start: float  # station of the stop line [m]; infinity without a junction
+    junction_end: float  # station at which the junction ends [m]; minus infinity without a junction
+    destination: float  # station of the destination [m]
+    lane_width: float  # width of a lane [m]
+    speed_limit: float  # speed limit of the map [m/s]
 
 
 def ego_path(

@@ -20,23 +20,14 @@ AROUND: Final = 15.0  # half the longest vehicle's length and width, with some m
 
 
 class Box(NamedTuple):
-    """An oriented box.
+    """An oriented box."""
 
-    Attributes:
-        x: position of the center [m].
-        y: position of the center [m].
-        cos: cosine of the heading.
-        sin: sine of the heading.
-        length: length along the heading [m].
-        width: width across the heading [m].
-    """
-
-    x: float
-    y: float
-    cos: float
-    sin: float
-    length: float
-    width: float
+    x: float  # position of the center [m]
+    y: float  # position of the center [m]
+    cos: float  # cosine of the heading
+    sin: float  # sine of the heading
+    length: float  # length along the heading [m]
+    width: float  # width across the heading [m]
 
 
 @kernel_inner

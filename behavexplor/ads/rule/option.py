@@ -123,43 +123,25 @@ def _first_contact(situation: Situation, s: float, v: float, a: float) -> int:
 
 
 class Surroundings(NamedTuple):
-    """Input of one decision apart from the memory, and working space.
+    """Input of one decision apart from the memory, and working space."""
 
-    Attributes:
-        path: path of the ego.
-        graph: lanes of the map.
-        scene: scene, shape (1 + n, 8), see `behavexplor.data.scene`.
-        others: working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`.
-        room: working space for the station-time graph.
-        nodes: working space for the search of the speed.
-        p: parameters of the planner.
-    """
-
-    path: Path
-    graph: LaneGraph
-    scene: Floats
-    others: Floats
-    room: StationTime
-    nodes: Nodes
-    p: Numbers
+    path: Path  # path of the ego
+    graph: LaneGraph  # lanes of the map
+    scene: Floats  # scene, shape (1 + n, 8), see `behavexplor.data.scene`
+    others: Floats  # working space for the table of other vehicles, see `behavexplor.ads.rule.traffic`
+    room: StationTime  # working space for the station-time graph
+    nodes: Nodes  # working space for the search of the speed
+    p: Numbers  # parameters of the planner
 
 
 class Option(NamedTuple):
-    """A path and a speed that the ego may choose.
+    """A path and a speed that the ego may choose."""
 
-    Attributes:
-        profile: offset of the path from the route.
-        plan: speed plan along the path.
-        yields: True if the ego waits before the junction.
-        crosses: True if the ego could cross the junction.
-        limit: station up to which the ego may creep [m].
-    """
-
-    profile: LateralProfile
-    plan: SpeedPlan
-    yields: bool
-    crosses: bool
-    limit: float
+    profile: LateralProfile  # offset of the path from the route
+    plan: SpeedPlan  # speed plan along the path
+    yields: bool  # True if the ego waits before the junction
+    crosses: bool  # True if the ego could cross the junction
+    limit: float  # station up to which the ego may creep [m]
 
 
 @kernel_inner

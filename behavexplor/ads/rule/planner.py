@@ -207,17 +207,11 @@ def _settle(world: Surroundings, ego: lane_choice.EgoState, option: Option, memo
 
 
 class RulePlanner:
-    """A planner of rules and search that drives the ego's route among other vehicles.
+    """A planner of rules and search that drives the ego's route among other vehicles."""
 
-    Attributes:
-        observation: `{"type": "Scene"}`, see `behavexplor.data.scene`.
-        action: acceleration and steering, each in [-1, 1] over its range.
-        policy_frequency: decisions per second, 10 Hz.
-    """
-
-    observation: Mapping[str, Any] = OBSERVATION
-    action: Mapping[str, Any] = ACTION
-    policy_frequency: int = round(1 / PERIOD)
+    observation: Mapping[str, Any] = OBSERVATION  # `{"type": "Scene"}`, see `behavexplor.data.scene`
+    action: Mapping[str, Any] = ACTION  # acceleration and steering, each in [-1, 1] over its range
+    policy_frequency: int = round(1 / PERIOD)  # decisions per second, 10 Hz
     vectorized: bool = True
 
     def __init__(self, roadmap: RoadMap, parameters: Parameters = Parameters()) -> None:  # noqa: B008

@@ -34,18 +34,12 @@ class LaneGraph(NamedTuple):
     """All ways on for vehicles on the map.
 
     The last lane and the last tail are spare: they lead straight on, for a vehicle that is on no lane.
-
-    Attributes:
-        lanes: lanes of the map, shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`.
-        tails: distinct sequences of lanes that routes end with, shape (tails + 1, depth), -1 after the last lane.
-        around: least x and y and greatest x and y of each lane's center line [m], shape (lanes + 1, 4).
-        beside: where each meter of each lane is on the ego's route, see `behavexplor.ads.rule.beside`.
     """
 
-    lanes: Floats
-    tails: Ints
-    around: Floats
-    beside: Floats
+    lanes: Floats  # lanes of the map, shape (lanes + 1, 7), see `behavexplor.ads.road.lane_arrays`
+    tails: Ints  # distinct sequences of lanes that routes end with, shape (tails + 1, depth), -1 after the last lane
+    around: Floats  # least x and y and greatest x and y of each lane's center line [m], shape (lanes + 1, 4)
+    beside: Floats  # where each meter of each lane is on the ego's route, see `behavexplor.ads.rule.beside`
 
 
 def lane_graph(roadmap: RoadMap, path: Path) -> LaneGraph:

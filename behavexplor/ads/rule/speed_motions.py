@@ -52,25 +52,16 @@ def speed_bin(speed: float) -> int:
 
 
 class Situation(NamedTuple):
-    """Input of the speed search apart from the ego's motion.
+    """Input of the speed search apart from the ego's motion."""
 
-    Attributes:
-        path: path of the ego.
-        graph: stretches of the path that other vehicles occupy.
-        half_length: half the length of the ego [m].
-        wall: station that must not be passed [m], infinite for none.
-        caution: share of the cost of coming too close to other vehicles that counts.
-        expected: cost that the best motion probably has; it makes the search faster, and does not change its result.
-        p: parameters of the planner.
-    """
-
-    path: Path
-    graph: StationTime
-    half_length: float
-    wall: float
-    caution: float
+    path: Path  # path of the ego
+    graph: StationTime  # stretches of the path that other vehicles occupy
+    half_length: float  # half the length of the ego [m]
+    wall: float  # station that must not be passed [m], infinite for none
+    caution: float  # share of the cost of coming too close to other vehicles that counts
+    # cost that the best motion probably has; it makes the search faster, and does not change its result
     expected: float
-    p: Numbers
+    p: Numbers  # parameters of the planner
 
 
 @kernel_inner

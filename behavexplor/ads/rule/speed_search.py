@@ -41,47 +41,27 @@ S, V, LAST, FIRST, TOTAL, RISK, INSIDE = range(7)  # columns of a node
 
 
 class SpeedPlan(NamedTuple):
-    """The best motion along the path.
+    """The best motion along the path."""
 
-    Attributes:
-        acceleration: acceleration to command now [m/s2].
-        survived: number of intervals without contact.
-        station: station at the end [m].
-        speed: speed at the end [m/s].
-        risk: cost of coming too close to other vehicles.
-        inside: time of stopping inside the junction [s].
-        free: True if the motion is that on a free road.
-        cost: cost of the motion, 0 if the search did not find it.
-    """
-
-    acceleration: float
-    survived: int
-    station: float
-    speed: float
-    risk: float
-    inside: float
-    free: bool
-    cost: float
+    acceleration: float  # acceleration to command now [m/s2]
+    survived: int  # number of intervals without contact
+    station: float  # station at the end [m]
+    speed: float  # speed at the end [m/s]
+    risk: float  # cost of coming too close to other vehicles
+    inside: float  # time of stopping inside the junction [s]
+    free: bool  # True if the motion is that on a free road
+    cost: float  # cost of the motion, 0 if the search did not find it
 
 
 class Nodes(NamedTuple):
-    """Working space for the search.
+    """Working space for the search."""
 
-    Attributes:
-        stages: nodes of the present and the next stage, shape (2, N_BINS, 7).
-        cheapest: cheapest motion into each bin, shape (N_BINS,), -1 for none.
-        filled: bins with a motion, in the order in which they are found, shape (N_BINS,).
-        motions: rows of the motions of a stage, shape (N_ROWS * MOST,).
-        parents: node from which each motion starts, shape (MOST,).
-        bins: bin in which each motion ends, shape (MOST,).
-    """
-
-    stages: Floats
-    cheapest: Ints
-    filled: Ints
-    motions: Floats
-    parents: Ints
-    bins: Ints
+    stages: Floats  # nodes of the present and the next stage, shape (2, N_BINS, 7)
+    cheapest: Ints  # cheapest motion into each bin, shape (N_BINS,), -1 for none
+    filled: Ints  # bins with a motion, in the order in which they are found, shape (N_BINS,)
+    motions: Floats  # rows of the motions of a stage, shape (N_ROWS * MOST,)
+    parents: Ints  # node from which each motion starts, shape (MOST,)
+    bins: Ints  # bin in which each motion ends, shape (MOST,)
 
 
 @kernel

@@ -108,27 +108,16 @@ def bearings(scene: Floats, row: int) -> tuple[float, float, float]:
 
 
 class Motion(NamedTuple):
-    """Predicted motion and size of an NPC along its ways.
+    """Predicted motion and size of an NPC along its ways."""
 
-    Attributes:
-        speed: present speed [m/s].
-        acceleration: present acceleration [m/s2].
-        memory: time for which the acceleration may go on [s].
-        limit: greatest speed [m/s].
-        length: length of the box [m].
-        width: width of the box [m].
-        turning_length: length of the box on curves [m].
-        turning_width: width of the box on curves [m].
-    """
-
-    speed: float
-    acceleration: float
-    memory: float
-    limit: float
-    length: float
-    width: float
-    turning_length: float
-    turning_width: float
+    speed: float  # present speed [m/s]
+    acceleration: float  # present acceleration [m/s2]
+    memory: float  # time for which the acceleration may go on [s]
+    limit: float  # greatest speed [m/s]
+    length: float  # length of the box [m]
+    width: float  # width of the box [m]
+    turning_length: float  # length of the box on curves [m]
+    turning_width: float  # width of the box on curves [m]
 
 
 @kernel_inner
@@ -188,25 +177,15 @@ def false_motion(true: Motion, weak: int, p: Numbers) -> Motion:
 
 
 class StationTime(NamedTuple):
-    """Spans of the ego's stations that other vehicles occupy in each interval of time.
+    """Spans of the ego's stations that other vehicles occupy in each interval of time."""
 
-    Attributes:
-        spans: occupied spans with the columns above, shape (N_INTERVALS, most, 7).
-        counts: number of spans in each interval, shape (N_INTERVALS,).
-        reaches: least and greatest station of the spans in each interval, shape (N_INTERVALS, 2) [m].
-        occupied: working space for one NPC's stretches along its way, shape (N_STEPS, 2) [m].
-        tails: working space for one NPC's ways, shape (TAILS_PER_NPC,).
-        stations: working space for the NPC's stations along its ways, shape (TAILS_PER_NPC,) [m].
-        bits: bits of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`.
-    """
-
-    spans: Floats
-    counts: Ints
-    reaches: Floats
-    occupied: Floats
-    tails: Ints
-    stations: Floats
-    bits: Ints
+    spans: Floats  # occupied spans with the columns above, shape (N_INTERVALS, most, 7)
+    counts: Ints  # number of spans in each interval, shape (N_INTERVALS,)
+    reaches: Floats  # least and greatest station of the spans in each interval, shape (N_INTERVALS, 2) [m]
+    occupied: Floats  # working space for one NPC's stretches along its way, shape (N_STEPS, 2) [m]
+    tails: Ints  # working space for one NPC's ways, shape (TAILS_PER_NPC,)
+    stations: Floats  # working space for the NPC's stations along its ways, shape (TAILS_PER_NPC,) [m]
+    bits: Ints  # bits of the weaknesses reached and triggered, shape (2,), see `behavexplor.ads.rule.weaknesses`
 
 
 @kernel

@@ -49,31 +49,21 @@ _OLD_TORCH: Final = (OLD_TORCH, b"sys_info", b"storages", b"tensors", b"pickle")
 
 @dataclass(frozen=True)
 class Archive:
-    """The contents of a model's file.
+    """The contents of a model's file."""
 
-    Attributes:
-        path: path of the file.
-        packed: the whole file.
-        digest: its digest, "sha256:...".
-        settings: entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them.
-        numbers: all settings that are a number, such as the hyperparameters of the training.
-        weights: contents of the member `policy.pth`.
-        optimizer: contents of the member `policy.optimizer.pth`; None if there is none.
-        python: version of Python that wrote the file, such as "3.10"; empty if the file does not say so.
-        versions: those of the libraries that wrote it, such as "PyTorch 2.3.0".
-        suspicions: calls that loading the file with Stable-Baselines3 would make and that models do not need, and
-            pickles that could not be examined, each as a phrase that names the place.
-    """
-
-    path: Path
-    packed: bytes = field(repr=False)
-    digest: str
+    path: Path  # path of the file
+    packed: bytes = field(repr=False)  # the whole file
+    digest: str  # its digest, "sha256:..."
+    # entries of `SETTINGS` that the file contains, as `behavexplor.ads.sb3.inert` reads them
     settings: Mapping[str, Any]
+    # all settings that are a number, such as the hyperparameters of the training
     numbers: Mapping[str, int | float | bool]
-    weights: bytes
-    optimizer: bytes | None
-    python: str
-    versions: tuple[str, ...]
+    weights: bytes  # contents of the member `policy.pth`
+    optimizer: bytes | None  # contents of the member `policy.optimizer.pth`; None if there is none
+    python: str  # version of Python that wrote the file, such as "3.10"; empty if the file does not say so
+    versions: tuple[str, ...]  # those of the libraries that wrote it, such as "PyTorch 2.3.0"
+    # calls that loading the file with Stable-Baselines3 would make and that models do not need, and pickles that could
+    # not be examined, each as a phrase that names the place
     suspicions: tuple[str, ...]
 
 

@@ -48,13 +48,9 @@ Memory = tuple[NDArray[Any], ...]
 
 @dataclass
 class Block:
-    """The block of rows that a network is answering.
+    """The block of rows that a network is answering."""
 
-    Attributes:
-        wanted: how many rows are wanted, counted from the first. The linear layers return 0 for the others.
-    """
-
-    wanted: int = ROWS
+    wanted: int = ROWS  # how many rows are wanted, counted from the first. The linear layers return 0 for the others.
 
     @contextmanager
     def wanting(self, count: int) -> Iterator[None]:
@@ -67,15 +63,10 @@ class Block:
 
 
 class RowLinear(torch.nn.Linear):
-    """A linear layer that multiplies each row separately, with weights that stay as they are.
+    """A linear layer that multiplies each row separately, with weights that stay as they are."""
 
-    Attributes:
-        block: the block that is being answered.
-        columns: the weights, filled up with zeros, shape (padded inputs, outputs).
-    """
-
-    block: Block
-    columns: torch.Tensor
+    block: Block  # the block that is being answered
+    columns: torch.Tensor  # the weights, filled up with zeros, shape (padded inputs, outputs)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         """Return the products, shape (..., outputs)."""

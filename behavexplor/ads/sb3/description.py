@@ -44,48 +44,31 @@ ENVIRONMENT_KEYS: Final[tuple[str, ...]] = ("observation", "action", "policy_fre
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """Settings that a policy needs besides its network.
-
-    Attributes:
-        observation: highway-env's observation configuration; None for the environment's own.
-        action: highway-env's action configuration; None for the environment's own.
-        policy_frequency: decisions per second [Hz]; None for the environment's own.
-        simulation_frequency: simulation steps per second [Hz]; None for the environment's own.
-        env: name of the environment in which the policy was trained; None if unknown.
-        config: highway-env's configuration in training; None if unknown.
-        frame_stack: number of observations stacked by `VecFrameStack`.
-        decision: rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None
-            for a policy with observations and actions of highway-env.
-        statistics: file of `VecNormalize`; None if observations were not normalized.
-        wrappers: wrappers of the training, "module:Class" or a mapping from it to its arguments, the innermost first.
-        activation: function between the layers of a file of weights; None if unknown, and so on.
-        network: name of the network that acts in a file of weights.
-        output: what the last layer gives.
-        squash: whether tanh follows the last layer of a policy with continuous actions.
-        strides: strides of its convolutions.
-        paddings: their paddings; None for none.
-        about: free notes of the author; ignored.
-    """
+    """Settings that a policy needs besides its network."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
+    # highway-env's observation configuration; None for the environment's own
     observation: Mapping[str, Any] | None = None
-    action: Mapping[str, Any] | None = None
-    policy_frequency: int | None = None
-    simulation_frequency: int | None = None
-    env: str | None = None
-    config: Mapping[str, Any] | None = None
-    frame_stack: int = 1
+    action: Mapping[str, Any] | None = None  # highway-env's action configuration; None for the environment's own
+    policy_frequency: int | None = None  # decisions per second [Hz]; None for the environment's own
+    simulation_frequency: int | None = None  # simulation steps per second [Hz]; None for the environment's own
+    env: str | None = None  # name of the environment in which the policy was trained; None if unknown
+    config: Mapping[str, Any] | None = None  # highway-env's configuration in training; None if unknown
+    frame_stack: int = 1  # number of observations stacked by `VecFrameStack`
+    # rule by which the actor of a network of `train` decides, see `behavexplor.ads.learned.choosing`; None for a policy
+    # with observations and actions of highway-env
     decision: Rule | None = None
-    statistics: Path | None = None
+    statistics: Path | None = None  # file of `VecNormalize`; None if observations were not normalized
+    # wrappers of the training, "module:Class" or a mapping from it to its arguments, the innermost first
     wrappers: tuple[str | Mapping[str, Mapping[str, Any]], ...] = ()
-    activation: Activation | None = None
-    network: str | None = None
-    output: Literal["values", "logits", "mean"] | None = None
-    squash: bool | None = None
-    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None
-    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None
-    about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    activation: Activation | None = None  # function between the layers of a file of weights; None if unknown, and so on
+    network: str | None = None  # name of the network that acts in a file of weights
+    output: Literal["values", "logits", "mean"] | None = None  # what the last layer gives
+    squash: bool | None = None  # whether tanh follows the last layer of a policy with continuous actions
+    strides: tuple[Annotated[int, Field(ge=1, le=100)], ...] | None = None  # strides of its convolutions
+    paddings: tuple[Annotated[int, Field(ge=0, le=100)], ...] | None = None  # their paddings; None for none
+    about: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))  # free notes of the author; ignored
 
 
 def is_policy(ads: str) -> bool:

@@ -90,15 +90,10 @@ def _dtype(value: Any) -> np.dtype[Any]:
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean and variance of an array of observations.
+    """Mean and variance of an array of observations."""
 
-    Attributes:
-        mean: mean, shape of one observation.
-        variance: variance, shape of one observation.
-    """
-
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    mean: NDArray[np.float64]  # mean, shape of one observation
+    variance: NDArray[np.float64]  # variance, shape of one observation
 
 
 @dataclass(frozen=True)

@@ -28,20 +28,14 @@ _MASKED: Final = "sb3_contrib.common.maskable."  # the module of policies that t
 
 
 class Stacking(NamedTuple):
-    """How observations are stacked.
+    """How observations are stacked."""
 
-    Attributes:
-        frames: number of observations.
-        space: space of one of them.
-        axis: axis of a batch along which they are stacked, as by `FrameStackObservation`, where the first observation
-            also stands for those before it; None for the axis of `VecFrameStack`, where zeros do.
-        scaled: whether `VecNormalize` scales them all, instead of each.
-    """
-
-    frames: int
-    space: gymnasium.Space[Any]
+    frames: int  # number of observations
+    space: gymnasium.Space[Any]  # space of one of them
+    # axis of a batch along which they are stacked, as by `FrameStackObservation`, where the first observation also
+    # stands for those before it; None for the axis of `VecFrameStack`, where zeros do
     axis: int | None = None
-    scaled: bool = False
+    scaled: bool = False  # whether `VecNormalize` scales them all, instead of each
 
 
 class SB3Policy:

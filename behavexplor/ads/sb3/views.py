@@ -17,19 +17,13 @@ JOINED: Final = "joined"  # along the last axis, as by VecFrameStack
 
 @dataclass(frozen=True)
 class PolicyView:
-    """How a policy sees the observations of an environment.
+    """How a policy sees the observations of an environment."""
 
-    Attributes:
-        kind: `FLAT`, `STACKED` or `JOINED`.
-        keys: keys of observations that are dictionaries, in the order in which they are joined; none for arrays.
-        frames: number of observations that are stacked.
-        said: a sentence for the user.
-    """
-
-    kind: Literal["flat", "stacked", "joined"]
+    kind: Literal["flat", "stacked", "joined"]  # `FLAT`, `STACKED` or `JOINED`
+    # keys of observations that are dictionaries, in the order in which they are joined; none for arrays
     keys: tuple[str, ...] = ()
-    frames: int = 1
-    said: str = ""
+    frames: int = 1  # number of observations that are stacked
+    said: str = ""  # a sentence for the user
 
     def flattened(self, observation: Observation) -> NDArray[Any]:
         """Return observations, arrays of shape (B, ...), as arrays of shape (B, n)."""

@@ -38,19 +38,12 @@ _OTHER_KINDS: Final[Mapping[str, re.Pattern[str]]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer with weights.
+    """A layer with weights."""
 
-    Attributes:
-        name: its name in the file.
-        kind: `DENSE`, `CONVOLUTION`, or a kind that is not supported, such as "recurrent".
-        weight: its weights, shape (outputs, inputs), or (outputs, inputs, rows, columns) of a convolution.
-        bias: its biases, shape (outputs,); None without.
-    """
-
-    name: str
-    kind: str
-    weight: NDArray[Any]
-    bias: NDArray[Any] | None
+    name: str  # its name in the file
+    kind: str  # `DENSE`, `CONVOLUTION`, or a kind that is not supported, such as "recurrent"
+    weight: NDArray[Any]  # its weights, shape (outputs, inputs), or (outputs, inputs, rows, columns) of a convolution
+    bias: NDArray[Any] | None  # its biases, shape (outputs,); None without
 
     @property
     def outputs(self) -> int:
@@ -65,25 +58,15 @@ class Layer:
 
 @dataclass(frozen=True)
 class ActingNetwork:
-    """A network that leads from observations to actions.
+    """A network that leads from observations to actions."""
 
-    Attributes:
-        name: its place in the file, such as "q_net"; empty for all of the file.
-        trunk: layers that its heads share.
-        head: layers from there to the actions.
-        value: layers from there to the value of a duelling network; none in any other one.
-        deviation: layers from there to the logarithms of standard deviations; none without.
-        log_std: logarithms of standard deviations that are the same everywhere; None without.
-        output: what its last layer gives, as far as names tell; None if unknown.
-    """
-
-    name: str
-    trunk: tuple[Layer, ...]
-    head: tuple[Layer, ...]
-    value: tuple[Layer, ...] = ()
-    deviation: tuple[Layer, ...] = ()
-    log_std: NDArray[Any] | None = None
-    output: Output | None = None
+    name: str  # its place in the file, such as "q_net"; empty for all of the file
+    trunk: tuple[Layer, ...]  # layers that its heads share
+    head: tuple[Layer, ...]  # layers from there to the actions
+    value: tuple[Layer, ...] = ()  # layers from there to the value of a duelling network; none in any other one
+    deviation: tuple[Layer, ...] = ()  # layers from there to the logarithms of standard deviations; none without
+    log_std: NDArray[Any] | None = None  # logarithms of standard deviations that are the same everywhere; None without
+    output: Output | None = None  # what its last layer gives, as far as names tell; None if unknown
 
     @property
     def layers(self) -> tuple[Layer, ...]:

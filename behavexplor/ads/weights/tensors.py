@@ -36,24 +36,16 @@ _SAVE: Final = "save its weights by torch.save(model.state_dict(), 'weights.pth'
 
 @dataclass(frozen=True)
 class TensorFile:
-    """The contents of a file of weights.
+    """The contents of a file of weights."""
 
-    Attributes:
-        path: path of the file.
-        digest: its digest, "sha256:...".
-        size: its size [bytes].
-        arrays: the tensors by their dotted names, such as "q_net.fc1.weight", in the order of the file. Those of
-            optimizers are left out.
-        in_order: whether this order is the one in which the layers were made.
-        suspicions: unusual calls that unpickling the file would make, each as a phrase.
-    """
-
-    path: Path
-    digest: str
-    size: int
+    path: Path  # path of the file
+    digest: str  # its digest, "sha256:..."
+    size: int  # its size [bytes]
+    # the tensors by their dotted names, such as "q_net.fc1.weight", in the order of the file. Those of optimizers are
+    # left out.
     arrays: Mapping[str, NDArray[Any]] = field(repr=False)
-    in_order: bool = True
-    suspicions: tuple[str, ...] = ()
+    in_order: bool = True  # whether this order is the one in which the layers were made
+    suspicions: tuple[str, ...] = ()  # unusual calls that unpickling the file would make, each as a phrase
 
 
 def read_tensors(path: Path) -> TensorFile:

@@ -62,19 +62,13 @@ _CHANGEABLE: Final = frozenset({"__init__", "from_config", "to_config"})  # by s
 
 
 class Network(NamedTuple):
-    """A road network as tables.
+    """A road network as tables."""
 
-    Attributes:
-        lanes: all lanes, shape (lanes,) of `LANE`.
-        roads: all roads, shape (roads,) of `ROAD`.
-        exits: numbers of the roads that begin where a road ends, for one road after the other.
-        links: lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the
-            offset of their stations [m], of `LINK`. The first link of a lane is the lane itself.
-    """
-
-    lanes: Records
-    roads: Records
-    exits: Ints
+    lanes: Records  # all lanes, shape (lanes,) of `LANE`
+    roads: Records  # all roads, shape (roads,) of `ROAD`
+    exits: Ints  # numbers of the roads that begin where a road ends, for one road after the other
+    # lanes on which `Road.neighbour_vehicles` looks for vehicles, for one lane after the other, with the offset of
+    # their stations [m], of `LINK`. The first link of a lane is the lane itself.
     links: Records
 
 

@@ -48,15 +48,10 @@ DEPTH: Final = 3  # roads ahead on which vehicles are considered
 
 
 class View(NamedTuple):
-    """The options of a Kinematics observation.
+    """The options of a Kinematics observation."""
 
-    Attributes:
-        options: shape (1,) of `OPTIONS`.
-        columns: the features, shape (features,) of `COLUMN`.
-    """
-
-    options: Records
-    columns: Records
+    options: Records  # shape (1,) of `OPTIONS`
+    columns: Records  # the features, shape (features,) of `COLUMN`
 
 
 def make_view(observation: KinematicObservation) -> View:
@@ -215,15 +210,10 @@ def _lane_offset(network: Network, vehicle: Vehicle, feature: int) -> float:
 
 
 class GridMemory(NamedTuple):
-    """Memory for the observation.
+    """Memory for the observation."""
 
-    Attributes:
-        grid: cost of each cell, shape (speeds, lanes, times), with the lanes of the widest road.
-        stack: roads that are still to be searched, shape (3 x roads + 1, 3).
-    """
-
-    grid: Singles
-    stack: Ints
+    grid: Singles  # cost of each cell, shape (speeds, lanes, times), with the lanes of the widest road
+    stack: Ints  # roads that are still to be searched, shape (3 x roads + 1, 3)
 
 
 def make_memory(network: Network, n_speeds: int, n_times: int) -> GridMemory:

@@ -107,40 +107,24 @@ class Slots(NamedTuple):
     """B episodes in lock-step, each with room for N vehicles and obstacles.
 
     A row holds the vehicles first, in highway-env's order, then the obstacles. The rest of it is undefined.
-
-    Attributes:
-        episodes: shape (B,) of `EPISODE`.
-        vehicles: what changes from frame to frame, shape (B, N) of `VEHICLE`.
-        traits: what does not change in an episode, shape (B, N) of `TRAITS`.
-        routes: the vehicles' routes, shape (B, N, steps) of `ROUTE_STEP`.
     """
 
-    episodes: Records
-    vehicles: Records
-    traits: Records
-    routes: Records
+    episodes: Records  # shape (B,) of `EPISODE`
+    vehicles: Records  # what changes from frame to frame, shape (B, N) of `VEHICLE`
+    traits: Records  # what does not change in an episode, shape (B, N) of `TRAITS`
+    routes: Records  # the vehicles' routes, shape (B, N, steps) of `ROUTE_STEP`
 
 
 class Scratch(NamedTuple):
-    """Memory that kernels use within a frame.
+    """Memory that kernels use within a frame."""
 
-    Attributes:
-        n_on_lane: number of vehicles on each lane, -1 if it has not been asked for in this frame; shape (lanes,).
-        on_lane: these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`.
-        predictions: the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3).
-        stations: station of each vehicle and obstacle on its closest lane [m], shape (N,).
-        offsets: offset from it [m], shape (N,).
-        copy: a vehicle, shape (1,) of `VEHICLE`.
-        xs: positions along x [m], shape (N,).
-    """
-
-    n_on_lane: Ints
-    on_lane: Records
-    predictions: NDArray[np.float64]
-    stations: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    copy: Records
-    xs: NDArray[np.float64]
+    n_on_lane: Ints  # number of vehicles on each lane, -1 if it has not been asked for in this frame; shape (lanes,)
+    on_lane: Records  # these vehicles and their stations [m], shape (lanes, N) of `ON_LANE`
+    predictions: NDArray[np.float64]  # the vehicles' predicted positions [m] and headings [rad], shape (N, times, 3)
+    stations: NDArray[np.float64]  # station of each vehicle and obstacle on its closest lane [m], shape (N,)
+    offsets: NDArray[np.float64]  # offset from it [m], shape (N,)
+    copy: Records  # a vehicle, shape (1,) of `VEHICLE`
+    xs: NDArray[np.float64]  # positions along x [m], shape (N,)
 
 
 class Scene(NamedTuple):

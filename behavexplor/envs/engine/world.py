@@ -60,19 +60,12 @@ _GAINS: tuple[tuple[float, ...], ...] = tuple(
 
 
 class World(NamedTuple):
-    """An environment's road and rules.
+    """An environment's road and rules."""
 
-    Attributes:
-        network: the road network.
-        rules: the numbers that determine how a decision runs, shape (1,) of `RULES`.
-        speeds: target speeds of the ego's meta-actions [m/s], shape (speeds,).
-        templates: traits of the ego, of new vehicles of the traffic, and of obstacles, shape (3,) of `TRAITS`.
-    """
-
-    network: Network
-    rules: Records
-    speeds: Floats
-    templates: Records
+    network: Network  # the road network
+    rules: Records  # the numbers that determine how a decision runs, shape (1,) of `RULES`
+    speeds: Floats  # target speeds of the ego's meta-actions [m/s], shape (speeds,)
+    templates: Records  # traits of the ego, of new vehicles of the traffic, and of obstacles, shape (3,) of `TRAITS`
 
 
 def make_world(env: AbstractEnv, is_goal: Callable[[LaneIndex], bool] = lambda _: False) -> World:

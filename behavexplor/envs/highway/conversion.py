@@ -127,19 +127,12 @@ def make_route(vehicle: Vehicle, steps: Records, ends: list[tuple[str, str]]) ->
 
 
 class SlotState(NamedTuple):
-    """A copy of a slot with n vehicles and obstacles.
+    """A copy of a slot with n vehicles and obstacles."""
 
-    Attributes:
-        episode: shape () of `behavexplor.envs.engine.state.EPISODE`.
-        vehicles: shape (n,) of `VEHICLE`.
-        traits: shape (n,) of `TRAITS`.
-        routes: shape (n, steps) of `ROUTE_STEP`.
-    """
-
-    episode: Records
-    vehicles: Records
-    traits: Records
-    routes: Records
+    episode: Records  # shape () of `behavexplor.envs.engine.state.EPISODE`
+    vehicles: Records  # shape (n,) of `VEHICLE`
+    traits: Records  # shape (n,) of `TRAITS`
+    routes: Records  # shape (n, steps) of `ROUTE_STEP`
 
     def ego_route(self, network: RoadNetwork) -> list[LaneIndex]:
         """Return the lanes of what is left of the ego's route; none if it has no route."""

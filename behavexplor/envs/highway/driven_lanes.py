@@ -24,21 +24,14 @@ _STATIONS: Final = 9  # at which the heading of a lane is read
 
 
 class LaneTable(NamedTuple):
-    """The L lanes of a road network, in the order of `RoadNetwork.lanes_dict`.
+    """The L lanes of a road network, in the order of `RoadNetwork.lanes_dict`."""
 
-    Attributes:
-        road: number of each lane's road, shape (L,).
-        number: number of each lane on its road, from the left, shape (L,).
-        turn: change of each lane's heading from start to end, positive to the right, shape (L,) [rad].
-        way: what a vehicle does there, a place in `WAYS`, shape (L,).
-        beside: how many lanes lane j is to the right of lane i, as far as j is on the road of i or on one of the next
-            two that follow or precede it; NaN for all others. Shape (L, L).
-    """
-
-    road: Ints
-    number: Ints
-    turn: Floats
-    way: Ints
+    road: Ints  # number of each lane's road, shape (L,)
+    number: Ints  # number of each lane on its road, from the left, shape (L,)
+    turn: Floats  # change of each lane's heading from start to end, positive to the right, shape (L,) [rad]
+    way: Ints  # what a vehicle does there, a place in `WAYS`, shape (L,)
+    # how many lanes lane j is to the right of lane i, as far as j is on the road of i or on one of the next two that
+    # follow or precede it; NaN for all others. Shape (L, L).
     beside: Floats
 
 

@@ -54,17 +54,11 @@ _WITH_BORDERS: Final = (HighwayEnv, MergeEnv, MergeGenericEnv, ExitEnv, Racetrac
 
 
 class Frame(NamedTuple):
-    """What is on the road at one moment.
+    """What is on the road at one moment."""
 
-    Attributes:
-        things: the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`.
-        ego: the ego's place among them.
-        is_on_road: highway-env's `on_road` of the ego.
-    """
-
-    things: Records
-    ego: int
-    is_on_road: bool
+    things: Records  # the vehicles and obstacles, shape (n,) of `behavexplor.envs.engine.frame_log.THING`
+    ego: int  # the ego's place among them
+    is_on_road: bool  # highway-env's `on_road` of the ego
 
 
 class EpisodeRecord:

@@ -31,37 +31,24 @@ class StepResults(NamedTuple):
     """What B egos observed and received in their latest decision.
 
     Few arrays with many rows are copied faster than many arrays.
-
-    Attributes:
-        observations: shape (B, rows, columns): vehicles and features, or speeds times lanes and times.
-        memory: for the observation TimeToCollision.
-        numbers: the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B).
-        flags: whether each episode is terminated, whether it is truncated, whether the latest call of `advance` took an
-            action in it, whether the ego has crashed, and whether each term is other than 0, shape (N_FLAGS, B).
-        log: the frames of the decision, or nothing if it has no room for them.
     """
 
-    observations: Singles
-    memory: GridMemory
-    numbers: Floats
+    observations: Singles  # shape (B, rows, columns): vehicles and features, or speeds times lanes and times
+    memory: GridMemory  # for the observation TimeToCollision
+    numbers: Floats  # the rewards, the egos' speeds [m/s] and the terms of the rewards, shape (N_NUMBERS, B)
+    # whether each episode is terminated, whether it is truncated, whether the latest call of `advance` took an action
+    # in it, whether the ego has crashed, and whether each term is other than 0, shape (N_FLAGS, B)
     flags: Bools
-    log: FrameLog
+    log: FrameLog  # the frames of the decision, or nothing if it has no room for them
 
 
 class Engine(NamedTuple):
-    """What an environment's episodes have in common, and their random generators.
+    """What an environment's episodes have in common, and their random generators."""
 
-    Attributes:
-        world: the road and the vehicles' classes.
-        task: starts, rewards and ends.
-        observed: options of the observation.
-        words: the generators, shape (B, 6); see `behavexplor.envs.engine.pcg64`.
-    """
-
-    world: World
-    task: Task
-    observed: View
-    words: Words
+    world: World  # the road and the vehicles' classes
+    task: Task  # starts, rewards and ends
+    observed: View  # options of the observation
+    words: Words  # the generators, shape (B, 6); see `behavexplor.envs.engine.pcg64`
 
 
 class Actions(NamedTuple):

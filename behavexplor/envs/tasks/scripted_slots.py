@@ -48,24 +48,15 @@ SCRIPT: Final = record_type(route=np.int64, n_phases=np.int64, phase=np.int64)
 
 
 class ScriptedSlots(NamedTuple):
-    """B episodes in lock-step, each with an ego and at most N NPCs.
+    """B episodes in lock-step, each with an ego and at most N NPCs."""
 
-    Attributes:
-        state: the vehicles, of which the ego is the first.
-        runs: shape (B,) of `RUN`.
-        scripts: route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`.
-        phases: the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see
-            `behavexplor.data.npc_motion.fill_phases`.
-        poses: of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_outcome.POSE`.
-        actions: the actions of each decision, shape (B, D, A).
-    """
-
-    state: engine_state.Slots
-    runs: Records
-    scripts: Records
+    state: engine_state.Slots  # the vehicles, of which the ego is the first
+    runs: Records  # shape (B,) of `RUN`
+    scripts: Records  # route, number of phases and current phase of every NPC, shape (B, N) of `SCRIPT`
+    # the NPCs' phases of constant acceleration, shape (B, N, phases, 4); see `behavexplor.data.npc_motion.fill_phases`
     phases: Floats
-    poses: Records
-    actions: Floats
+    poses: Records  # of the ego in every frame, shape (B, T) of `behavexplor.envs.tasks.scripted_outcome.POSE`
+    actions: Floats  # the actions of each decision, shape (B, D, A)
 
 
 def make_slots(
